@@ -1,0 +1,80 @@
+"""Everything this package raises on purpose: one tree, and every error carries its data.
+
+``SafetyHarnessError`` is the root.  Two branches matter to a caller:
+
+* ``InputError``: the user can mend it.  It says where (file, line, field), what was expected
+  and what came; the command line prints it without a traceback and ends with exit code 2.
+* ``SimulationError``: the run itself could not be carried on.  It is never counted as safe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+class SafetyHarnessError(Exception):
+    """The root of every error that this package raises on purpose."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where in the user's input something stands; unknown parts are ``None``."""
+
+    file: Path | None = None
+    line: int | None = None
+    field: str | None = None
+
+    def __str__(self) -> str:
+        where = str(self.file) if self.file is not None else "<input>"
+        if self.line is not None:
+            where += f":{self.line}"
+        return where + (f": {self.field}" if self.field else "")
+
+
+class InputError(SafetyHarnessError):
+    """The user's input cannot be used as it stands.
+
+    Parameters: ``expected`` and ``got`` complete the sentences "expected ..." and "got ...";
+    ``hint`` is one more line of help (a near-miss suggestion, the list of what is allowed).
+    """
+
+    def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
+        self.place = place
+        self.expected = expected
+        self.got = got
+        self.hint = hint
+        text = f"{place}: expected {expected}; got {got}"
+        super().__init__(text + (f" ({hint})" if hint else ""))
+
+
+class ScenarioError(InputError):
+    """A scenario file is malformed, or a value in it is impossible."""
+
+
+class RecordingError(InputError):
+    """A recorded motion cannot be used: no time column, a gap or a jump too large, no samples."""
+
+
+class InadmissibleError(InputError):
+    """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
+
+
+class SettingsError(InputError):
+    """A setting has an impossible value."""
+
+
+class TraceError(InputError):
+    """A stored trace is missing, truncated, of another version or not a trace at all."""
+
+
+class AvoiderError(SafetyHarnessError):
+    """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
+
+
+class SimulationError(SafetyHarnessError):
+    """A world could not be built or stepped."""
+
+
+class ArmModelError(SafetyHarnessError):
+    """The robot description is missing or is not the kind of arm that this package knows."""

@@ -1,0 +1,130 @@
+"""What every property is and says: a function of a Trace with a signed margin and a verdict.
+
+A margin is positive where the property holds and negative where it is violated, in a physical
+unit, never rounded before it is compared.  *Inconclusive* is for a trace that is no evidence
+either way: empty, truncated, with a NaN in what the property reads, or one in which the
+property was never exercised.  A violation seen before a truncation is still a violation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.trace import Trace
+
+
+class Unit(Enum):
+    """The unit that a margin is shown in: (symbol, factor from SI)."""
+
+    LENGTH = ("mm", 1e3)
+    ANGLE = ("deg", 180.0 / np.pi)
+    SPEED = ("mm/s", 1e3)
+    ANGULAR_SPEED = ("deg/s", 180.0 / np.pi)
+    TIME = ("s", 1.0)
+
+    @property
+    def symbol(self) -> str:
+        """As people write it."""
+        return self.value[0]
+
+    @property
+    def per_si(self) -> float:
+        """How many of it are one SI unit."""
+        return self.value[1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """One property's word on one trace.
+
+    ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
+    a sentence what decided; ``exercised`` counts the occasions on which the property could have
+    been violated (0 for a property that was never put to the test).
+    """
+
+    sentence: str
+    verdict: Verdict
+    unit: Unit
+    margin: float | None
+    worst_time_s: float | None
+    reason: str
+    exercised: int
+
+    def margin_text(self) -> str:
+        """The margin with its sign and unit, or a dash."""
+        if self.margin is None:
+            return "-"
+        return f"{self.margin * self.unit.per_si:+.1f} {self.unit.symbol}"
+
+
+class Property(Protocol):
+    """A safety property.  ``sentence`` is how the catalogue and the reports write it."""
+
+    @property
+    def sentence(self) -> str: ...
+
+    @property
+    def unit(self) -> Unit: ...
+
+    def evaluate(self, trace: Trace) -> Evaluation: ...
+
+
+def inconclusive(prop: Property, reason: str, *, exercised: int = 0) -> Evaluation:
+    """No evidence either way, and why."""
+    return Evaluation(
+        sentence=prop.sentence,
+        verdict=Verdict.INCONCLUSIVE,
+        unit=prop.unit,
+        margin=None,
+        worst_time_s=None,
+        reason=reason,
+        exercised=exercised,
+    )
+
+
+def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
+    """Why a trace cannot be judged on ``fields`` at all: empty, NaN, time not rising; else None."""
+    if len(trace.ticks) == 0:
+        return "the trace is empty"
+    times = trace.time_s
+    if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
+        return "the trace's time does not rise strictly"
+    for name in fields:
+        bad = np.isnan(trace.ticks[name]).reshape(len(times), -1).any(axis=1)
+        if bad.any():
+            return f"{name} is NaN from {times[int(np.argmax(bad))]:.3f} s"
+    return None
+
+
+def judged(
+    prop: Property, trace: Trace, *, margin: float, worst_time_s: float, reason: str, exercised: int
+) -> Evaluation:
+    """The verdict that a finite margin gives, with the two ways in which it is no evidence.
+
+    Violated when negative; when not, inconclusive if the property was never exercised or if the
+    run did not last as long as its scenario says.
+    """
+    if np.isnan(margin):
+        return inconclusive(prop, "the margin is NaN", exercised=exercised)
+    verdict = Verdict.HOLDS
+    if margin < 0.0:
+        verdict = Verdict.VIOLATED
+    elif exercised == 0:
+        verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {reason}"
+    elif not trace.complete:
+        verdict, reason = Verdict.INCONCLUSIVE, f"the run was cut short ({trace.ended}): {reason}"
+    return Evaluation(
+        sentence=prop.sentence,
+        verdict=verdict,
+        unit=prop.unit,
+        margin=margin,
+        worst_time_s=worst_time_s,
+        reason=reason,
+        exercised=exercised,
+    )

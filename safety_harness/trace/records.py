@@ -1,0 +1,114 @@
+"""The layout of a trace: one record a control tick, one record a decision.
+
+Compiled code fills these records in place, so they are numpy structured types with fixed
+shapes.  Frames and units are in the field names; ``_in_base_`` is the robot's base frame.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+import numpy as np
+
+from safety_harness.scenario.model import MAX_HANDS
+
+MAX_TRACKS = 4
+
+
+class Mode(IntEnum):
+    """What the controller is doing (the state table of docs/state-table.md)."""
+
+    SERVOING = 0
+    REPULSING = 1
+    PROTECTIVE_STOP = 2
+    OBJECT_LOST = 3
+
+
+class Limit(IntFlag):
+    """Which limit acted on a tick's command."""
+
+    NONE = 0
+    TCP_SPEED = 1
+    TCP_ACCELERATION = 2
+    JOINT_SPEED = 4
+    SINGULARITY = 8
+    BRAKING = 16
+
+
+class Trigger(IntEnum):
+    """Why a decision was asked for."""
+
+    HAND_ENTERED = 0  # while servoing, lost or released: a predicted hand is within the distance
+    HAND_STILL_THERE = 1  # on arrival at the repulsive position
+    ANOTHER_HAND = 2  # while moving: a hand that the last decision did not know of
+
+
+class Outcome(IntEnum):
+    """What a decision led to."""
+
+    PROPOSED = 0  # the avoider's own position
+    OPPOSITE = 1  # the opposite pose, because the proposed one failed a check
+    STOP = 2  # neither can be reached
+
+
+class Check(IntFlag):
+    """Which checks a candidate position failed."""
+
+    NONE = 0
+    NOT_FINITE = 1  # the avoider raised, or returned NaN or a wrong shape
+    UNREACHABLE = 2  # no inverse kinematics within the joint limits
+    PATH_UNREACHABLE = 4  # the end can be reached, the straight way there cannot
+    TABLE = 8  # the TCP's way ends below the table
+
+
+TICK = np.dtype(
+    [
+        ("time_s", np.float64),
+        # truth: the world at this instant
+        ("joint_position_rad", np.float64, (6,)),
+        ("joint_velocity_radps", np.float64, (6,)),
+        ("transform_tcp_to_base", np.float64, (4, 4)),
+        ("tcp_speed_mps", np.float64),
+        ("hand_present", np.bool_, (MAX_HANDS,)),
+        ("hand_position_in_base_m", np.float64, (MAX_HANDS, 3)),
+        ("elbow_position_in_base_m", np.float64, (MAX_HANDS, 3)),
+        ("hand_distance_m", np.float64, (MAX_HANDS,)),  # surface to surface; +inf when absent
+        ("hand_distance_capsule", np.int64, (MAX_HANDS,)),  # index of the nearest robot capsule
+        # what the controller perceived
+        ("object_visible", np.bool_),
+        ("features", np.float64, (6,)),  # x_n, y_n, a_n [m], gamma, delta [-], alpha [rad]
+        ("feature_error", np.float64, (6,)),  # f - f*, alpha wrapped
+        ("sse", np.float64),  # eq. 15 as |f - f*|^2
+        ("track_valid", np.bool_, (MAX_TRACKS,)),
+        ("predicted_hand_in_base_m", np.float64, (MAX_TRACKS, 3)),
+        ("predicted_distance_m", np.float64),  # nearest predicted hand to TCP; +inf without one
+        # what it did
+        ("mode", np.int64),
+        ("gain", np.float64),
+        ("camera_twist", np.float64, (6,)),  # v, w of the camera in its own frame, as demanded
+        ("demanded_joint_velocity_radps", np.float64, (6,)),
+        ("limits", np.int64),  # Limit flags
+        ("decision", np.int64),  # index of the decision made at this tick, or -1
+    ],
+    align=True,
+)
+
+DECISION = np.dtype(
+    [
+        ("tick", np.int64),
+        ("time_s", np.float64),
+        ("trigger", np.int64),
+        ("seed", np.int64),
+        ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand: the question
+        ("tcp_position_in_base_m", np.float64, (3,)),
+        ("joint_position_rad", np.float64, (6,)),
+        ("proposed_position_in_base_m", np.float64, (3,)),  # the avoider's answer
+        ("proposed_spread_m", np.float64, (3,)),
+        ("opposite_position_in_base_m", np.float64, (3,)),
+        ("chosen_position_in_base_m", np.float64, (3,)),  # NaN when stopped
+        ("outcome", np.int64),
+        ("proposed_failed", np.int64),  # Check flags
+        ("opposite_failed", np.int64),  # Check flags
+    ],
+    align=True,
+)

@@ -1,0 +1,53 @@
+"""A trace: everything that happened in one run, frozen, enough to judge it without simulating."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.scenario.model import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Which software made a trace.  ``source_hash`` covers every Python file of the package."""
+
+    package_version: str
+    source_hash: str
+    world: str
+    avoider: str
+    python: str
+    platform: str
+    libraries: tuple[tuple[str, str], ...]  # (name, version)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trace:
+    """``ticks`` (n,) of dtype TICK, ``decisions`` (m,) of dtype DECISION, both read-only.
+
+    A run that was cut short has fewer ticks than ``scenario.ticks`` + 1 (both ends of the
+    duration are recorded) and ``ended`` says why; no property takes it for a safe one.
+    """
+
+    scenario: Scenario
+    ticks: NDArray[np.void]
+    decisions: NDArray[np.void]
+    provenance: Provenance
+    ended: str = "complete"
+
+    def __post_init__(self) -> None:
+        self.ticks.setflags(write=False)
+        self.decisions.setflags(write=False)
+
+    @property
+    def complete(self) -> bool:
+        """Did the run last as long as its scenario says?"""
+        return self.ended == "complete" and len(self.ticks) == self.scenario.ticks + 1
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """(n,) the time of each tick."""
+        times: NDArray[np.float64] = self.ticks["time_s"]
+        return times
