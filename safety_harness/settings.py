@@ -163,6 +163,7 @@ class Avoidance:
     candidate_cone_rad: float = pi / 3  # a 60-degree cone is exactly a quarter of the sphere
     nominal_hand_position_in_base_m: Vector3 = (0.840, -0.350, 0.005)
     hand_pull: float = 0.05  # the factor of eq. 13
+    table_clearance_m: float = 0.050  # the TCP is never sent lower than this above the table
     restart_delay_s: float = 0.5  # how long the hands must be away before a stop is released
 
 

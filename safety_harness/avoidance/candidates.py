@@ -1,0 +1,72 @@
+"""Repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
+
+The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian".  We read: on the
+sphere of radius R about the TCP, azimuth and elevation normal with one sigma about the direction
+from the nominal hand position to the desired TCP, kept if within the cone of 60 degrees about
+that direction, which covers exactly a quarter of the sphere.  R and sigma are our choice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateCap:
+    """The spherical cap that candidates are drawn from.
+
+    ``axis_in_base`` (3,) is a unit vector; the cap is all directions within ``cone_rad`` of it.
+    """
+
+    axis_in_base: NDArray[np.float64]
+    radius_m: float
+    sigma_rad: float
+    cone_rad: float
+    count: int
+
+    @classmethod
+    def of(cls, settings: Settings) -> CandidateCap:
+        """The cap of the settings: away from the nominal hand, towards the desired TCP."""
+        avoidance = settings.avoidance
+        axis = np.subtract(
+            settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
+        )
+        return cls(
+            axis / np.linalg.norm(axis),
+            avoidance.radius_m,
+            avoidance.candidate_sigma_rad,
+            avoidance.candidate_cone_rad,
+            avoidance.candidate_count,
+        )
+
+    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """(count, 3) offsets from the TCP in the base frame, each of length ``radius_m``.
+
+        Rejection terminates: with sigma 45 degrees some 59 % of the draws fall into the cone.
+        """
+        kept = np.empty((0, 3))
+        while len(kept) < self.count:
+            azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))
+            directions = self._directions(azimuth, elevation)
+            inside = directions @ self.axis_in_base >= np.cos(self.cone_rad)
+            kept = np.concatenate([kept, directions[inside]])
+        return self.radius_m * kept[: self.count]
+
+    def _directions(
+        self, azimuth: NDArray[np.float64], elevation: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Unit vectors (n, 3); azimuth about the vertical and elevation, both from the axis."""
+        side = np.cross([0.0, 0.0, 1.0], self.axis_in_base)
+        side /= np.linalg.norm(side)
+        up = np.cross(self.axis_in_base, side)
+        local = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
+            axis=1,
+        )  # (n, 3) along axis, side, up
+        directions: NDArray[np.float64] = local @ np.stack([self.axis_in_base, side, up])
+        return directions

@@ -1,0 +1,121 @@
+"""What the TCP is asked to do in a tick: servo, give way, and within which limits."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.servoing.control import camera_twist
+from safety_harness.trace.records import Limit, Mode
+
+OBJECT_LOST = int(Mode.OBJECT_LOST)
+LIMIT_TCP_SPEED = int(Limit.TCP_SPEED)
+LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
+
+
+@compiled
+def servo_twist(
+    parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
+) -> None:
+    """Eq. 1 as a twist of the TCP in the base frame; the gain drops once eq. 15 is small.
+
+    The camera is fixed to the flange: with c the camera's origin seen from the TCP, in the base
+    frame, w is the same for both and v_tcp = v_camera - w x c.
+    """
+    p, s = parameters[0], states[0]
+    s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
+    good = camera_twist(
+        p.choice,
+        p.desired_interaction_pinv,
+        p.desired_interaction,
+        s.moments,
+        p.desired_area,
+        p.desired_depth_m,
+        p.dense,
+        s.gain,
+        s.feature_error,
+        s.camera_twist,
+    )
+    if not good:
+        s.mode = OBJECT_LOST
+        s.gain = 0.0
+        s.camera_twist[:] = 0.0
+        return
+    rotation_tcp = s.transform_tcp_to_base[:3, :3]
+    v, w, c = np.zeros(3), np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            c[i] += rotation_tcp[i, k] * p.transform_camera_to_tcp[k, 3]
+            for j in range(3):
+                rotation = rotation_tcp[i, k] * p.transform_camera_to_tcp[k, j]
+                v[i] += rotation * s.camera_twist[j]
+                w[i] += rotation * s.camera_twist[3 + j]
+    twist_in_base_out[0] = v[0] - (w[1] * c[2] - w[2] * c[1])
+    twist_in_base_out[1] = v[1] - (w[2] * c[0] - w[0] * c[2])
+    twist_in_base_out[2] = v[2] - (w[0] * c[1] - w[1] * c[0])
+    twist_in_base_out[3:] = w
+
+
+@compiled
+def approach_twist(
+    parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
+) -> None:
+    """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
+
+    The speed is the least of the repulsion speed, what uniform braking at 80 % of the permitted
+    acceleration can still stop within the rest of the way (the other 20 % pay for the control
+    period), and what covers the rest of the way in one tick.
+    """
+    p, s = parameters[0], states[0]
+    total = 0.0
+    for i in range(3):
+        twist_in_base_out[i] = s.target_in_base_m[i] - s.transform_tcp_to_base[i, 3]
+        total += twist_in_base_out[i] * twist_in_base_out[i]
+        twist_in_base_out[3 + i] = 0.0
+    distance = np.sqrt(total)
+    speed = min(
+        p.repulsion_speed_mps,
+        np.sqrt(1.6 * p.repulsion_acceleration_mps2 * distance),
+        distance / p.control_period_s,
+    )
+    for i in range(3):
+        twist_in_base_out[i] *= speed / distance if distance > 0.0 else 0.0
+
+
+@compiled
+def shaped(
+    parameters: NDArray[np.void],
+    previous: NDArray[np.float64],  # (6,) the twist of the last tick, base frame
+    wanted: NDArray[np.float64],  # (6,)
+    max_speed_mps: float,
+    max_acceleration_mps2: float,
+    twist_out: NDArray[np.float64],  # (6,)
+) -> int:
+    """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted."""
+    p = parameters[0]
+    limits = 0
+    bounds = (max_speed_mps, p.max_tcp_angular_speed_radps)
+    steps = (max_acceleration_mps2, p.max_tcp_angular_acceleration_radps2)
+    for half in range(2):
+        first = 3 * half
+        speed = np.sqrt(
+            wanted[first] * wanted[first]
+            + wanted[first + 1] * wanted[first + 1]
+            + wanted[first + 2] * wanted[first + 2]
+        )
+        scale = 1.0
+        if speed > bounds[half]:
+            scale = bounds[half] / speed
+            limits |= LIMIT_TCP_SPEED
+        change = 0.0
+        for i in range(first, first + 3):
+            twist_out[i] = scale * wanted[i]
+            change += (twist_out[i] - previous[i]) * (twist_out[i] - previous[i])
+        change = np.sqrt(change)
+        step = steps[half] * p.control_period_s
+        if change > step:
+            limits |= LIMIT_TCP_ACCELERATION
+            for i in range(first, first + 3):
+                twist_out[i] = previous[i] + step / change * (twist_out[i] - previous[i])
+    return limits

@@ -1,0 +1,152 @@
+"""The records that the compiled control stack reads and writes.
+
+``PARAMETERS`` never change in a run; ``STATE`` is all that one episode remembers; ``OBSERVATION``
+goes in, ``ANSWER`` comes back from a decision, ``COMMAND`` goes out.  Many episodes are many
+elements of an array of each.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.perception.tracking import MAX_DETECTIONS
+from safety_harness.robot.description import ArmModel
+from safety_harness.servoing.control import DesiredView, choice_code
+from safety_harness.settings import HandSensorKind, ObjectKind, Settings
+from safety_harness.trace.records import MAX_TRACKS
+
+MOMENTS = 31
+
+PARAMETERS = np.dtype(
+    [
+        ("control_period_s", np.float64),
+        ("joint_origins", np.float64, (6, 4, 4)),
+        ("joint_axes", np.float64, (6, 3)),
+        ("flange", np.float64, (4, 4)),
+        ("joint_velocity_limit_radps", np.float64, (6,)),
+        ("transform_camera_to_tcp", np.float64, (4, 4)),  # as calibrated, not as mounted
+        ("eye_in_hand", np.bool_),
+        ("transform_sensor_to_base", np.float64, (4, 4)),  # of a fixed hand sensor
+        ("prediction_horizon_s", np.float64),
+        ("dense", np.bool_),
+        ("choice", np.int64),
+        ("desired_area", np.float64),
+        ("desired_depth_m", np.float64),
+        ("desired_features", np.float64, (6,)),
+        ("desired_interaction", np.float64, (6, 6)),
+        ("desired_interaction_pinv", np.float64, (6, 6)),
+        ("gain_far", np.float64),
+        ("gain_near", np.float64),
+        ("gain_switch_sse", np.float64),
+        ("max_tcp_speed_mps", np.float64),
+        ("max_tcp_acceleration_mps2", np.float64),
+        ("max_tcp_angular_speed_radps", np.float64),
+        ("max_tcp_angular_acceleration_radps2", np.float64),
+        ("min_singular_value", np.float64),
+        ("critical_distance_m", np.float64),
+        ("repulsion_speed_mps", np.float64),
+        ("repulsion_acceleration_mps2", np.float64),
+        ("arrival_tolerance_m", np.float64),
+        ("restart_delay_s", np.float64),
+    ],
+    align=True,
+)
+
+STATE = np.dtype(
+    [
+        ("mode", np.int64),
+        ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
+        ("link_transforms", np.float64, (8, 4, 4)),
+        # the image of the object, as last delivered
+        ("object_visible", np.bool_),
+        ("moments", np.float64, (MOMENTS,)),
+        ("features", np.float64, (6,)),
+        ("feature_error", np.float64, (6,)),
+        ("sse", np.float64),
+        # the hands, as predicted
+        ("track_valid", np.bool_, (MAX_TRACKS,)),
+        ("predicted_hand_in_base_m", np.float64, (MAX_TRACKS, 3)),
+        ("predicted_distance_m", np.float64),
+        ("nearest_track", np.int64),
+        ("known_track_ids", np.int64, (MAX_TRACKS,)),  # inside the distance at the last decision
+        # what is going on
+        ("trigger", np.int64),
+        ("decision_pending", np.bool_),
+        ("target_in_base_m", np.float64, (3,)),
+        ("clear_since_s", np.float64),  # since when no hand has been within the distance
+        ("previous_twist_in_base", np.float64, (6,)),
+        ("gain", np.float64),
+        ("camera_twist", np.float64, (6,)),
+        ("limits", np.int64),
+    ],
+    align=True,
+)
+
+OBSERVATION = np.dtype(
+    [
+        ("time_s", np.float64),
+        ("joint_position_rad", np.float64, (6,)),
+        ("joint_velocity_radps", np.float64, (6,)),
+        ("image_new", np.bool_),
+        ("object_visible", np.bool_),
+        ("moments", np.float64, (MOMENTS,)),
+        ("boxes_new", np.bool_),
+        ("boxes_time_s", np.float64),
+        ("box_count", np.int64),
+        ("boxes", np.float64, (MAX_DETECTIONS, 5)),
+    ],
+    align=True,
+)
+
+ANSWER = np.dtype([("stop", np.bool_), ("position_in_base_m", np.float64, (3,))], align=True)
+
+COMMAND = np.dtype(
+    [("joint_velocity_radps", np.float64, (6,)), ("protective_stop", np.bool_)],
+    align=True,
+)
+
+
+def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]:
+    """(4, 4) pose of the fixed hand camera: straight down, image u along base -y, v along -x."""
+    transform = np.eye(4)
+    transform[:3, :3] = [[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]
+    transform[:3, 3] = settings.hand_sensor.overhead_position_in_base_m
+    return transform
+
+
+def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[np.void]:
+    """(1,) PARAMETERS from the settings, the arm and the desired view of the object."""
+    p = np.zeros(1, PARAMETERS)
+    p["control_period_s"] = settings.clock.control_period_s
+    p["joint_origins"], p["joint_axes"], p["flange"] = arm.joint_origins, arm.joint_axes, arm.flange
+    p["joint_velocity_limit_radps"] = arm.velocity_limit_radps
+    p["transform_camera_to_tcp"] = transform_camera_to_tcp(settings.camera, calibrated=True)
+    p["eye_in_hand"] = settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND
+    p["transform_sensor_to_base"] = overhead_transform_sensor_to_base(settings)
+    p["prediction_horizon_s"] = settings.hand_filter.prediction_horizon_s
+    p["dense"] = settings.servo.object_kind is ObjectKind.DENSE
+    p["choice"] = choice_code(settings.servo.interaction)
+    p["desired_area"] = view.area
+    p["desired_depth_m"] = view.depth_m
+    p["desired_features"] = view.features
+    p["desired_interaction"] = view.interaction
+    p["desired_interaction_pinv"] = view.interaction_pinv
+    for group in (settings.servo, settings.motion, settings.avoidance):
+        for name in PARAMETERS.names or ():
+            if hasattr(group, name):
+                p[name] = getattr(group, name)
+    return p
+
+
+def initial_state() -> NDArray[np.void]:
+    """(1,) STATE before the first observation: nothing seen, nothing known."""
+    s = np.zeros(1, STATE)
+    s["predicted_distance_m"] = np.inf
+    s["nearest_track"] = -1
+    s["known_track_ids"] = -1
+    s["clear_since_s"] = np.nan
+    for name in ("moments", "features", "feature_error", "sse", "target_in_base_m"):
+        s[name] = np.nan
+    return s

@@ -1,0 +1,254 @@
+"""The compiled control stack: ``begin_tick`` looks, ``finish_tick`` acts.
+
+Between the two a decision is made, if one is needed, by anything that can make one: in
+``controller`` one at a time, in a batch for many episodes at once.  Both worlds call exactly
+these two functions; the state table is docs/state-table.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.controller.motion import approach_twist, servo_twist, shaped
+from safety_harness.perception.tracking import advance_tracks, predict_positions
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
+from safety_harness.robot.velocity import joint_velocity
+from safety_harness.servoing.features import feature_error, features, sum_of_squares
+from safety_harness.trace.records import MAX_TRACKS, Limit, Mode, Trigger
+
+SERVOING = int(Mode.SERVOING)
+REPULSING = int(Mode.REPULSING)
+PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
+OBJECT_LOST = int(Mode.OBJECT_LOST)
+HAND_ENTERED = int(Trigger.HAND_ENTERED)
+HAND_STILL_THERE = int(Trigger.HAND_STILL_THERE)
+ANOTHER_HAND = int(Trigger.ANOTHER_HAND)
+LIMIT_JOINT_SPEED = int(Limit.JOINT_SPEED)
+LIMIT_SINGULARITY = int(Limit.SINGULARITY)
+STANDSTILL_RADPS = 1e-3
+
+
+@compiled
+def begin_tick(
+    parameters: NDArray[np.void],  # (1,) PARAMETERS
+    filter_parameters: NDArray[np.void],  # (1,) FILTER_PARAMETERS
+    states: NDArray[np.void],  # (1,) STATE
+    tracks: NDArray[np.void],  # (MAX_TRACKS,) TRACK
+    observations: NDArray[np.void],  # (1,) OBSERVATION
+) -> bool:
+    """Take in an observation; True if a decision is needed before ``finish_tick``."""
+    p, s, o = parameters[0], states[0], observations[0]
+    forward_kinematics(p.joint_origins, p.joint_axes, p.flange, o.joint_position_rad, s.link_transforms)
+    s.transform_tcp_to_base[:, :] = s.link_transforms[7]
+    see_object(parameters, states, observations)
+    see_hands(parameters, filter_parameters, states, tracks, observations)
+    s.limits = 0
+    s.decision_pending = decide_mode(parameters, states, tracks, observations)
+    if s.decision_pending:
+        remember_hands(parameters, states, tracks)
+    return bool(s.decision_pending)
+
+
+@compiled
+def see_object(
+    parameters: NDArray[np.void], states: NDArray[np.void], observations: NDArray[np.void]
+) -> None:
+    """Features, their error and eq. 15 from a new image; between images the last ones stand."""
+    p, s, o = parameters[0], states[0], observations[0]
+    if not o.image_new:
+        return
+    s.object_visible = o.object_visible
+    if not o.object_visible:
+        s.features[:] = np.nan
+        s.feature_error[:] = np.nan
+        s.sse = np.nan
+        return
+    s.moments[:] = o.moments
+    features(s.moments, p.desired_area, p.desired_depth_m, p.dense, s.features)
+    feature_error(s.features, p.desired_features, s.feature_error)
+    s.sse = sum_of_squares(s.feature_error)
+    if not np.isfinite(s.sse):
+        s.object_visible = False
+
+
+@compiled
+def see_hands(
+    parameters: NDArray[np.void],
+    filter_parameters: NDArray[np.void],
+    states: NDArray[np.void],
+    tracks: NDArray[np.void],
+    observations: NDArray[np.void],
+) -> None:
+    """Filter the boxes, predict each hand at now + horizon, find the nearest to the TCP."""
+    p, s, o = parameters[0], states[0], observations[0]
+    if o.boxes_new:
+        advance_tracks(tracks, o.boxes, o.box_count, o.boxes_time_s, filter_parameters)
+    transform_sensor_to_base = np.empty((4, 4))
+    if p.eye_in_hand:
+        for i in range(4):
+            for j in range(4):
+                total = 0.0
+                for k in range(4):
+                    total += s.transform_tcp_to_base[i, k] * p.transform_camera_to_tcp[k, j]
+                transform_sensor_to_base[i, j] = total
+    else:
+        transform_sensor_to_base[:, :] = p.transform_sensor_to_base
+    predict_positions(
+        tracks,
+        o.time_s + p.prediction_horizon_s,
+        filter_parameters,
+        transform_sensor_to_base,
+        s.predicted_hand_in_base_m,
+        s.track_valid,
+    )
+    s.predicted_distance_m = np.inf
+    s.nearest_track = -1
+    for i in range(MAX_TRACKS):
+        if s.track_valid[i]:
+            distance = hand_to_tcp(states, i)
+            if not distance >= s.predicted_distance_m:  # a NaN counts as nearest: it must not hide
+                s.predicted_distance_m = distance
+                s.nearest_track = i
+        else:
+            s.predicted_hand_in_base_m[i, :] = np.nan
+
+
+@compiled
+def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
+    """Distance from the TCP to the predicted centre of a tracked hand."""
+    s = states[0]
+    total = 0.0
+    for i in range(3):
+        difference = s.predicted_hand_in_base_m[track, i] - s.transform_tcp_to_base[i, 3]
+        total += difference * difference
+    return float(np.sqrt(total))
+
+
+@compiled
+def decide_mode(
+    parameters: NDArray[np.void],
+    states: NDArray[np.void],
+    tracks: NDArray[np.void],
+    observations: NDArray[np.void],
+) -> bool:
+    """The transitions that need no decision; True (with the trigger set) where one is needed."""
+    p, s, o = parameters[0], states[0], observations[0]
+    inside = s.nearest_track >= 0 and not s.predicted_distance_m >= p.critical_distance_m
+    if inside:
+        s.clear_since_s = np.nan
+    elif np.isnan(s.clear_since_s):
+        s.clear_since_s = o.time_s
+
+    if s.mode == PROTECTIVE_STOP:
+        still = np.max(np.abs(o.joint_velocity_radps)) < STANDSTILL_RADPS
+        if still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
+            s.mode = SERVOING
+    if s.mode == REPULSING:
+        if arrived(parameters, states):
+            if inside:
+                s.trigger = HAND_STILL_THERE
+                return True
+            s.mode = SERVOING
+        elif inside and unknown_hand_inside(parameters, states, tracks):
+            s.trigger = ANOTHER_HAND
+            return True
+    if s.mode == SERVOING or s.mode == OBJECT_LOST:
+        if inside:
+            s.trigger = HAND_ENTERED
+            return True
+        s.mode = SERVOING if s.object_visible else OBJECT_LOST
+    return False
+
+
+@compiled
+def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
+    """Is the TCP within the arrival tolerance of the repulsive position?"""
+    p, s = parameters[0], states[0]
+    total = 0.0
+    for i in range(3):
+        difference = s.target_in_base_m[i] - s.transform_tcp_to_base[i, 3]
+        total += difference * difference
+    return bool(np.sqrt(total) <= p.arrival_tolerance_m)
+
+
+@compiled
+def unknown_hand_inside(
+    parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]
+) -> bool:
+    """Is a hand within the distance that was not there when the last decision was made?"""
+    p, s = parameters[0], states[0]
+    for i in range(MAX_TRACKS):
+        if s.track_valid[i] and not hand_to_tcp(states, i) >= p.critical_distance_m:
+            known = False
+            for j in range(MAX_TRACKS):
+                known = known or s.known_track_ids[j] == tracks[i].id
+            if not known:
+                return True
+    return False
+
+
+@compiled
+def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]) -> None:
+    """Note which hands are within the critical distance as a decision is made."""
+    p, s = parameters[0], states[0]
+    for i in range(MAX_TRACKS):
+        within = s.track_valid[i] and not hand_to_tcp(states, i) >= p.critical_distance_m
+        s.known_track_ids[i] = tracks[i].id if within else -1
+
+
+@compiled
+def finish_tick(
+    parameters: NDArray[np.void],  # (1,) PARAMETERS
+    states: NDArray[np.void],  # (1,) STATE
+    observations: NDArray[np.void],  # (1,) OBSERVATION
+    answers: NDArray[np.void],  # (1,) ANSWER; read only if a decision is pending
+    commands: NDArray[np.void],  # (1,) COMMAND
+) -> None:
+    """Act on the answer, if one was asked for, and command the arm for this tick."""
+    p, s, o, answer, command = parameters[0], states[0], observations[0], answers[0], commands[0]
+    if s.decision_pending:
+        s.decision_pending = False
+        if answer.stop:
+            s.mode = PROTECTIVE_STOP
+        else:
+            s.mode = REPULSING
+            s.target_in_base_m[:] = answer.position_in_base_m
+
+    jacobian = np.empty((6, 6))
+    geometric_jacobian(p.joint_axes, s.link_transforms, jacobian)
+    wanted = np.zeros(6)
+    s.camera_twist[:] = 0.0
+    s.gain = 0.0
+    acceleration = p.max_tcp_acceleration_mps2
+    speed = p.max_tcp_speed_mps
+    if s.mode == SERVOING:
+        servo_twist(parameters, states, wanted)
+    elif s.mode == REPULSING:
+        acceleration = p.repulsion_acceleration_mps2
+        speed = p.repulsion_speed_mps
+        approach_twist(parameters, states, wanted)
+    twist = np.empty(6)
+    s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed, acceleration, twist)
+    if not joint_velocity(jacobian, twist, p.min_singular_value, command.joint_velocity_radps):
+        s.limits |= LIMIT_SINGULARITY
+        s.mode = PROTECTIVE_STOP
+    scale = 1.0
+    for i in range(6):
+        rate = abs(command.joint_velocity_radps[i])
+        if rate > p.joint_velocity_limit_radps[i]:
+            scale = min(scale, p.joint_velocity_limit_radps[i] / rate)
+    if scale < 1.0:
+        s.limits |= LIMIT_JOINT_SPEED
+    command.protective_stop = s.mode == PROTECTIVE_STOP
+    for i in range(6):
+        command.joint_velocity_radps[i] *= scale
+    for i in range(6):
+        # while stopped the drives rule: go on from what the arm really does
+        total = scale * twist[i]
+        if command.protective_stop:
+            total = 0.0
+            for j in range(6):
+                total += jacobian[i, j] * o.joint_velocity_radps[j]
+        s.previous_twist_in_base[i] = total

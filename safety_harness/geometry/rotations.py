@@ -1,0 +1,102 @@
+"""Rotation matrices and rotation vectors (axis times angle), both ways, without weak spots."""
+
+from __future__ import annotations
+
+from math import atan2, cos, sin, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+
+# Below this squared angle the second-order series are exact to the last bit of a float64.
+SMALL_SQUARED_ANGLE = 1e-8
+
+
+@compiled
+def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula.
+
+    R = I + a [v]x + b [v]x^2 with a = sin(t)/t, b = (1 - cos t)/t^2, t = |v|.
+    """
+    x, y, z = vector[0], vector[1], vector[2]
+    squared = x * x + y * y + z * z
+    if squared < SMALL_SQUARED_ANGLE:
+        a = 1.0 - squared / 6.0
+        b = 0.5 - squared / 24.0
+    else:
+        angle = sqrt(squared)
+        half = sin(0.5 * angle) / angle
+        a = sin(angle) / angle
+        b = 2.0 * half * half  # 1 - cos t = 2 sin^2(t/2) does not cancel
+    rotation = np.empty((3, 3))
+    rotation[0, 0] = 1.0 - b * (y * y + z * z)
+    rotation[0, 1] = b * x * y - a * z
+    rotation[0, 2] = b * x * z + a * y
+    rotation[1, 0] = b * x * y + a * z
+    rotation[1, 1] = 1.0 - b * (x * x + z * z)
+    rotation[1, 2] = b * y * z - a * x
+    rotation[2, 0] = b * x * z - a * y
+    rotation[2, 1] = b * y * z + a * x
+    rotation[2, 2] = 1.0 - b * (x * x + y * y)
+    return rotation
+
+
+@compiled
+def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation vector (3,) [rad] of a rotation matrix (3, 3); its length is at most pi.
+
+    Goes through the unit quaternion, whose largest component is computed first (Shepperd 1978),
+    so nothing cancels near the identity or near a half turn.  At exactly pi both signs of the
+    vector mean the same rotation; one of them is returned.
+    """
+    r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
+    trace = r00 + r11 + r22
+    if trace >= r00 and trace >= r11 and trace >= r22:
+        w = 1.0 + trace
+        x = rotation[2, 1] - rotation[1, 2]
+        y = rotation[0, 2] - rotation[2, 0]
+        z = rotation[1, 0] - rotation[0, 1]
+    elif r00 >= r11 and r00 >= r22:
+        w = rotation[2, 1] - rotation[1, 2]
+        x = 1.0 + r00 - r11 - r22
+        y = rotation[0, 1] + rotation[1, 0]
+        z = rotation[0, 2] + rotation[2, 0]
+    elif r11 >= r22:
+        w = rotation[0, 2] - rotation[2, 0]
+        x = rotation[0, 1] + rotation[1, 0]
+        y = 1.0 + r11 - r00 - r22
+        z = rotation[1, 2] + rotation[2, 1]
+    else:
+        w = rotation[1, 0] - rotation[0, 1]
+        x = rotation[0, 2] + rotation[2, 0]
+        y = rotation[1, 2] + rotation[2, 1]
+        z = 1.0 + r22 - r00 - r11
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    # (w, x, y, z) is the quaternion times a common factor, which atan2 and the ratio do not see.
+    length = sqrt(x * x + y * y + z * z)
+    factor = 2.0 / w if length < 1e-8 * w else 2.0 * atan2(length, w) / length
+    vector = np.empty(3)
+    vector[0] = factor * x
+    vector[1] = factor * y
+    vector[2] = factor * z
+    return vector
+
+
+@compiled
+def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: NDArray[np.float64]) -> None:
+    """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` about the *unit* ``axis`` (3,)."""
+    c, s = cos(angle_rad), sin(angle_rad)
+    half = sin(0.5 * angle_rad)
+    d = 2.0 * half * half
+    x, y, z = axis[0], axis[1], axis[2]
+    rotation_out[0, 0] = c + d * x * x
+    rotation_out[0, 1] = d * x * y - s * z
+    rotation_out[0, 2] = d * x * z + s * y
+    rotation_out[1, 0] = d * x * y + s * z
+    rotation_out[1, 1] = c + d * y * y
+    rotation_out[1, 2] = d * y * z - s * x
+    rotation_out[2, 0] = d * x * z - s * y
+    rotation_out[2, 1] = d * y * z + s * x
+    rotation_out[2, 2] = c + d * z * z

@@ -1,0 +1,51 @@
+"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` takes coordinates in a to b."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+
+
+@compiled
+def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,) [m]."""
+    transform = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            transform[i, j] = rotation[i, j]
+        transform[i, 3] = translation[i]
+    transform[3, 3] = 1.0
+    return transform
+
+
+@compiled
+def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse (4, 4) of a rigid transform, by transposing its rotation: (R^T, -R^T t)."""
+    inverse = np.zeros((4, 4))
+    for i in range(3):
+        shift = 0.0
+        for j in range(3):
+            inverse[i, j] = transform[j, i]
+            shift -= transform[j, i] * transform[j, 3]
+        inverse[i, 3] = shift
+    inverse[3, 3] = 1.0
+    return inverse
+
+
+@compiled
+def compose_into(
+    outer: NDArray[np.float64], inner: NDArray[np.float64], transform_out: NDArray[np.float64]
+) -> None:
+    """Fill ``transform_out`` (4, 4) with outer @ inner; it must not be one of the two."""
+    for i in range(3):
+        for j in range(4):
+            transform_out[i, j] = (
+                outer[i, 0] * inner[0, j] + outer[i, 1] * inner[1, j] + outer[i, 2] * inner[2, j]
+            )
+        transform_out[i, 3] += outer[i, 3]
+    transform_out[3, 0] = 0.0
+    transform_out[3, 1] = 0.0
+    transform_out[3, 2] = 0.0
+    transform_out[3, 3] = 1.0

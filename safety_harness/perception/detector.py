@@ -1,0 +1,127 @@
+"""From a colour and a depth image to the bounding boxes of hands: the seam for a user's detector.
+
+The paper's detector is a YOLO network.  The one here needs no network: the simulator paints its
+hands in a colour that nothing else in the cell has.  Any object with a ``detect`` method like
+that of ``BoundingBoxDetector`` takes its place; a YOLO exported to ONNX, say:
+
+    class YoloDetector:
+        def __init__(self, file: Path) -> None:
+            self._session = onnxruntime.InferenceSession(file)
+
+        def detect(self, colour, depth_m):
+            rows = []
+            for left, top, right, bottom in self._hands(colour):  # network, threshold, suppression
+                width, height = right - left, bottom - top
+                u_px, v_px = (left + right - 1) / 2, (top + bottom - 1) / 2
+                z_m = np.median(depth_m[round(v_px) - 1 : round(v_px) + 2, round(u_px) - 1 : round(u_px) + 2])
+                rows.append((u_px, v_px, z_m, width * height, width / height))
+            return np.array(rows).reshape(-1, 5)
+
+Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them, and edge 0
+is the left edge of pixel 0, whose *centre* is at u = 0.  A detector that is asked at each frame
+should not depend on the frames before: the tracks remember, and a run can then be repeated.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import SimulationError
+from safety_harness.perception.hand_boxes import BOX_LENGTH
+from safety_harness.perception.tracking import MAX_DETECTIONS
+
+# What the simulator paints.  Hues (OpenCV's scale of 0 to 179): hand 12, sleeve 113.
+HAND_COLOUR_RGBA = (0.87, 0.67, 0.53, 1.0)
+SLEEVE_COLOUR_RGBA = (0.15, 0.25, 0.60, 1.0)
+
+# What counts as skin: hue, saturation and value, each from 0 to 255 but the hue, both ends
+# included.  Shading changes the value only, so hue and saturation decide; grey, white and black
+# things have hardly any saturation, and the blue ones a hue far away.
+SKIN_HSV_LEAST = (4, 60, 40)
+SKIN_HSV_GREATEST = (22, 180, 255)
+
+MINIMUM_AREA_PX = 50
+DEPTH_SAMPLES = 9
+
+
+class BoundingBoxDetector(Protocol):
+    """What finds hands in one frame of the hand sensor."""
+
+    def detect(
+        self,
+        colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
+        depth_m: NDArray[np.float64],  # (h, w) camera Z; 0 or not finite where unknown
+    ) -> NDArray[np.float64]:
+        """Return the boxes (k, 5) of all hands: u_px, v_px, z_m, area_px2, width/height.
+
+        Integer coordinates are pixel centres.  z is the depth of the surface seen at the box's
+        centre.  Rows without a finite, positive depth are not used; k may be 0.
+        """
+        ...
+
+
+class SkinColourDetector:
+    """Finds connected skin-coloured areas.
+
+    A hand that something narrow crosses comes out as two boxes: one hand too many, not one too few.
+    """
+
+    def detect(
+        self, colour: NDArray[np.uint8], depth_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:  # (k, 5), k <= MAX_DETECTIONS
+        """Return the boxes of the largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
+
+        Largest first; areas without any known depth are left out.  The depth is the median over
+        the nine pixels of the area with a known depth that are nearest to the box's centre: the
+        3 x 3 window around it, unless part of that is hidden or without a depth.
+        """
+        hsv = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)
+        skin = cv2.inRange(hsv, SKIN_HSV_LEAST, SKIN_HSV_GREATEST)
+        count, labels, statistics, _ = cv2.connectedComponentsWithStats(skin, connectivity=8)
+        area = statistics[:, cv2.CC_STAT_AREA]
+        boxes: list[tuple[float, float, float, float, float]] = []
+        for label in sorted(range(1, count), key=lambda k: (-area[k], k)):
+            if area[label] < MINIMUM_AREA_PX or len(boxes) == MAX_DETECTIONS:
+                break
+            left, top, width, height = (int(value) for value in statistics[label, :4])
+            u_px, v_px = left + (width - 1) / 2, top + (height - 1) / 2
+            window = np.s_[top : top + height, left : left + width]
+            z_m = _depth_near(labels[window] == label, depth_m[window], (width - 1) / 2, (height - 1) / 2)
+            if z_m is not None:
+                boxes.append((u_px, v_px, z_m, float(width * height), width / height))
+        return np.array(boxes, np.float64).reshape(-1, BOX_LENGTH)
+
+
+def _depth_near(
+    area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
+) -> float | None:
+    """Median over the ``DEPTH_SAMPLES`` pixels of ``area`` with a depth that are nearest to (u, v)."""
+    v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
+    if u.size == 0:
+        return None
+    nearest = np.argsort((u - u_px) ** 2 + (v - v_px) ** 2, kind="stable")[:DEPTH_SAMPLES]
+    return float(np.median(depth_m[v[nearest], u[nearest]]))
+
+
+def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
+    """Copy what a detector returned into ``boxes_out`` (MAX_DETECTIONS, 5); return how many.
+
+    Of more than ``MAX_DETECTIONS`` the largest in the image are kept, in the detector's order.
+    Raises ``SimulationError`` if ``boxes`` is not an array of numbers of shape (k, 5).
+    """
+    try:
+        rows = np.asarray(boxes, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SimulationError(f"the hand detector did not return an array of numbers: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != BOX_LENGTH:
+        raise SimulationError(f"the hand detector has to return boxes (k, 5), not shape {rows.shape}")
+    if len(rows) > MAX_DETECTIONS:
+        usable = np.isfinite(rows).all(axis=1) & (rows[:, 2] > 0.0)
+        order = np.argsort(np.where(usable, -rows[:, 3], np.inf), kind="stable")
+        rows = rows[np.sort(order[:MAX_DETECTIONS])]
+    boxes_out[: len(rows)] = rows
+    return len(rows)

@@ -1,0 +1,220 @@
+"""Tracks of hands: which box belongs to which, and where each hand will be.
+
+Everything here errs on one side: a hand once seen stays until it has gone unseen for the
+timeout, and whatever cannot be extrapolated stays where it was rather than disappear.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.perception.hand_boxes import BOX_LENGTH, position_from_box
+from safety_harness.perception.hand_filter import TRACK, initialise, predict, update, wait
+from safety_harness.trace.records import MAX_TRACKS
+
+MAX_DETECTIONS = 4
+
+
+def no_tracks() -> NDArray[np.void]:
+    """An array (MAX_TRACKS,) of ``TRACK`` in which nothing is tracked yet."""
+    return np.zeros(MAX_TRACKS, TRACK)
+
+
+@compiled
+def advance_tracks(
+    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK, changed in place
+    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5); only the first ``count`` rows are read
+    count: int,  # 0 .. MAX_DETECTIONS
+    capture_time_s: float,
+    parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
+) -> bool:
+    """Take in one frame of the hand sensor; ``count`` = 0 is a frame that saw no hand.
+
+    1. Every track is predicted to the capture time.
+    2. Boxes and tracks are paired so that the sum of the distances of their centres in the
+       image is least, where a box without a track costs ``gate_px`` and no pair may be further
+       apart than that.  Of equal sums the one that gives the earlier boxes the lower slots wins.
+    3. Paired tracks are updated.  Every other box starts a track in the free slot that was seen
+       longest ago; if none is free, in place of the unpaired track that was.
+    4. Tracks unseen for longer than ``track_timeout_s`` are dropped.
+
+    A box that is not a measurement (a value not finite, no positive depth or area) is passed
+    over.  A track whose predicted depth would not be positive is held where it was, with growing
+    uncertainty, so the depth of a track is always positive.
+
+    Returns ``False``, and changes nothing, if the frame is older than a track's state or its
+    time is not finite: such a frame must not count as "no hand seen".
+    """
+    if not isfinite(capture_time_s):
+        return False
+    for i in range(MAX_TRACKS):
+        if tracks[i]["valid"] and capture_time_s < tracks[i]["time_s"]:
+            return False
+    for i in range(MAX_TRACKS):
+        if tracks[i]["valid"]:
+            _predict_to(tracks[i], capture_time_s, parameters[0])
+    box_of_track = np.full(MAX_TRACKS, -1)
+    track_of_box = np.full(MAX_DETECTIONS, -1)
+    _assign(tracks, boxes, count, parameters[0]["gate_px"], track_of_box)
+    for j in range(count):
+        if track_of_box[j] >= 0:
+            box_of_track[track_of_box[j]] = j
+            update(tracks[track_of_box[j]], boxes[j], parameters[0])
+    for i in range(MAX_TRACKS):
+        if capture_time_s - tracks[i]["last_seen_s"] > parameters[0]["track_timeout_s"]:
+            tracks[i]["valid"] = False
+    for j in range(count):
+        if track_of_box[j] < 0 and _is_measurement(boxes[j]):
+            slot = _slot_for_new_track(tracks, box_of_track)
+            tracks[slot]["id"] = _greatest_id(tracks) + 1
+            initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
+            box_of_track[slot] = j
+    return True
+
+
+@compiled
+def predict_positions(
+    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK
+    at_time_s: float,
+    parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
+    transform_sensor_to_base: NDArray[np.float64],  # (4, 4)
+    positions_in_base_out: NDArray[np.float64],  # (MAX_TRACKS, 3) [m]
+    valid_out: NDArray[np.bool_],  # (MAX_TRACKS,)
+) -> None:
+    """Write where the centre of every tracked hand will be at ``at_time_s``; change no track.
+
+    The filtered box is extrapolated at its rates and converted by the pinhole model
+    (``position_from_box``).  Rows of slots without a track are NaN and not valid.
+
+    An extrapolated depth that is not positive says that the hand would pass the sensor's plane,
+    where a pixel and a depth mean nothing.  The hand is then taken to be where the filter has it
+    now (``advance_tracks`` keeps that depth positive); likewise if the extrapolation is not
+    finite.  So a tracked hand always has a position, and never one behind the sensor.
+    """
+    box = np.empty(BOX_LENGTH)
+    position = np.empty(3)
+    for i in range(MAX_TRACKS):
+        valid_out[i] = tracks[i]["valid"]
+        if not tracks[i]["valid"]:
+            positions_in_base_out[i, :] = nan
+            continue
+        _extrapolated_box(tracks[i], at_time_s - tracks[i]["time_s"], box)
+        if not _is_place(box):
+            _extrapolated_box(tracks[i], 0.0, box)
+        position_from_box(
+            box,
+            parameters[0]["focal_px"],
+            parameters[0]["c_u"],
+            parameters[0]["c_v"],
+            parameters[0]["assumed_radius_m"],
+            position,
+        )
+        for row in range(3):
+            positions_in_base_out[i, row] = (
+                transform_sensor_to_base[row, 0] * position[0]
+                + transform_sensor_to_base[row, 1] * position[1]
+                + transform_sensor_to_base[row, 2] * position[2]
+                + transform_sensor_to_base[row, 3]
+            )
+
+
+@compiled
+def _is_place(box: NDArray[np.float64]) -> bool:
+    """Tell whether u, v and z of a box denote a point in front of the sensor."""
+    return isfinite(box[0]) and isfinite(box[1]) and isfinite(box[2]) and box[2] > 0.0
+
+
+@compiled
+def _is_measurement(box: NDArray[np.float64]) -> bool:
+    return _is_place(box) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
+
+
+@compiled
+def _extrapolated_box(track: np.void, dt_s: float, box_out: NDArray[np.float64]) -> None:
+    mean = track["mean"]
+    for i in range(4):
+        box_out[i] = mean[i] + dt_s * mean[5 + i]
+    box_out[4] = mean[4]
+
+
+@compiled
+def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
+    dt_s = time_s - track["time_s"]
+    if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
+        predict(track, dt_s, parameters)
+    else:
+        wait(track, dt_s, parameters)
+    track["time_s"] = time_s  # exactly, not by a sum of steps
+
+
+@compiled
+def _assign(
+    tracks: NDArray[np.void],
+    boxes: NDArray[np.float64],
+    count: int,
+    gate_px: float,
+    track_of_box_out: NDArray[np.int64],  # (MAX_DETECTIONS,), filled with -1
+) -> None:
+    """Find the cheapest pairing by trying all of them: at most 5^4 for four boxes and tracks."""
+    distance = np.full((MAX_DETECTIONS, MAX_TRACKS), inf)
+    for j in range(count):
+        for i in range(MAX_TRACKS):
+            if tracks[i]["valid"] and _is_measurement(boxes[j]):
+                du = boxes[j, 0] - tracks[i]["mean"][0]
+                dv = boxes[j, 1] - tracks[i]["mean"][1]
+                distance[j, i] = sqrt(du * du + dv * dv)
+    least = inf
+    for code in range((MAX_TRACKS + 1) ** count):
+        total = 0.0
+        used = 0
+        rest = code
+        for j in range(count - 1, -1, -1):  # the first box is the slowest digit
+            i = rest % (MAX_TRACKS + 1)  # MAX_TRACKS: this box starts a track of its own
+            rest //= MAX_TRACKS + 1
+            if i == MAX_TRACKS:
+                total += gate_px
+            elif used & (1 << i) or not distance[j, i] <= gate_px:
+                total = inf
+            else:
+                total += distance[j, i]
+                used |= 1 << i
+        if total < least:
+            least = total
+            rest = code
+            for j in range(count - 1, -1, -1):
+                i = rest % (MAX_TRACKS + 1)
+                rest //= MAX_TRACKS + 1
+                track_of_box_out[j] = i if i < MAX_TRACKS else -1
+
+
+@compiled
+def _slot_for_new_track(tracks: NDArray[np.void], box_of_track: NDArray[np.int64]) -> int:
+    """The free slot seen longest ago; without a free one, the unpaired track seen longest ago.
+
+    There is always one of them: a box without a pair leaves at least one slot of four unpaired.
+    """
+    best = -1
+    for i in range(MAX_TRACKS):
+        if box_of_track[i] >= 0:
+            continue
+        if best < 0:
+            best = i
+        elif tracks[i]["valid"] != tracks[best]["valid"]:
+            if not tracks[i]["valid"]:
+                best = i
+        elif tracks[i]["last_seen_s"] < tracks[best]["last_seen_s"]:
+            best = i
+    return best
+
+
+@compiled
+def _greatest_id(tracks: NDArray[np.void]) -> int:
+    """Slots keep the id of a dropped track until they are used again, so no id comes twice."""
+    greatest = 0
+    for i in range(MAX_TRACKS):
+        greatest = max(greatest, tracks[i]["id"])
+    return greatest

@@ -1,0 +1,70 @@
+"""One judged run: a trace, what every claim came out as, and how to see it again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.trace.trace import Trace
+
+_SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+
+
+@dataclass(frozen=True)
+class JudgedRun:
+    """A trace with one evaluation for each of its scenario's claims, in their order.
+
+    ``replay_command`` is the command line that repeats this run; ``notes`` are sentences for the
+    reader (what was bridged in a recording, say).  Raises ValueError when the numbers of
+    evaluations and claims differ.
+    """
+
+    trace: Trace
+    evaluations: tuple[Evaluation, ...]
+    replay_command: str
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        claims = len(self.trace.scenario.claims)
+        if len(self.evaluations) != claims:
+            raise ValueError(
+                f"scenario {self.trace.scenario.name!r} has {claims} claims, got {len(self.evaluations)} evaluations"
+            )
+
+    def judged_claims(self) -> Iterator[tuple[Claim, Evaluation]]:
+        """Each claim with its evaluation."""
+        return zip(self.trace.scenario.claims, self.evaluations, strict=True)
+
+    @property
+    def as_expected(self) -> tuple[bool, ...]:
+        """For each claim: is the verdict the one that the scenario's author expects?"""
+        return tuple(evaluation.verdict is claim.expected for claim, evaluation in self.judged_claims())
+
+    @property
+    def all_as_expected(self) -> bool:
+        """Did every claim come out as expected?  (True of a scenario without claims.)"""
+        return all(self.as_expected)
+
+    def count(self, verdict: Verdict) -> int:
+        """How many claims came out as ``verdict``."""
+        return sum(evaluation.verdict is verdict for evaluation in self.evaluations)
+
+    def worst_claim(self) -> int | None:
+        """Index of the claim whose worst moment the views from above and the side show.
+
+        Violated before inconclusive before holds, lengths before other units, then the smallest
+        margin; None when no claim names a moment.
+        """
+        ranked = [
+            (
+                _SEVERITY.index(evaluation.verdict),
+                evaluation.unit is not Unit.LENGTH,
+                float("inf") if evaluation.margin is None else evaluation.margin,
+                index,
+            )
+            for index, evaluation in enumerate(self.evaluations)
+            if evaluation.worst_time_s is not None
+        ]
+        return min(ranked)[-1] if ranked else None

@@ -1,0 +1,158 @@
+"""From a matplotlib figure to SVG that can live inside a page.
+
+matplotlib writes a document for itself: ids that repeat from figure to figure, a style rule for
+every element of the page, metadata with addresses, fonts by name, fixed colours.  Here all of
+that is taken out or made the page's own.  Text stays text, escaped by the XML writer.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
+
+from safety_harness.report.palette import BY_SENTINEL, Ink
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SVG = "{http://www.w3.org/2000/svg}"
+_XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
+_COLOUR = re.compile(r"#a1b3[0-9a-f]{2}")
+_REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_FONT = re.compile(r"font:\s*(?:(?:normal|italic|oblique)\s+)?(?:(\w+)\s+)?([\d.]+)px\s+[^;]+")
+_LONG_NUMBER = re.compile(r"(-?\d+)\.(\d)\d+")
+_UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+
+
+def plain(text: str, *, longest: int = 28) -> str:
+    """``text`` as it may stand in a figure: printable, on one line, not too long."""
+    text = _UNPRINTABLE.sub("\ufffd", text)
+    return text if len(text) <= longest else text[: longest - 1] + "\u2026"
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """The settings under which every figure is built and written, whatever the user's own are."""
+    import matplotlib
+    from matplotlib import style
+
+    own = {
+        "svg.fonttype": "none",
+        "svg.hashsalt": "safety-harness",
+        "font.size": 11.0,
+        "axes.edgecolor": Ink.MUTED.sentinel,
+        "axes.linewidth": 0.8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.facecolor": "none",
+        "axes.unicode_minus": True,
+        "text.color": Ink.TEXT.sentinel,
+        "text.parse_math": False,
+        "axes.labelcolor": Ink.MUTED.sentinel,
+        "xtick.color": Ink.MUTED.sentinel,
+        "ytick.color": Ink.MUTED.sentinel,
+        "xtick.major.size": 3.0,
+        "ytick.major.size": 3.0,
+        "grid.color": Ink.GRID.sentinel,
+        "grid.linewidth": 0.8,
+        "axes.axisbelow": True,
+        "lines.solid_capstyle": "round",
+    }
+    del matplotlib
+    with style.context(["default", own]), warnings.catch_warnings():
+        # A letter that matplotlib's own font lacks: the browser's fonts may well have it.
+        warnings.filterwarnings("ignore", message=r"Glyph .* missing from font", category=UserWarning)
+        yield
+
+
+def new_figure(width_px: float, height_px: float) -> Figure:
+    """An empty figure, one unit of the SVG a pixel."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_px / 72.0, height_px / 72.0), dpi=72, facecolor="none")
+    FigureCanvasSVG(figure)  # type: ignore[no-untyped-call]
+    return figure
+
+
+def to_svg(figure: Figure, *, prefix: str, title: str, description: str) -> str:
+    """The figure as an ``<svg>`` element; every id starts with ``prefix``.
+
+    ``title`` and ``description`` are what a screen reader says.  Call inside ``drawing()``.
+    """
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    root = ElementTree.fromstring(buffer.getvalue())
+    referenced = _local_references(root)
+    for parent in list(root.iter()):
+        for child in list(parent):
+            if child.tag in (f"{_SVG}metadata", f"{_SVG}style"):
+                parent.remove(child)
+    for element in root.iter():
+        _tidy(element, prefix, referenced)
+    _drop_empty(root)
+    width, height = root.attrib.pop("width"), root.attrib.pop("height")
+    root.attrib.pop("version", None)
+    root.set("width", width.removesuffix("pt"))
+    root.set("height", height.removesuffix("pt"))
+    root.set("role", "img")
+    root.set("aria-labelledby", f"{prefix}title {prefix}desc")
+    for name, text, place in (("title", title, 0), ("desc", description, 1)):
+        child = ElementTree.Element(name, {"id": f"{prefix}{name}"})
+        child.text = _UNPRINTABLE.sub(" ", text)
+        root.insert(place, child)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _local_references(root: ElementTree.Element) -> frozenset[str]:
+    """The ids that something in the drawing points at."""
+    found = set()
+    for element in root.iter():
+        if _XLINK_HREF in element.attrib:
+            found.add(element.attrib[_XLINK_HREF].removeprefix("#"))
+        for value in element.attrib.values():
+            found.update(_REFERENCE.findall(value))
+    return frozenset(found)
+
+
+def _tidy(element: ElementTree.Element, prefix: str, referenced: frozenset[str]) -> None:
+    """One element: no namespace, the page's colours and font, ids of its own, short numbers."""
+    element.tag = element.tag.removeprefix(_SVG)
+    if element.tag not in ("text", "tspan"):
+        element.text = None
+    element.tail = None
+    old = dict(element.attrib)
+    element.attrib.clear()
+    for name, value in old.items():
+        if name == "id":
+            if value in referenced:
+                element.set("id", prefix + value)
+        elif name == _XLINK_HREF:
+            element.set("href", "#" + prefix + value.removeprefix("#"))
+        elif name == "d":
+            element.set("d", " ".join(_LONG_NUMBER.sub(r"\1.\2", value).split()))
+        elif name in ("x", "y", "transform"):
+            element.set(name, re.sub(r"(\.\d\d)\d+", r"\1", value))
+        else:
+            value = _COLOUR.sub(lambda match: BY_SENTINEL[match.group()], value)
+            value = _REFERENCE.sub(rf"url(#{prefix}\1)", value)
+            element.set(name, _FONT.sub(_font_size, value))
+
+
+def _font_size(match: re.Match[str]) -> str:
+    """The size and weight of a font, its family left to the page."""
+    weight = match.group(1)
+    return f"font-size: {match.group(2)}px" + (f"; font-weight: {weight}" if weight else "")
+
+
+def _drop_empty(element: ElementTree.Element) -> None:
+    """Take out groups and definitions that hold nothing."""
+    for child in list(element):
+        _drop_empty(child)
+        if child.tag in ("g", "defs") and len(child) == 0 and "id" not in child.attrib:
+            element.remove(child)

@@ -1,0 +1,79 @@
+"""The arm's drives: they follow a demanded joint velocity, and a protective stop takes time.
+
+Both worlds put this between the controller's command and their motors.  A protective stop is the
+robot's own: for the reaction time the drives go on with the velocity they had, then they brake
+uniformly to zero within T_s(v) = base + slope v, v being the TCP speed when braking begins.  Once
+begun it is carried through to standstill, whatever the controller asks for meanwhile.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.settings import Settings
+
+DRIVE = np.dtype(
+    [
+        ("control_period_s", np.float64),
+        ("reaction_time_s", np.float64),
+        ("stop_time_base_s", np.float64),
+        ("stop_time_per_speed_s2pm", np.float64),
+        ("setpoint_radps", np.float64, (6,)),  # what the drives were told last
+        ("stopping", np.bool_),
+        ("requested_at_s", np.float64),
+        ("braking", np.bool_),  # the reaction time is over
+        ("braking_from_s", np.float64),
+        ("stop_time_s", np.float64),
+        ("braking_from_radps", np.float64, (6,)),
+    ],
+    align=True,
+)
+
+
+def drive(settings: Settings) -> NDArray[np.void]:
+    """Drives at rest, (1,) of dtype DRIVE."""
+    drives = np.zeros(1, DRIVE)
+    drives["control_period_s"] = settings.clock.control_period_s
+    drives["reaction_time_s"] = settings.braking.reaction_time_s
+    drives["stop_time_base_s"] = settings.braking.stop_time_base_s
+    drives["stop_time_per_speed_s2pm"] = settings.braking.stop_time_per_speed_s2pm
+    return drives
+
+
+@compiled
+def drive_tick(
+    drives: NDArray[np.void],  # (1,) DRIVE
+    demanded_radps: NDArray[np.float64],  # (6,)
+    protective_stop: bool,
+    tcp_speed_mps: float,
+    time_s: float,
+) -> bool:
+    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
+
+    The set point of a braking tick is the ramp's value at the middle of the tick, so that the
+    distance covered is the integral of the ramp.
+    """
+    d = drives[0]
+    if protective_stop and not d.stopping:
+        d.stopping = True
+        d.braking = False
+        d.requested_at_s = time_s
+    if not d.stopping:
+        for i in range(6):
+            d.setpoint_radps[i] = demanded_radps[i]
+        return False
+    if not d.braking and time_s >= d.requested_at_s + d.reaction_time_s - 1e-9:
+        d.braking = True
+        d.braking_from_s = time_s
+        d.stop_time_s = d.stop_time_base_s + d.stop_time_per_speed_s2pm * tcp_speed_mps
+        for i in range(6):
+            d.braking_from_radps[i] = d.setpoint_radps[i]
+    if d.braking:
+        left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
+        for i in range(6):
+            d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)
+        if left <= 0.0 and not protective_stop:
+            d.stopping = False  # at standstill and released: the next tick may move again
+    return True

@@ -1,0 +1,238 @@
+"""Inverse kinematics: every branch of a pose, the nearest one, and how far a straight way leads."""
+
+from __future__ import annotations
+
+from math import pi
+
+import numpy as np
+from eaik.IK_HP import HPRobot
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.exceptions import ArmModelError
+from safety_harness.geometry.linear import solve_in_place
+from safety_harness.geometry.rotations import vector_from_rotation
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.kinematics import (
+    FRAMES,
+    TCP,
+    forward_kinematics,
+    geometric_jacobian,
+    is_well_conditioned,
+)
+
+EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
+REACH_RESOLUTION_M = 1e-4
+
+
+class InverseKinematics:
+    """All closed-form solutions of one arm.
+
+    The library eaik takes the joint axes H (6, 3) at q = 0 and the steps P (7, 3) between points
+    on them, both in the base frame, as the URDF gives them; it answers for a tool frame that is
+    parallel to the base at q = 0, so poses are turned by the tool's own zero rotation first.
+    """
+
+    def __init__(self, arm: ArmModel) -> None:
+        self.arm = arm
+        self._transforms = np.empty((FRAMES, 4, 4))
+        zero = self._forward(np.zeros(6)).copy()
+        axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
+        points = zero[:, :3, 3]
+        self._zero_rotation_inverse = zero[TCP, :3, :3].T.copy()
+        self._solver = HPRobot(axes, np.diff(points, axis=0))
+        if not self._solver.hasKnownDecomposition():
+            raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form")
+
+    def branches(self, transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+        """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
+
+        Each is checked with our own forward kinematics to 1e-9, which also drops the library's
+        least-squares answers to unreachable poses.  Position limits are not considered.
+        """
+        pose = np.array(transform_tcp_to_base, dtype=np.float64)
+        if not np.isfinite(pose).all():
+            return np.empty((0, 6))
+        turned = pose.copy()
+        turned[:3, :3] = pose[:3, :3] @ self._zero_rotation_inverse
+        answers = np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6)
+        wrapped = pi - np.mod(pi - answers, 2.0 * pi)
+        exact = [np.abs(self._forward(answer)[TCP] - pose).max() <= EXACT_POSE for answer in wrapped]
+        return wrapped[exact] if exact else np.empty((0, 6))
+
+    def nearest(
+        self, transform_tcp_to_base: NDArray[np.float64], reference_joint_position: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """The solution (6,) within the position limits that is nearest to a joint position (6,).
+
+        Distance is Euclidean in joint angles; full turns of each joint are tried.  None when no
+        solution is within the limits.
+        """
+        turns = 2.0 * pi * np.arange(-2, 3)
+        reference = np.asarray(reference_joint_position, dtype=np.float64)
+        variants = self.branches(transform_tcp_to_base)[:, :, None] + turns  # (k, 6, 5)
+        lower, upper = self.arm.position_lower_rad[:, None], self.arm.position_upper_rad[:, None]
+        away = np.where(
+            (variants >= lower) & (variants <= upper), np.abs(variants - reference[:, None]), np.inf
+        )
+        distance = np.sqrt((away.min(axis=2) ** 2).sum(axis=1))  # (k,)
+        if not np.isfinite(distance).any():
+            return None
+        branch = int(distance.argmin())
+        solution: NDArray[np.float64] = variants[branch, np.arange(6), away[branch].argmin(axis=1)]
+        return solution
+
+    def reach_along(
+        self,
+        joint_position_rad: NDArray[np.float64],
+        direction_in_base: ArrayLike,
+        length_m: float,
+        *,
+        step_m: float = 0.005,
+        min_singular_value: float,
+    ) -> float:
+        """How far (at most ``length_m``) the TCP can go straight along a direction, not turning.
+
+        The joints follow continuously from ``joint_position_rad`` (6,), within the position
+        limits and with every singular value of the Jacobian above ``min_singular_value``, which
+        is looked at every ``step_m`` at least.  The answer is at most 0.1 mm short; it is 0 when
+        the start itself is outside these bounds.  ``ValueError`` for a direction without length.
+        """
+        direction = np.array(direction_in_base, dtype=np.float64)
+        length = float(np.linalg.norm(direction))
+        if direction.shape != (3,) or not (0.0 < length < np.inf):
+            raise ValueError(f"direction_in_base: expected a finite vector with a length, got {direction}")
+        if not (step_m > 0.0 and min_singular_value > 0.0 and np.isfinite(length_m)):
+            raise ValueError("step_m and min_singular_value must be positive and length_m finite")
+        arm = self.arm
+        return float(
+            _straight_reach(
+                arm.joint_origins,
+                arm.joint_axes,
+                arm.flange,
+                arm.position_lower_rad,
+                arm.position_upper_rad,
+                np.array(joint_position_rad, dtype=np.float64),
+                direction / length,
+                length_m,
+                step_m,
+                min_singular_value,
+            )
+        )
+
+    def _forward(self, joint_position_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+        arm = self.arm
+        forward_kinematics(
+            arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, self._transforms
+        )
+        return self._transforms
+
+
+@compiled
+def _straight_reach(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    lower_rad: NDArray[np.float64],
+    upper_rad: NDArray[np.float64],
+    start_rad: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    length_m: float,
+    step_m: float,
+    min_singular_value: float,
+) -> float:
+    """Follow the straight line in steps; halve the step at each failure, double it at each success."""
+    transforms = np.empty((8, 4, 4))
+    jacobian = np.empty((6, 6))
+    forward_kinematics(joint_origins, joint_axes, flange, start_rad, transforms)
+    geometric_jacobian(joint_axes, transforms, jacobian)
+    if not _acceptable(start_rad, lower_rad, upper_rad, jacobian, min_singular_value):
+        return 0.0
+    start_pose = transforms[7].copy()
+    target = start_pose.copy()
+    joints = start_rad.copy()
+    trial = np.empty(6)
+    reached = 0.0
+    step = step_m
+    while reached < length_m:
+        forward = min(step, length_m - reached)
+        for i in range(3):
+            target[i, 3] = start_pose[i, 3] + (reached + forward) * direction[i]
+        trial[:] = joints
+        follows = _follow(joint_origins, joint_axes, flange, target, trial, transforms, jacobian)
+        if follows and _acceptable(trial, lower_rad, upper_rad, jacobian, min_singular_value):
+            joints[:] = trial
+            reached += forward
+            step = min(2.0 * step, step_m)
+        elif forward <= REACH_RESOLUTION_M:
+            break
+        else:
+            step = 0.5 * forward
+    return min(reached, length_m)
+
+
+@compiled
+def _acceptable(
+    joints: NDArray[np.float64],
+    lower_rad: NDArray[np.float64],
+    upper_rad: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+    min_singular_value: float,
+) -> bool:
+    for i in range(6):
+        if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
+            return False
+    return is_well_conditioned(jacobian, min_singular_value)
+
+
+@compiled
+def _follow(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    target: NDArray[np.float64],
+    joints: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    jacobian: NDArray[np.float64],
+) -> bool:
+    """Newton's method from ``joints`` (overwritten) to the pose ``target`` on the same branch.
+
+    The first Newton step predicts; the later ones together may only correct it by half of its
+    own size, else the prediction was no good and the solution may be another branch's.  On
+    success ``transforms`` and ``jacobian`` are those of the solution.
+    """
+    step = np.empty(6)
+    error_rotation = np.empty((3, 3))
+    matrix = np.empty((6, 6))
+    predicted = 0.0
+    corrected = 0.0
+    for iteration in range(8):
+        forward_kinematics(joint_origins, joint_axes, flange, joints, transforms)
+        geometric_jacobian(joint_axes, transforms, jacobian)
+        reached = transforms[7]
+        for i in range(3):
+            step[i] = target[i, 3] - reached[i, 3]
+            for j in range(3):
+                error_rotation[i, j] = (
+                    target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
+                )
+        step[3:] = vector_from_rotation(error_rotation)
+        largest = 0.0
+        for i in range(6):
+            largest = max(largest, abs(step[i]))
+        if iteration > 0 and largest < 1e-10:
+            return True
+        matrix[:] = jacobian
+        if not solve_in_place(matrix, step):
+            return False
+        size = 0.0
+        for i in range(6):
+            joints[i] += step[i]
+            size = max(size, abs(step[i]))
+        if iteration == 0:
+            predicted = size
+        else:
+            corrected += size
+            if not corrected <= 0.5 * predicted:
+                return False
+    return False

@@ -1,0 +1,145 @@
+"""Forward kinematics, geometric Jacobian and distance to singularity, compiled.
+
+Frames are counted as 0 = base_link, 1 to 6 = the moving links, 7 = tcp throughout.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.geometry.rotations import rotation_about
+from safety_harness.geometry.transforms import compose_into
+
+FRAMES = 8
+TCP = 7
+
+
+@compiled
+def forward_kinematics(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    joint_position_rad: NDArray[np.float64],
+    transforms_out: NDArray[np.float64],
+) -> None:
+    """Fill ``transforms_out`` (8, 4, 4) with link-to-base transforms: base_link, six links, tcp.
+
+    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_7 = T_6 F, with ``joint_origins`` O (6, 4, 4),
+    ``joint_axes`` a (6, 3), ``flange`` F (4, 4) and ``joint_position_rad`` q (6,).
+    """
+    turn = np.empty((3, 3))
+    for i in range(4):
+        for j in range(4):
+            transforms_out[0, i, j] = 1.0 if i == j else 0.0
+    for joint in range(6):
+        link = transforms_out[joint + 1]
+        compose_into(transforms_out[joint], joint_origins[joint], link)
+        rotation_about(joint_axes[joint], joint_position_rad[joint], turn)
+        for i in range(3):
+            x, y, z = link[i, 0], link[i, 1], link[i, 2]
+            for j in range(3):
+                link[i, j] = x * turn[0, j] + y * turn[1, j] + z * turn[2, j]
+    compose_into(transforms_out[6], flange, transforms_out[7])
+
+
+@compiled
+def geometric_jacobian(
+    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], jacobian_out: NDArray[np.float64]
+) -> None:
+    """Fill ``jacobian_out`` (6, 6): joint velocities to the TCP origin's twist (v, w) in the base frame.
+
+    Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in
+    the base frame; ``transforms`` (8, 4, 4) are those of ``forward_kinematics``.
+    """
+    for joint in range(6):
+        link = transforms[joint + 1]
+        x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
+        ax = link[0, 0] * x + link[0, 1] * y + link[0, 2] * z
+        ay = link[1, 0] * x + link[1, 1] * y + link[1, 2] * z
+        az = link[2, 0] * x + link[2, 1] * y + link[2, 2] * z
+        dx = transforms[7, 0, 3] - link[0, 3]
+        dy = transforms[7, 1, 3] - link[1, 3]
+        dz = transforms[7, 2, 3] - link[2, 3]
+        jacobian_out[0, joint] = ay * dz - az * dy
+        jacobian_out[1, joint] = az * dx - ax * dz
+        jacobian_out[2, joint] = ax * dy - ay * dx
+        jacobian_out[3, joint] = ax
+        jacobian_out[4, joint] = ay
+        jacobian_out[5, joint] = az
+
+
+@compiled
+def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
+    """Smallest singular value of ``jacobian`` (n, n), metres and radians mixed as they come.
+
+    One-sided Jacobi rotations (Hestenes 1958) make the columns orthogonal; their lengths are
+    then the singular values, small ones as accurate as large ones.  NaN if an entry is NaN.
+    """
+    n = jacobian.shape[1]
+    columns = np.empty((n, n))  # transposed, so that a column is contiguous
+    for i in range(n):
+        for j in range(n):
+            columns[i, j] = jacobian[j, i]
+    for _ in range(30):  # five sweeps are typical
+        rotated = False
+        for p in range(n - 1):
+            for q in range(p + 1, n):
+                alpha = beta = gamma = 0.0
+                for k in range(n):
+                    alpha += columns[p, k] * columns[p, k]
+                    beta += columns[q, k] * columns[q, k]
+                    gamma += columns[p, k] * columns[q, k]
+                if gamma * gamma <= 1e-26 * alpha * beta:
+                    continue
+                rotated = True
+                zeta = (beta - alpha) / (2.0 * gamma)
+                t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
+                c = 1.0 / sqrt(1.0 + t * t)
+                s = c * t
+                for k in range(n):
+                    x, y = columns[p, k], columns[q, k]
+                    columns[p, k] = c * x - s * y
+                    columns[q, k] = s * x + c * y
+        if not rotated:
+            break
+    least = np.inf
+    for p in range(n):
+        squared = 0.0
+        for k in range(n):
+            squared += columns[p, k] * columns[p, k]
+        if not squared >= least:  # a NaN is taken over
+            least = squared
+            if np.isnan(squared):
+                break
+    return sqrt(least)
+
+
+@compiled
+def is_well_conditioned(jacobian: NDArray[np.float64], min_singular_value: float) -> bool:
+    """Whether every singular value of ``jacobian`` (6, 6) exceeds ``min_singular_value`` > 0.
+
+    Forty times as fast as ``smallest_singular_value``: J^T J - s^2 I is positive definite, that
+    is, has a Cholesky factor, exactly when all singular values exceed s.  Resolves a difference
+    of about 1e-15 / s.  False if an entry is NaN.
+    """
+    factor = np.empty((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(6):
+                total += jacobian[k, i] * jacobian[k, j]
+            if i == j:
+                total -= min_singular_value * min_singular_value
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = total / factor[j, j]
+            elif total > 0.0:
+                factor[i, i] = sqrt(total)
+            else:
+                return False
+    return True

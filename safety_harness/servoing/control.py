@@ -1,0 +1,171 @@
+"""The control law v = -lambda L^+ e (eq. 1) and the desired view that it drives the camera to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.exceptions import Place, SettingsError
+from safety_harness.geometry.linear import solve_in_place
+from safety_harness.perception.camera import object_plane, polygon_in_camera, project
+from safety_harness.perception.moments import MOMENT_COUNT, XG, YG, point_moments, polygon_moments
+from safety_harness.servoing.features import A_N, area, brackets, features
+from safety_harness.servoing.interaction import interaction_matrix
+from safety_harness.settings import InteractionChoice, ObjectKind
+
+# InteractionChoice, as compiled code takes it.
+DESIRED, CURRENT, MEAN = range(3)
+
+# A bracket pair or a singular value this much smaller than the largest is rounding, not geometry.
+NEGLIGIBLE = 1e-6
+
+
+def choice_code(choice: InteractionChoice) -> int:
+    """``choice`` as the number that ``camera_twist`` takes."""
+    return {
+        InteractionChoice.DESIRED: DESIRED,
+        InteractionChoice.CURRENT: CURRENT,
+        InteractionChoice.MEAN: MEAN,
+    }[choice]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesiredView:
+    """What the camera sees at the desired pose, and L* there; arrays are read-only.
+
+    ``area`` is the a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, ``plane`` its
+    (A, B, C) and ``condition_number`` the ratio of the largest to the smallest singular value of L*.
+    """
+
+    dense: bool
+    features: NDArray[np.float64]  # (6,) f*
+    area: float
+    depth_m: float
+    moments: NDArray[np.float64]  # (31,)
+    plane: NDArray[np.float64]  # (3,)
+    interaction: NDArray[np.float64]  # (6, 6) L*
+    interaction_pinv: NDArray[np.float64]  # (6, 6)
+    condition_number: float
+
+    def __post_init__(self) -> None:
+        for array in (self.features, self.moments, self.plane, self.interaction, self.interaction_pinv):
+            array.setflags(write=False)
+
+
+def desired_view(
+    polygon_m: NDArray[np.float64],  # (n, 2)
+    transform_object_to_camera: NDArray[np.float64],  # (4, 4) at the desired pose
+    object_kind: ObjectKind,
+    *,
+    place: Place = Place(field="cell.object_polygon_m"),  # noqa: B008 (frozen)
+) -> DesiredView:
+    """The desired view of a flat object given in its own frame.
+
+    Raises SettingsError, at ``place``, if the object cannot be seen from there or is too symmetric
+    to servo on: an isosceles triangle's mirror symmetry makes two rows of L* dependent (rank 5), and
+    an equilateral triangle makes gamma 0/0.
+    """
+    dense = object_kind is ObjectKind.DENSE
+    points_in_camera = np.empty((len(polygon_m), 3))
+    normalised = np.empty((len(polygon_m), 2))
+    plane = np.empty(3)
+    moments = np.empty(MOMENT_COUNT)
+    polygon_in_camera(polygon_m, transform_object_to_camera, points_in_camera)
+    seen = object_plane(transform_object_to_camera, plane) and project(points_in_camera, normalised)
+    seen = seen and (polygon_moments if dense else point_moments)(normalised, moments)
+    if not seen:
+        raise SettingsError(
+            place=place,
+            expected="an object with an area, in front of the camera at the desired pose",
+            got="one that cannot be seen from there",
+        )
+    depth_m = float(1.0 / (plane[0] * moments[XG] + plane[1] * moments[YG] + plane[2]))
+    desired_area = float(area(moments, dense))
+    f = np.empty(6)
+    interaction = np.empty((6, 6))
+    _refuse_threefold_symmetry(moments, place)
+    finite = features(moments, desired_area, depth_m, dense, f)
+    finite = interaction_matrix(moments, plane, desired_area, depth_m, dense, interaction) and finite
+    singular_values = np.linalg.svd(interaction, compute_uv=False) if finite else np.zeros(6)
+    if not singular_values[-1] > NEGLIGIBLE * singular_values[0]:
+        raise SettingsError(
+            place=place,
+            expected="an object whose interaction matrix has rank 6 at the desired pose",
+            got=f"rank {int(np.sum(singular_values > NEGLIGIBLE * singular_values[0]))}",
+            hint="a mirror-symmetric object (an isosceles triangle, say) leaves one motion unseen; "
+            "a triangle near 3:4:5 is best",
+        )
+    return DesiredView(
+        dense=dense,
+        features=f,
+        area=desired_area,
+        depth_m=depth_m,
+        moments=moments,
+        plane=plane,
+        interaction=interaction,
+        interaction_pinv=np.asarray(np.linalg.pinv(interaction), dtype=np.float64),
+        condition_number=float(singular_values[0] / singular_values[-1]),
+    )
+
+
+def _refuse_threefold_symmetry(moments: NDArray[np.float64], place: Place) -> None:
+    """Raise SettingsError if In3 is nothing but rounding, so that gamma and delta are 0/0 or x/0."""
+    pairs = np.empty((3, 2))
+    brackets(moments, pairs)
+    sizes = np.hypot(pairs[:, 0], pairs[:, 1])
+    if not sizes[2] > NEGLIGIBLE * sizes.max():
+        raise SettingsError(
+            place=place,
+            expected="an object whose invariants gamma and delta exist (In3 of eq. 5 is not zero)",
+            got="one with a rotational symmetry (an equilateral triangle, say), whose In3 is zero",
+            hint="a triangle near 3:4:5 is best",
+        )
+
+
+@compiled
+def camera_twist(
+    choice: int,  # DESIRED, CURRENT or MEAN
+    desired_interaction: NDArray[np.float64],  # (6, 6) L*
+    desired_interaction_pinv: NDArray[np.float64],  # (6, 6)
+    moments: NDArray[np.float64],  # (31,) current
+    current_features: NDArray[np.float64],  # (6,)
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    gain: float,  # [1/s]
+    error: NDArray[np.float64],  # (6,) e = f - f*
+    out: NDArray[np.float64],  # (6,)
+) -> bool:
+    """(v, w) of the camera in its own frame [m/s, rad/s] by eq. 1; False if it is not finite.
+
+    The current matrix is eq. 2: the object's plane is taken to be parallel to the image, at the
+    depth a_n, since the camera does not know better.  "Mean" inverts the mean of L and L*.  Where a
+    square matrix has full rank its pseudoinverse is its inverse, so these two solve L v = -lambda e;
+    an exactly singular one gives False.
+    """
+    if choice == DESIRED:
+        for row in range(6):
+            total = 0.0
+            for column in range(6):
+                total += desired_interaction_pinv[row, column] * error[column]
+            out[row] = -gain * total
+    else:
+        parallel = np.zeros(3)
+        parallel[2] = 1.0 / current_features[A_N]
+        matrix = np.empty((6, 6))
+        if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):
+            return False
+        for row in range(6):
+            out[row] = -gain * error[row]
+            if choice == MEAN:
+                for column in range(6):
+                    matrix[row, column] = 0.5 * (matrix[row, column] + desired_interaction[row, column])
+        if not solve_in_place(matrix, out):
+            return False
+    finite = True
+    for k in range(6):
+        finite = finite and np.isfinite(out[k])
+    return finite

@@ -1,0 +1,181 @@
+"""Interaction matrices: how image moments, and the features made of them, change as the camera moves.
+
+For a camera twist (v, w) in the camera frame, d(feature)/dt = L (v, w).  The forms for centred
+moments over a general plane 1/Z = A x + B y + C are those of Chaumette (2004) for dense objects and
+of Tahri and Chaumette (2005) for discrete ones; the two differ in whether an area element changes
+with the motion.  The features' rows follow by the chain rule; eq. 2 is the case A = B = 0.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.perception.moments import M00, XG, YG, mu_index
+from safety_harness.servoing.features import A_N, ALPHA, DELTA, GAMMA, X_N, Y_N, area, brackets
+
+VX, VY, VZ, WX, WY, WZ = range(6)
+
+
+@compiled
+def _mu(moments: NDArray[np.float64], i: int, j: int) -> float:
+    """mu_ij, or 0 for a negative index, whose term has the factor 0."""
+    if i < 0 or j < 0:
+        return 0.0
+    return float(moments[mu_index(i, j)])
+
+
+@compiled
+def centred_moment_interaction(
+    moments: NDArray[np.float64],  # (31,)
+    plane: NDArray[np.float64],  # (3,)
+    dense: bool,
+    i: int,
+    j: int,
+    out: NDArray[np.float64],  # (6,)
+) -> None:
+    """The row of mu_ij, i + j <= 5 (it needs moments of one order more)."""
+    a, b, c = plane[0], plane[1], plane[2]
+    xg, yg, m00 = moments[XG], moments[YG], moments[M00]
+    n20 = moments[mu_index(2, 0)] / m00
+    n11 = moments[mu_index(1, 1)] / m00
+    n02 = moments[mu_index(0, 2)] / m00
+    mu = moments[mu_index(i, j)]
+    # The area element's own change: 3 in a rotation, 1 in a shift along x or y, 2 along z.
+    spread = 3.0 if dense else 0.0
+    own = 1.0 if dense else 0.0
+    k = 4.0 if dense else 1.0  # of the centroid's motion
+
+    w_x = (
+        (i + j + spread) * moments[mu_index(i, j + 1)]
+        + i * xg * _mu(moments, i - 1, j + 1)
+        + (i + 2 * j + spread) * yg * mu
+        - k * i * n11 * _mu(moments, i - 1, j)
+        - k * j * n02 * _mu(moments, i, j - 1)
+    )
+    w_y = (
+        -(i + j + spread) * moments[mu_index(i + 1, j)]
+        - (2 * i + j + spread) * xg * mu
+        - j * yg * _mu(moments, i + 1, j - 1)
+        + k * i * n20 * _mu(moments, i - 1, j)
+        + k * j * n11 * _mu(moments, i, j - 1)
+    )
+    out[VX] = -(i + own) * a * mu - i * b * _mu(moments, i - 1, j + 1)
+    out[VY] = -j * a * _mu(moments, i + 1, j - 1) - (j + own) * b * mu
+    out[VZ] = -a * w_y + b * w_x + (i + j + 2.0 * own) * c * mu
+    out[WX] = w_x
+    out[WY] = w_y
+    out[WZ] = i * _mu(moments, i - 1, j + 1) - j * _mu(moments, i + 1, j - 1)
+
+
+@compiled
+def centroid_interaction(
+    moments: NDArray[np.float64],  # (31,)
+    plane: NDArray[np.float64],  # (3,)
+    dense: bool,
+    out: NDArray[np.float64],  # (2, 6)
+) -> None:
+    """The rows of xg and yg: those of a point, and second moments because the object has a size."""
+    a, b, c = plane[0], plane[1], plane[2]
+    xg, yg, m00 = moments[XG], moments[YG], moments[M00]
+    k = 4.0 if dense else 1.0
+    s20 = k * moments[mu_index(2, 0)] / m00
+    s11 = k * moments[mu_index(1, 1)] / m00
+    s02 = k * moments[mu_index(0, 2)] / m00
+    inverse_depth = a * xg + b * yg + c
+    out[0, VX] = -inverse_depth
+    out[0, VY] = 0.0
+    out[0, VZ] = xg * inverse_depth + a * s20 + b * s11
+    out[0, WX] = xg * yg + s11
+    out[0, WY] = -(1.0 + xg * xg + s20)
+    out[0, WZ] = yg
+    out[1, VX] = 0.0
+    out[1, VY] = -inverse_depth
+    out[1, VZ] = yg * inverse_depth + a * s11 + b * s02
+    out[1, WX] = 1.0 + yg * yg + s02
+    out[1, WY] = -xg * yg - s11
+    out[1, WZ] = -xg
+
+
+@compiled
+def interaction_matrix(
+    moments: NDArray[np.float64],  # (31,)
+    plane: NDArray[np.float64],  # (3,): A, B, C of 1/Z = A x + B y + C, 1/m
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    out: NDArray[np.float64],  # (6, 6)
+) -> bool:
+    """L_f of the features of eqs. 3 to 5 over a general plane; False if an entry is not finite."""
+    mu20_row, mu11_row, mu02_row = np.empty(6), np.empty(6), np.empty(6)
+    centred_moment_interaction(moments, plane, dense, 2, 0, mu20_row)
+    centred_moment_interaction(moments, plane, dense, 1, 1, mu11_row)
+    centred_moment_interaction(moments, plane, dense, 0, 2, mu02_row)
+    _position_rows(moments, plane, desired_area, desired_depth_m, dense, mu20_row, mu02_row, out)
+    _invariant_rows(moments, plane, dense, out)
+
+    # alpha = atan2(2 mu11, d) / 2 with d = mu20 - mu02
+    mu11 = moments[mu_index(1, 1)]
+    d = moments[mu_index(2, 0)] - moments[mu_index(0, 2)]
+    squared = d * d + 4.0 * mu11 * mu11
+    finite = True
+    for m in range(6):
+        out[ALPHA, m] = (d * mu11_row[m] - mu11 * (mu20_row[m] - mu02_row[m])) / squared
+        for feature in range(6):
+            finite = finite and np.isfinite(out[feature, m])
+    return finite
+
+
+@compiled
+def _position_rows(
+    moments: NDArray[np.float64],
+    plane: NDArray[np.float64],
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    mu20_row: NDArray[np.float64],
+    mu02_row: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """x_n = a_n xg, y_n = a_n yg and a_n = Z* sqrt(a*/a), whose change is -a_n/2 that of a over a."""
+    a = area(moments, dense)
+    a_n = desired_depth_m * np.sqrt(desired_area / a)
+    centroid = np.empty((2, 6))
+    centroid_interaction(moments, plane, dense, centroid)
+    area_row = np.empty(6)
+    if dense:
+        centred_moment_interaction(moments, plane, dense, 0, 0, area_row)
+    else:
+        for m in range(6):
+            area_row[m] = mu20_row[m] + mu02_row[m]
+    for m in range(6):
+        change = -0.5 * a_n / a * area_row[m]
+        out[A_N, m] = change
+        out[X_N, m] = change * moments[XG] + a_n * centroid[0, m]
+        out[Y_N, m] = change * moments[YG] + a_n * centroid[1, m]
+
+
+@compiled
+def _invariant_rows(
+    moments: NDArray[np.float64], plane: NDArray[np.float64], dense: bool, out: NDArray[np.float64]
+) -> None:
+    """Rows of gamma = In1/In3 and delta = In2/In3, In = c^2 + s^2: 2 [c c' + s s' - gamma (...)] / In3."""
+    pair = np.empty((3, 2))
+    brackets(moments, pair)
+    in3 = pair[2, 0] ** 2 + pair[2, 1] ** 2
+    gamma = (pair[0, 0] ** 2 + pair[0, 1] ** 2) / in3
+    delta = (pair[1, 0] ** 2 + pair[1, 1] ** 2) / in3
+    rows = np.empty((6, 6))  # of mu50, mu41, mu32, mu23, mu14, mu05
+    for j in range(6):
+        centred_moment_interaction(moments, plane, dense, 5 - j, j, rows[j])
+    for m in range(6):
+        mu50, mu41, mu32 = rows[0, m], rows[1, m], rows[2, m]
+        mu23, mu14, mu05 = rows[3, m], rows[4, m], rows[5, m]
+        first = pair[0, 0] * (mu50 + 2.0 * mu32 + mu14) + pair[0, 1] * (mu05 + 2.0 * mu23 + mu41)
+        second = pair[1, 0] * (mu50 - 2.0 * mu32 - 3.0 * mu14) + pair[1, 1] * (mu05 - 2.0 * mu23 - 3.0 * mu41)
+        third = pair[2, 0] * (mu50 - 10.0 * mu32 + 5.0 * mu14) + pair[2, 1] * (
+            mu05 - 10.0 * mu23 + 5.0 * mu41
+        )
+        out[GAMMA, m] = 2.0 * (first - gamma * third) / in3
+        out[DELTA, m] = 2.0 * (second - delta * third) / in3

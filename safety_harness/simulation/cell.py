@@ -1,0 +1,167 @@
+"""The PyBullet side of the cell: robot, table, object and hands as bodies of one client."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import SimulationError
+from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
+from safety_harness.perception.threshold import OBJECT_COLOUR_RGBA, TABLE_COLOUR_RGBA
+from safety_harness.robot.description import ArmModel, resolved_urdf
+from safety_harness.scenario.model import MAX_HANDS
+from safety_harness.settings import Settings
+from safety_harness.simulation.sensing import object_polygon_in_base
+
+TABLE_HALF_M = (1.5, 1.5, 0.02)
+OBJECT_THICKNESS_M = 0.0005
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """PyBullet's numbers for what stands in the cell; hands only exist where images are made."""
+
+    robot: int
+    joints: tuple[int, ...]
+    hands: tuple[int, ...]
+    forearms: tuple[int, ...]
+
+
+@lru_cache
+def _urdf_file(name: str, visuals: bool) -> Path:
+    """The resolved URDF as a file that PyBullet can read, written once a process."""
+    handle, path = tempfile.mkstemp(prefix=f"safety_harness_{name}_", suffix=".urdf")
+    with os.fdopen(handle, "w") as file:
+        file.write(resolved_urdf(name, visuals=visuals))
+    return Path(path)
+
+
+def build_cell(
+    client: int, settings: Settings, arm: ArmModel, joint_position_rad: NDArray[np.float64], *, rendered: bool
+) -> Bodies:
+    """Load everything into ``client``; visual meshes only when images are ``rendered``."""
+    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+    pybullet.setTimeStep(
+        settings.clock.control_period_s / settings.clock.physics_substeps, physicsClientId=client
+    )
+    urdf = _urdf_file(arm.name, rendered)
+    robot = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=client)
+    by_name = {
+        pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
+        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
+    }
+    try:
+        joints = tuple(by_name[name] for name in arm.joint_names)
+    except KeyError as error:
+        raise SimulationError(f"the URDF of {arm.name} has no joint {error}") from error
+    pybullet.resetJointStatesMultiDof(
+        robot, joints, [[q] for q in joint_position_rad], [[0.0]] * len(joints), physicsClientId=client
+    )
+    for joint in range(-1, pybullet.getNumJoints(robot, physicsClientId=client)):
+        # the drives are modelled, friction and air are not
+        pybullet.changeDynamics(
+            robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
+        )
+    _table(client, settings, rendered=rendered)
+    hands: tuple[int, ...] = ()
+    forearms: tuple[int, ...] = ()
+    if rendered:
+        _paint_object(client, settings)
+        hands = tuple(_hand(client, settings) for _ in range(MAX_HANDS))
+        forearms = tuple(_forearm(client, settings) for _ in range(MAX_HANDS))
+    return Bodies(robot, joints, hands, forearms)
+
+
+def _table(client: int, settings: Settings, *, rendered: bool) -> None:
+    height_m = settings.cell.table_height_m
+    collision = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, physicsClientId=client
+    )
+    visual = -1
+    if rendered:
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, rgbaColor=TABLE_COLOUR_RGBA, physicsClientId=client
+        )
+    pybullet.createMultiBody(
+        0.0,
+        collision,
+        visual,
+        basePosition=(1.0, 0.0, height_m - TABLE_HALF_M[2]),
+        physicsClientId=client,
+    )
+
+
+def _paint_object(client: int, settings: Settings) -> None:
+    """The object as a thin painted prism; its upper face is the plane that servoing sees."""
+    top = object_polygon_in_base(settings)
+    n = len(top)
+    if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
+        top = top[::-1]
+    vertices = np.concatenate([top, top])
+    vertices[:n, 2] += OBJECT_THICKNESS_M
+    faces = [i for k in range(1, n - 1) for i in (0, k, k + 1)]
+    shape = pybullet.createVisualShape(
+        pybullet.GEOM_MESH,
+        vertices=vertices.tolist(),
+        indices=faces,
+        normals=[(0.0, 0.0, 1.0)] * len(vertices),
+        rgbaColor=OBJECT_COLOUR_RGBA,
+        physicsClientId=client,
+    )
+    pybullet.createMultiBody(0.0, -1, shape, physicsClientId=client)
+
+
+def _hand(client: int, settings: Settings) -> int:
+    shape = pybullet.createVisualShape(
+        pybullet.GEOM_SPHERE,
+        radius=settings.hand.radius_m,
+        rgbaColor=HAND_COLOUR_RGBA,
+        physicsClientId=client,
+    )
+    return int(
+        pybullet.createMultiBody(0.0, -1, shape, basePosition=(0.0, 0.0, -9.0), physicsClientId=client)
+    )
+
+
+def _forearm(client: int, settings: Settings) -> int:
+    shape = pybullet.createVisualShape(
+        pybullet.GEOM_CAPSULE,
+        radius=settings.hand.forearm_radius_m,
+        length=settings.hand.forearm_length_m,
+        rgbaColor=SLEEVE_COLOUR_RGBA,
+        physicsClientId=client,
+    )
+    return int(
+        pybullet.createMultiBody(0.0, -1, shape, basePosition=(0.0, 0.0, -9.0), physicsClientId=client)
+    )
+
+
+def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
+    """Put the painted hands where they are; a forearm lies between hand and elbow."""
+    for hand, sphere, forearm in zip(hands, bodies.hands, bodies.forearms, strict=True):
+        if not hand["present"]:
+            continue
+        position, elbow = hand["position_in_base_m"], hand["elbow_in_base_m"]
+        pybullet.resetBasePositionAndOrientation(
+            sphere, position, (0.0, 0.0, 0.0, 1.0), physicsClientId=client
+        )
+        pybullet.resetBasePositionAndOrientation(
+            forearm, 0.5 * (position + elbow), _turn_z_to(elbow - position), physicsClientId=client
+        )
+
+
+def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) that turns z into ``direction``."""
+    unit = direction / np.linalg.norm(direction)
+    if unit[2] < -1.0 + 1e-12:
+        return (1.0, 0.0, 0.0, 0.0)
+    quaternion = np.array([-unit[1], unit[0], 0.0, 1.0 + unit[2]])
+    quaternion /= np.linalg.norm(quaternion)
+    return (quaternion[0], quaternion[1], quaternion[2], quaternion[3])

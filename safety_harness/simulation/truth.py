@@ -1,0 +1,106 @@
+"""The world's truth at a control tick, written into the trace: poses, speeds, distances."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.robot.capsules import CapsuleSet
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
+from safety_harness.settings import Settings
+
+ARM = np.dtype(
+    [
+        ("joint_origins", np.float64, (6, 4, 4)),
+        ("joint_axes", np.float64, (6, 3)),
+        ("flange", np.float64, (4, 4)),
+        ("hand_radius_m", np.float64),
+        ("forearm_radius_m", np.float64),
+        ("link_transforms", np.float64, (8, 4, 4)),  # the arm's true pose, as of the last tick
+    ],
+    align=True,
+)
+
+
+def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
+    """(1,) ARM."""
+    record = np.zeros(1, ARM)
+    record["joint_origins"], record["joint_axes"], record["flange"] = (
+        arm.joint_origins,
+        arm.joint_axes,
+        arm.flange,
+    )
+    record["hand_radius_m"] = settings.hand.radius_m
+    record["forearm_radius_m"] = settings.hand.forearm_radius_m
+    return record
+
+
+def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
+    """The arm's capsules and one for the body of the hand-eye camera.
+
+    A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet); its capsule, about the
+    optical centre and along the image's u axis, has half the diagonal of its section as radius.
+    """
+    camera = settings.camera
+    offset = np.array(camera.mount_offset_in_tcp_m)
+    along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
+    radius_m = 0.0177
+    half_m = 0.045 - radius_m
+    return capsules.with_capsule("camera", 7, offset - half_m * along, offset + half_m * along, radius_m)
+
+
+@compiled
+def fill_truth(
+    arms: NDArray[np.void],  # (1,) ARM
+    capsule_link: NDArray[np.int64],  # (n,)
+    capsule_start_in_link: NDArray[np.float64],  # (n, 3)
+    capsule_end_in_link: NDArray[np.float64],  # (n, 3)
+    capsule_radius_m: NDArray[np.float64],  # (n,)
+    placed: NDArray[np.float64],  # (n, 2, 3), written
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
+    joint_position_rad: NDArray[np.float64],
+    joint_velocity_radps: NDArray[np.float64],
+    time_s: float,
+    ticks: NDArray[np.void],  # (1,) TICK, written
+) -> None:
+    """Write the truth part of a tick, and the placed capsules and link poses for the sensors."""
+    arm, tick = arms[0], ticks[0]
+    tick.time_s = time_s
+    tick.joint_position_rad[:] = joint_position_rad
+    tick.joint_velocity_radps[:] = joint_velocity_radps
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, arm.link_transforms)
+    tick.transform_tcp_to_base[:, :] = arm.link_transforms[7]
+    jacobian = np.empty((6, 6))
+    geometric_jacobian(arm.joint_axes, arm.link_transforms, jacobian)
+    squared = 0.0
+    for i in range(3):
+        rate = 0.0
+        for j in range(6):
+            rate += jacobian[i, j] * joint_velocity_radps[j]
+        squared += rate * rate
+    tick.tcp_speed_mps = np.sqrt(squared)
+    place_capsules(
+        arm.link_transforms, capsule_link, capsule_start_in_link, capsule_end_in_link, placed
+    )
+    for k in range(hands.shape[0]):
+        hand = hands[k]
+        tick.hand_present[k] = hand.present
+        for i in range(3):
+            tick.hand_position_in_base_m[k, i] = hand.position_in_base_m[i] if hand.present else 0.0
+            tick.elbow_position_in_base_m[k, i] = hand.elbow_in_base_m[i] if hand.present else 0.0
+        tick.hand_distance_m[k] = np.inf
+        tick.hand_distance_capsule[k] = -1
+        if hand.present:
+            distance_m, capsule = hand_distance(
+                placed,
+                capsule_radius_m,
+                hand.position_in_base_m,
+                hand.elbow_in_base_m,
+                arm.hand_radius_m,
+                arm.forearm_radius_m,
+            )
+            tick.hand_distance_m[k] = distance_m
+            tick.hand_distance_capsule[k] = capsule
