@@ -47,7 +47,7 @@ class CandidateCap:
     def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
         """(count, 3) offsets from the TCP in the base frame, each of length ``radius_m``.
 
-        Rejection terminates: with sigma 45 degrees some 59 % of the draws fall into the cone.
+        Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
         """
         kept = np.empty((0, 3))
         while len(kept) < self.count:

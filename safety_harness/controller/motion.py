@@ -27,9 +27,10 @@ def servo_twist(
     s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
     good = camera_twist(
         p.choice,
-        p.desired_interaction_pinv,
         p.desired_interaction,
+        p.desired_interaction_pinv,
         s.moments,
+        s.features,
         p.desired_area,
         p.desired_depth_m,
         p.dense,

@@ -66,7 +66,7 @@ STATE = np.dtype(
         ("feature_error", np.float64, (6,)),
         ("sse", np.float64),
         # the hands, as predicted
-        ("track_valid", np.bool_, (MAX_TRACKS,)),
+        ("track_valid", np.uint8, (MAX_TRACKS,)),  # booleans; compiled code cannot nest their arrays
         ("predicted_hand_in_base_m", np.float64, (MAX_TRACKS, 3)),
         ("predicted_distance_m", np.float64),
         ("nearest_track", np.int64),

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
+from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
 from safety_harness.robot.velocity import joint_velocity
-from safety_harness.servoing.features import feature_error, features, sum_of_squares
+from safety_harness.servoing.features import feature_error, features
 from safety_harness.trace.records import MAX_TRACKS, Limit, Mode, Trigger
 
 SERVOING = int(Mode.SERVOING)
@@ -66,10 +67,9 @@ def see_object(
         s.sse = np.nan
         return
     s.moments[:] = o.moments
-    features(s.moments, p.desired_area, p.desired_depth_m, p.dense, s.features)
-    feature_error(s.features, p.desired_features, s.feature_error)
-    s.sse = sum_of_squares(s.feature_error)
-    if not np.isfinite(s.sse):
+    finite = features(s.moments, p.desired_area, p.desired_depth_m, p.dense, s.features)
+    s.sse = feature_error(s.features, p.desired_features, s.feature_error)
+    if not (finite and np.isfinite(s.sse)):
         s.object_visible = False
 
 
@@ -87,12 +87,7 @@ def see_hands(
         advance_tracks(tracks, o.boxes, o.box_count, o.boxes_time_s, filter_parameters)
     transform_sensor_to_base = np.empty((4, 4))
     if p.eye_in_hand:
-        for i in range(4):
-            for j in range(4):
-                total = 0.0
-                for k in range(4):
-                    total += s.transform_tcp_to_base[i, k] * p.transform_camera_to_tcp[k, j]
-                transform_sensor_to_base[i, j] = total
+        compose_into(s.transform_tcp_to_base, p.transform_camera_to_tcp, transform_sensor_to_base)
     else:
         transform_sensor_to_base[:, :] = p.transform_sensor_to_base
     predict_positions(

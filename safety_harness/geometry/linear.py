@@ -39,3 +39,37 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
             total -= matrix[row, j] * vector[j]
         vector[row] = total / matrix[row, row]
     return True
+
+
+@compiled
+def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
+    """Gauss-Jordan inverse of a square matrix with partial pivoting; False if a pivot is zero.
+
+    An exactly singular matrix (a straight elbow gives one) is an answer here, not an exception.
+    """
+    n = matrix.shape[0]
+    work = matrix.copy()
+    for i in range(n):
+        for j in range(n):
+            inverse_out[i, j] = 1.0 if i == j else 0.0
+    for column in range(n):
+        pivot = column
+        for row in range(column + 1, n):
+            if abs(work[row, column]) > abs(work[pivot, column]):
+                pivot = row
+        if not abs(work[pivot, column]) > 0.0:
+            return False
+        for j in range(n):
+            work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
+            inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
+        scale = 1.0 / work[column, column]
+        for j in range(n):
+            work[column, j] *= scale
+            inverse_out[column, j] *= scale
+        for row in range(n):
+            if row != column:
+                factor = work[row, column]
+                for j in range(n):
+                    work[row, j] -= factor * work[column, j]
+                    inverse_out[row, j] -= factor * inverse_out[column, j]
+    return True

@@ -32,30 +32,58 @@ def segment_segment_distance(
     b_start: NDArray[np.float64],
     b_end: NDArray[np.float64],
 ) -> float:
-    """Distance [m] between two segments, ends (3,) each; parallel and point-like ones included.
+    """Distance [m] between two segments, ends (3,) each; parallel and point-like ones included."""
+    x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
+    return sqrt(x * x + y * y + z * z)
 
-    The least distance is taken either at an end point of one of the segments, or at two inner
-    points where the joining line is perpendicular to both.  All four end points are tried, so
-    an ill-conditioned inner solution (nearly parallel segments) can only be passed over where
-    an end point is as good.
+
+@compiled
+def segment_segment_vector(
+    a_start: NDArray[np.float64],
+    a_end: NDArray[np.float64],
+    b_start: NDArray[np.float64],
+    b_end: NDArray[np.float64],
+) -> tuple[float, float, float]:
+    """Shortest vector (x, y, z) [m] from a point of segment a to a point of segment b.
+
+    The least distance is taken either at an end of one of the segments, or at two inner points
+    whose joining line is perpendicular to both.  All four ends are tried beside the inner
+    solution, so an ill-conditioned one (nearly parallel segments) never makes the answer wrong.
     """
-    best = min(
-        min(point_segment_distance(a_start, b_start, b_end), point_segment_distance(a_end, b_start, b_end)),
-        min(point_segment_distance(b_start, a_start, a_end), point_segment_distance(b_end, a_start, a_end)),
-    )
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
     vx, vy, vz = b_end[0] - b_start[0], b_end[1] - b_start[1], b_end[2] - b_start[2]
-    wx, wy, wz = a_start[0] - b_start[0], a_start[1] - b_start[1], a_start[2] - b_start[2]
-    # The cross product, and not uu*vv - uv^2, which cancels for nearly parallel segments.
+    wx, wy, wz = b_start[0] - a_start[0], b_start[1] - a_start[1], b_start[2] - a_start[2]
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    uw = ux * wx + uy * wy + uz * wz
+    vw = vx * wx + vy * wy + vz * wz
+    per_uu = 1.0 / uu if uu > 0.0 else 0.0
+    per_vv = 1.0 / vv if vv > 0.0 else 0.0
+    best_x, best_y, best_z = wx, wy, wz
+    best = np.inf
+    # The vector is w + t v - s u.  The normal of both, and not uu vv - uv^2, which cancels.
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     nn = nx * nx + ny * ny + nz * nz
-    if not nn > 0.0:
-        return best
-    # a_start + s u - (b_start + t v) is parallel to n: s = (v x w) . n / nn, t = (u x w) . n / nn.
-    s = ((vy * wz - vz * wy) * nx + (vz * wx - vx * wz) * ny + (vx * wy - vy * wx) * nz) / nn
-    t = ((uy * wz - uz * wy) * nx + (uz * wx - ux * wz) * ny + (ux * wy - uy * wx) * nz) / nn
-    if not (0.0 < s < 1.0 and 0.0 < t < 1.0):
-        return best
-    # Measured between the two points themselves: never less than the true distance.
-    dx, dy, dz = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
-    return min(best, sqrt(dx * dx + dy * dy + dz * dz))
+    for candidate in range(5):
+        if candidate == 0:
+            s, t = 0.0, min(max(-vw * per_vv, 0.0), 1.0)
+        elif candidate == 1:
+            s, t = 1.0, min(max((uv - vw) * per_vv, 0.0), 1.0)
+        elif candidate == 2:
+            s, t = min(max(uw * per_uu, 0.0), 1.0), 0.0
+        elif candidate == 3:
+            s, t = min(max((uw + uv) * per_uu, 0.0), 1.0), 1.0
+        else:
+            if not nn > 0.0:
+                break
+            s = ((wy * vz - wz * vy) * nx + (wz * vx - wx * vz) * ny + (wx * vy - wy * vx) * nz) / nn
+            t = ((wy * uz - wz * uy) * nx + (wz * ux - wx * uz) * ny + (wx * uy - wy * ux) * nz) / nn
+            if not (0.0 < s < 1.0 and 0.0 < t < 1.0):
+                break
+        x, y, z = wx + t * vx - s * ux, wy + t * vy - s * uy, wz + t * vz - s * uz
+        squared = x * x + y * y + z * z
+        if not squared >= best:  # also takes over a NaN
+            best = squared
+            best_x, best_y, best_z = x, y, z
+    return best_x, best_y, best_z

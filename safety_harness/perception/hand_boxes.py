@@ -43,10 +43,11 @@ def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: floa
     along = x * centre[0] + y * centre[1] + centre[2]
     centre_squared = centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2]
     discriminant = along * along - ray_squared * (centre_squared - radius_m * radius_m)
-    if not discriminant >= 0.0:
+    if not (discriminant >= 0.0 and along > 0.0):
         return nan
-    # The nearer root as product over the larger one: no cancellation when the camera is close.
-    return (centre_squared - radius_m * radius_m) / (along + sqrt(discriminant))
+    # The nearer root is the product of both over the larger one, which loses no digits.
+    depth_m: float = (centre_squared - radius_m * radius_m) / (along + sqrt(discriminant))
+    return depth_m
 
 
 @compiled
@@ -109,7 +110,7 @@ def box_in_image(
 
     Returns ``False``, with ``box`` untouched, when the hand is not visible.  That includes the
     case that the new centre lies beside the sphere, so that a depth camera would read the
-    background there; it can happen only to a sphere nearer than about one radius.
+    background there; that takes a lens with a view of more than 130 degrees.
     """
     u_centre = focal_px * centre_in_camera[0] / centre_in_camera[2] + c_u
     v_centre = focal_px * centre_in_camera[1] / centre_in_camera[2] + c_v
@@ -187,7 +188,7 @@ def position_from_box(
 
     and the result is sqrt(2 r (r - sqrt(r^2 - e^2))) from the centre, which is e to first order:
     in the corner of a 640 x 480 image with f = 615 px and r = 60 mm about 2.0 mm at Z = 1 m and
-    6.6 mm at Z = 0.3 m.  It is zero on the axis.  A wrong assumed radius adds its error along the ray.
+    6.7 mm at Z = 0.3 m.  It is zero on the axis.  A wrong assumed radius adds its error along the ray.
     """
     x, y = (box[0] - c_u) / focal_px, (box[1] - c_v) / focal_px
     depth_m = box[2] + assumed_radius_m / sqrt(x * x + y * y + 1.0)

@@ -131,6 +131,8 @@ def _row_crossings(
         u1, v1 = corners[following, 0], corners[following, 1]
         if (v0 <= v) == (v1 <= v):  # half-open: a vertex on the row counts once
             continue
+        if v0 > v1:  # always downwards: two polygons agree to the last bit about a shared edge
+            u0, v0, u1, v1 = u1, v1, u0, v0
         u = u0 + (v - v0) / (v1 - v0) * (u1 - u0)
         place = count
         while place > 0 and out[place - 1] > u:

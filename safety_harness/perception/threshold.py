@@ -29,7 +29,8 @@ def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) ->
     """1 on the object's pixels, 0 elsewhere; nowhere 1 if no complete object is in view.
 
     The object is the largest connected black region that does not touch the image border: one
-    that does may be cropped, and a cropped triangle can have the features of a whole one.
+    that does may be cropped, and a cropped triangle can have the features of a whole one.  A hand
+    in front of the object is not noticed as such: it cuts the region or changes its shape.
     """
     black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(black, connectivity=8)
@@ -43,13 +44,3 @@ def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) ->
     if best == 0:
         return np.zeros_like(black)
     return np.asarray(labels == best, dtype=np.uint8)
-
-
-def touches_border(mask: NDArray[np.uint8]) -> bool:  # (h, w)
-    """True if a pixel of the image's outermost rows or columns is set."""
-    return bool(mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any())
-
-
-def object_visible(mask: NDArray[np.uint8]) -> bool:  # (h, w)
-    """True if ``object_mask`` found a complete object."""
-    return bool(mask.any()) and not touches_border(mask)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf, isfinite
 
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Claim, Verdict
@@ -29,9 +30,8 @@ class JudgedRun:
     def __post_init__(self) -> None:
         claims = len(self.trace.scenario.claims)
         if len(self.evaluations) != claims:
-            raise ValueError(
-                f"scenario {self.trace.scenario.name!r} has {claims} claims, got {len(self.evaluations)} evaluations"
-            )
+            name, judged = self.trace.scenario.name, len(self.evaluations)
+            raise ValueError(f"scenario {name!r} has {claims} claims, got {judged} evaluations")
 
     def judged_claims(self) -> Iterator[tuple[Claim, Evaluation]]:
         """Each claim with its evaluation."""
@@ -39,12 +39,12 @@ class JudgedRun:
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """For each claim: is the verdict the one that the scenario's author expects?"""
+        """For each claim, whether the verdict is the one that the scenario's author expects."""
         return tuple(evaluation.verdict is claim.expected for claim, evaluation in self.judged_claims())
 
     @property
     def all_as_expected(self) -> bool:
-        """Did every claim come out as expected?  (True of a scenario without claims.)"""
+        """Whether every claim came out as expected; true of a scenario without claims."""
         return all(self.as_expected)
 
     def count(self, verdict: Verdict) -> int:
@@ -61,10 +61,10 @@ class JudgedRun:
             (
                 _SEVERITY.index(evaluation.verdict),
                 evaluation.unit is not Unit.LENGTH,
-                float("inf") if evaluation.margin is None else evaluation.margin,
+                evaluation.margin if evaluation.margin is not None and isfinite(evaluation.margin) else inf,
                 index,
             )
             for index, evaluation in enumerate(self.evaluations)
-            if evaluation.worst_time_s is not None
+            if evaluation.worst_time_s is not None and isfinite(evaluation.worst_time_s)
         ]
         return min(ranked)[-1] if ranked else None

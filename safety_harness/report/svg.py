@@ -24,7 +24,8 @@ _SVG = "{http://www.w3.org/2000/svg}"
 _XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
 _COLOUR = re.compile(r"#a1b3[0-9a-f]{2}")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
-_FONT = re.compile(r"font:\s*(?:(?:normal|italic|oblique)\s+)?(?:(\w+)\s+)?([\d.]+)px\s+[^;]+")
+_FONT_FAMILY = re.compile(r"\s*font-family:[^;]+;")
+_NO_TURN = re.compile(r"rotate\(-?0[^)]*\)")
 _LONG_NUMBER = re.compile(r"(-?\d+)\.(\d)\d+")
 _UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
@@ -38,7 +39,6 @@ def plain(text: str, *, longest: int = 28) -> str:
 @contextmanager
 def drawing() -> Iterator[None]:
     """The settings under which every figure is built and written, whatever the user's own are."""
-    import matplotlib
     from matplotlib import style
 
     own = {
@@ -61,9 +61,9 @@ def drawing() -> Iterator[None]:
         "grid.color": Ink.GRID.sentinel,
         "grid.linewidth": 0.8,
         "axes.axisbelow": True,
+        "axes.titley": 1.0,  # or every axis is measured to keep clear of titles
         "lines.solid_capstyle": "round",
     }
-    del matplotlib
     with style.context(["default", own]), warnings.catch_warnings():
         # A letter that matplotlib's own font lacks: the browser's fonts may well have it.
         warnings.filterwarnings("ignore", message=r"Glyph .* missing from font", category=UserWarning)
@@ -76,7 +76,7 @@ def new_figure(width_px: float, height_px: float) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_px / 72.0, height_px / 72.0), dpi=72, facecolor="none")
-    FigureCanvasSVG(figure)  # type: ignore[no-untyped-call]
+    FigureCanvasSVG(figure)
     return figure
 
 
@@ -137,17 +137,12 @@ def _tidy(element: ElementTree.Element, prefix: str, referenced: frozenset[str])
         elif name == "d":
             element.set("d", " ".join(_LONG_NUMBER.sub(r"\1.\2", value).split()))
         elif name in ("x", "y", "transform"):
-            element.set(name, re.sub(r"(\.\d\d)\d+", r"\1", value))
+            if not _NO_TURN.fullmatch(value):
+                element.set(name, _LONG_NUMBER.sub(r"\1.\2", value))
         else:
             value = _COLOUR.sub(lambda match: BY_SENTINEL[match.group()], value)
             value = _REFERENCE.sub(rf"url(#{prefix}\1)", value)
-            element.set(name, _FONT.sub(_font_size, value))
-
-
-def _font_size(match: re.Match[str]) -> str:
-    """The size and weight of a font, its family left to the page."""
-    weight = match.group(1)
-    return f"font-size: {match.group(2)}px" + (f"; font-weight: {weight}" if weight else "")
+            element.set(name, _FONT_FAMILY.sub("", value))
 
 
 def _drop_empty(element: ElementTree.Element) -> None:

@@ -68,7 +68,8 @@ def point_words(position_m: NDArray[np.float64]) -> str:
 
 def flag_words(flags: IntFlag) -> str:
     """The names of the set flags, in words."""
-    return ", ".join((flag.name or str(flag.value)).lower().replace("_", " ") for flag in flags)
+    names = ((flag.name or str(flag.value)).lower().replace("_", " ") for flag in flags)
+    return ", ".join(names).replace("tcp", "TCP")
 
 
 def failed_words(proposed: Check, opposite: Check) -> str:
@@ -116,15 +117,15 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
-    """The one length that a sentence about a hand names, or None when there is not just one."""
-    if evaluation.unit is not Unit.LENGTH or "hand" not in evaluation.sentence.lower():
+    """The one length that a sentence about the hand distance names, or None when there is not just one."""
+    if evaluation.unit is not Unit.LENGTH or "hand distance" not in evaluation.sentence.lower():
         return None
     return _only_number(_LENGTH_IN_SENTENCE, evaluation.sentence)
 
 
 def claimed_tcp_speed_mps(evaluation: Evaluation) -> float | None:
-    """The one speed that a sentence about the TCP names, or None when there is not just one."""
-    if evaluation.unit is not Unit.SPEED or "tcp" not in evaluation.sentence.lower():
+    """The one speed that a sentence about the TCP speed names, or None when there is not just one."""
+    if evaluation.unit is not Unit.SPEED or "tcp speed" not in evaluation.sentence.lower():
         return None
     return _only_number(_SPEED_IN_SENTENCE, evaluation.sentence)
 

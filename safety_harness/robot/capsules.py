@@ -51,7 +51,7 @@ class CapsuleSet:
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
     ) -> CapsuleSet:
-        """This set and one more capsule (a tool, say) at its end; lengths in metres, in the link's frame."""
+        """A new set with one more capsule (a tool, say) at its end; metres, in the link's frame."""
         return CapsuleSet(
             names=(*self.names, name),
             link_index=np.append(self.link_index, np.int64(link_index)),
@@ -72,7 +72,8 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
     file = capsule_file(arm_name)
     if not file.is_file():
         raise ArmModelError(
-            f"no capsules for {arm_name!r}; fit them with: python -m safety_harness.robot.fit_capsules {arm_name}"
+            f"no capsules for {arm_name!r}; to fit them: "
+            f"python -m safety_harness.robot.fit_capsules {arm_name}"
         )
     entries = json.loads(file.read_text(encoding="utf-8"))["capsules"]
     frames = (*load_arm(arm_name).link_names, TCP_LINK)

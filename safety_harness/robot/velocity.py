@@ -6,41 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-
-
-@compiled
-def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
-    """Gauss-Jordan inverse of a square matrix with partial pivoting; False if a pivot is zero.
-
-    Our own because numpy's inverse inside compiled code raises on an exactly singular matrix
-    (a straight elbow is one) and goes through LAPACK, whose bits depend on the machine.
-    """
-    n = matrix.shape[0]
-    work = matrix.copy()
-    for i in range(n):
-        for j in range(n):
-            inverse_out[i, j] = 1.0 if i == j else 0.0
-    for column in range(n):
-        pivot = column
-        for row in range(column + 1, n):
-            if abs(work[row, column]) > abs(work[pivot, column]):
-                pivot = row
-        if not abs(work[pivot, column]) > 0.0:
-            return False
-        for j in range(n):
-            work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
-            inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
-        scale = 1.0 / work[column, column]
-        for j in range(n):
-            work[column, j] *= scale
-            inverse_out[column, j] *= scale
-        for row in range(n):
-            if row != column:
-                factor = work[row, column]
-                for j in range(n):
-                    work[row, j] -= factor * work[column, j]
-                    inverse_out[row, j] -= factor * inverse_out[column, j]
-    return True
+from safety_harness.geometry.linear import invert
+from safety_harness.robot.kinematics import smallest_singular_value
 
 
 @compiled
@@ -52,8 +19,8 @@ def joint_velocity(
 ) -> bool:
     """Solve J q' = twist; False (and zeros) nearer to a singularity than ``min_singular_value``.
 
-    The test uses 1/|J^-1|_F, which lies between sigma_min/sqrt(6) and sigma_min: it acts early,
-    never late.
+    1/|J^-1|_F is never above the least singular value and costs nothing; only where it is below
+    the bound is the singular value itself computed.
     """
     inverse = np.empty((6, 6))
     regular = invert(jacobian, inverse)
@@ -61,7 +28,8 @@ def joint_velocity(
     for i in range(6):
         for j in range(6):
             norm2 += inverse[i, j] * inverse[i, j]
-    regular = regular and norm2 * min_singular_value * min_singular_value <= 1.0
+    if regular and not norm2 * min_singular_value * min_singular_value <= 1.0:
+        regular = smallest_singular_value(jacobian) > min_singular_value
     for i in range(6):
         total = 0.0
         for j in range(6):

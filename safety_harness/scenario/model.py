@@ -146,8 +146,8 @@ class RecordedHand:
 
     The recording's first used sample is put at ``starts_at_in_base_m`` after a turn by
     ``turn_rad`` about the vertical; its time runs ``speed_factor`` times as fast.  Only the part
-    from ``from_s`` to ``to_s`` of the recording is used (None: to its end).  Without a recorded
-    elbow the forearm points towards ``elbow_towards_in_base_m``.
+    from ``from_s`` to ``to_s`` on the recording's own clock is used (None: its beginning, its end).
+    Without a recorded elbow the forearm points towards ``elbow_towards_in_base_m``.
     """
 
     name: str
@@ -158,7 +158,7 @@ class RecordedHand:
     starts_at_in_base_m: Vector3
     turn_rad: float
     speed_factor: float
-    from_s: float
+    from_s: float | None
     to_s: float | None
     longest_gap_s: float
     fastest_jump_mps: float

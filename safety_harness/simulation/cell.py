@@ -9,19 +9,21 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
 from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
-from safety_harness.perception.threshold import OBJECT_COLOUR_RGBA, TABLE_COLOUR_RGBA
+from safety_harness.perception.threshold import OBJECT_RGB, TABLE_RGB
 from safety_harness.robot.description import ArmModel, resolved_urdf
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.settings import Settings
+from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.sensing import object_polygon_in_base
 
 TABLE_HALF_M = (1.5, 1.5, 0.02)
 OBJECT_THICKNESS_M = 0.0005
+OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
+TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,11 @@ def build_cell(
     pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
     pybullet.setTimeStep(
         settings.clock.control_period_s / settings.clock.physics_substeps, physicsClientId=client
+    )
+    # By default the solver stops early and gravity pulls the joints along at 1e-5 to 1e-4 rad/s,
+    # 1 mm and 0.1 degree in a minute: real drives hold.
+    pybullet.setPhysicsEngineParameter(
+        numSolverIterations=200, solverResidualThreshold=1e-18, physicsClientId=client
     )
     urdf = _urdf_file(arm.name, rendered)
     robot = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=client)
@@ -119,15 +126,35 @@ def _paint_object(client: int, settings: Settings) -> None:
 
 
 def _hand(client: int, settings: Settings) -> int:
+    vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere is up to 9 px off
     shape = pybullet.createVisualShape(
-        pybullet.GEOM_SPHERE,
-        radius=settings.hand.radius_m,
+        pybullet.GEOM_MESH,
+        vertices=vertices,
+        indices=faces,
+        normals=vertices,
         rgbaColor=HAND_COLOUR_RGBA,
         physicsClientId=client,
     )
     return int(
         pybullet.createMultiBody(0.0, -1, shape, basePosition=(0.0, 0.0, -9.0), physicsClientId=client)
     )
+
+
+def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], list[int]]:
+    """A sphere of ``rings`` parallels and twice as many meridians: vertices and triangle indices."""
+    around = 2 * rings
+    polar = np.pi * np.arange(rings + 1) / rings
+    azimuth = 2.0 * np.pi * np.arange(around) / around
+    height = np.repeat(np.cos(polar), around)
+    width = np.repeat(np.sin(polar), around)
+    turn = np.tile(azimuth, rings + 1)
+    vertices = radius_m * np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
+    faces: list[int] = []
+    for ring in range(rings):
+        for k in range(around):
+            a, b = ring * around + k, ring * around + (k + 1) % around
+            faces += [a, a + around, b, b, a + around, b + around]
+    return vertices.tolist(), faces
 
 
 def _forearm(client: int, settings: Settings) -> int:

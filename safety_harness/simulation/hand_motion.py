@@ -164,9 +164,10 @@ def advance_move(
         used_s = min(left_s, move.duration_s - hand.elapsed_s)
         over = hand.elapsed_s + left_s >= move.duration_s
     else:
-        goal = tcp_position_in_base_m if move.kind != MOVE_TO else move.target_in_base_m
+        goal = np.empty(3)
         total = 0.0
         for i in range(3):
+            goal[i] = move.target_in_base_m[i] if move.kind == MOVE_TO else tcp_position_in_base_m[i]
             total += (goal[i] - hand.position_in_base_m[i]) ** 2
         distance = np.sqrt(total)
         gap = max(distance - move.distance_m, 0.0)
@@ -223,6 +224,7 @@ def follow_recording(
     span_s = samples[row + 1, 0] - samples[row, 0]
     fraction = min(max((time_s - samples[row, 0]) / span_s, 0.0), 1.0)
     for i in range(3):
-        for column, out in ((1, hand.position_in_base_m), (4, hand.elbow_in_base_m)):
-            before, after = samples[row, column + i], samples[row + 1, column + i]
-            out[i] = before + fraction * (after - before)
+        before, after = samples[row, 1 + i], samples[row + 1, 1 + i]
+        hand.position_in_base_m[i] = before + fraction * (after - before)
+        before, after = samples[row, 4 + i], samples[row + 1, 4 + i]
+        hand.elbow_in_base_m[i] = before + fraction * (after - before)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pybullet
 from numpy.typing import NDArray
 
+from safety_harness.perception.hand_boxes import rendered_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.raster import mask_moments
 from safety_harness.perception.threshold import object_mask
+from safety_harness.simulation.engine import pybullet
 
 NEAR_M, FAR_M = 0.02, 5.0
 
@@ -51,19 +52,12 @@ def render(
     return np.ascontiguousarray(pixels[:, :, :3]), depth_m
 
 
-def rendered_principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
-    """The software renderer's own: half a pixel off the centre in u and v, measured."""
-    return width_px / 2.0, height_px / 2.0 - 1.0
-
-
 def rendered_object(
     colour: NDArray[np.uint8], focal_px: float
 ) -> tuple[bool, NDArray[np.float64]]:
     """(visible, moments (31,)) of the thresholded object in a rendered image."""
     moments = np.full(MOMENT_COUNT, np.nan)
     mask = object_mask(colour)
-    if mask is None:
-        return False, moments
     c_u, c_v = rendered_principal_point_px(colour.shape[1], colour.shape[0])
     pixels = mask_moments(mask, focal_px, c_u, c_v, moments)
     return pixels > 0, moments

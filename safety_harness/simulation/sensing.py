@@ -23,7 +23,7 @@ from safety_harness.perception.camera import (
 from safety_harness.perception.hand_boxes import (
     box_in_image,
     line_of_sight_blocked,
-    principal_point_px,
+    sensor_principal_point_px,
     sphere_box,
 )
 from safety_harness.perception.moments import point_moments, polygon_moments
@@ -115,7 +115,7 @@ def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base:
     state["transform_sensor_to_base"] = transform_sensor_to_base
     state["hand_focal_px"] = hand.focal_px
     state["hand_width_px"], state["hand_height_px"] = hand.width_px, hand.height_px
-    state["hand_c_u"], state["hand_c_v"] = principal_point_px(hand)
+    state["hand_c_u"], state["hand_c_v"] = sensor_principal_point_px(hand)
     state["hand_radius_m"] = settings.hand.radius_m
     state["hand_period_s"], state["hand_latency_s"] = _timing(
         "hand sensor", hand.rate_hz, hand.latency_s, settings

@@ -64,7 +64,7 @@ def fill_truth(
     joint_position_rad: NDArray[np.float64],
     joint_velocity_radps: NDArray[np.float64],
     time_s: float,
-    ticks: NDArray[np.void],  # (1,) TICK, written
+    ticks: NDArray[np.void],  # (1,) TICK_COMPILED, written
 ) -> None:
     """Write the truth part of a tick, and the placed capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]

@@ -93,6 +93,15 @@ TICK = np.dtype(
     align=True,
 )
 
+# Compiled code cannot handle arrays of booleans within a record: the same bytes, as it sees them.
+TICK_COMPILED = np.dtype(
+    [
+        (name, np.uint8 if field[0].base == np.bool_ and field[0].shape else field[0].base, field[0].shape)
+        for name, field in (TICK.fields or {}).items()
+    ],
+    align=True,
+)
+
 DECISION = np.dtype(
     [
         ("tick", np.int64),

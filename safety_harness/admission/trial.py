@@ -1,0 +1,22 @@
+"""One trial: an admitted scenario in the PyBullet world, judged by its own claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.properties.base import Evaluation
+from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.simulate import simulate
+from safety_harness.trace.trace import Trace
+
+
+def run_trial(admitted: Admitted, *, on_tick: Callable[[int], None] | None = None) -> Trace:
+    """Simulate; the world is closed on every path."""
+    with PyBulletWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad) as world:
+        return simulate(world, admitted.controller(), admitted.scenario, on_tick=on_tick)
+
+
+def judge(trace: Trace) -> tuple[Evaluation, ...]:
+    """Judge a trace by its scenario's claims, in their order; nothing is simulated."""
+    return tuple(prop.evaluate(trace) for prop in admit(trace.scenario).properties)

@@ -1,0 +1,102 @@
+"""What the command line prints: results on standard output, everything else on standard error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from safety_harness.exceptions import InputError
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.scenario.model import Scenario
+
+AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+def say(text: str) -> None:
+    """A remark on standard error."""
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()
+
+
+def result(text: str) -> None:
+    """A line of results on standard output."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def explain(error: Exception) -> None:
+    """A user's mistake: where, what was expected, what came, and the hint on a line of its own."""
+    if not isinstance(error, InputError):
+        say(f"error: {error}")
+        return
+    say(f"error: {error.place}")
+    say(f"  expected {error.expected}")
+    say(f"  got      {error.got}")
+    if error.hint:
+        say(f"  hint     {error.hint}")
+
+
+def result_lines(run: JudgedRun) -> list[str]:
+    """One line for each claim of a run."""
+    lines = []
+    for claim, evaluation in zip(run.trace.scenario.claims, run.evaluations, strict=True):
+        same = evaluation.verdict is claim.expected
+        mark = "ok  " if same else "DIFF"
+        when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
+        expected = "" if same else f"  (expected {claim.expected.value})"
+        lines.append(
+            f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
+            f"{run.trace.scenario.name}: {claim.sentence}{expected}"
+        )
+    return lines
+
+
+@dataclass
+class ScenarioProgress:
+    """A bar over all scenarios' ticks on a terminal, a line a scenario elsewhere."""
+
+    scenarios: Sequence[Scenario]
+    _bar: Progress | None = None
+    _task: TaskID | None = None
+    _before: int = 0
+    _shown: int = field(default=0)
+
+    @contextmanager
+    def running(self) -> Iterator[ScenarioProgress]:
+        """Show the bar while the runs last."""
+        console = Console(stderr=True)
+        if not console.is_terminal:
+            yield self
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("ticks"),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console, transient=True) as self._bar:
+            self._task = self._bar.add_task("", total=sum(s.ticks + 1 for s in self.scenarios))
+            yield self
+        self._bar = None
+
+    def begin(self, number: int) -> None:
+        """Scenario ``number`` starts."""
+        name = self.scenarios[number].name
+        self._before = sum(s.ticks + 1 for s in self.scenarios[:number])
+        self._shown = 0
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, description=name, completed=self._before)
+        else:
+            say(f"[{number + 1}/{len(self.scenarios)}] {name}")
+
+    def tick(self, done: int) -> None:
+        """``done`` ticks of the current scenario are over; the bar moves every 50."""
+        if self._bar is not None and self._task is not None and done - self._shown >= 50:
+            self._shown = done
+            self._bar.update(self._task, completed=self._before + done)

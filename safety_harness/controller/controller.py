@@ -1,0 +1,139 @@
+"""The controller under test: servo, watch the hands, give way, stop.
+
+``Controller`` is the seam for a user's own; ``AvoidingServo`` composes the compiled control
+stack with an avoider and the gate.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.gate import Gate, Query, Ruling
+from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
+from safety_harness.controller.stack import begin_tick, finish_tick
+from safety_harness.perception.hand_filter import filter_parameters
+from safety_harness.perception.tracking import no_tracks
+from safety_harness.robot.description import ArmModel
+from safety_harness.seeds import Branch, seed
+from safety_harness.servoing.control import DesiredView
+from safety_harness.settings import Settings
+from safety_harness.trace.records import DECISION, Outcome
+
+FROM_STATE = (
+    "object_visible",
+    "features",
+    "feature_error",
+    "sse",
+    "track_valid",
+    "predicted_hand_in_base_m",
+    "predicted_distance_m",
+    "mode",
+    "gain",
+    "camera_twist",
+    "limits",
+)
+
+
+class Controller(Protocol):
+    """One episode's controller: an observation in, a command out."""
+
+    @property
+    def name(self) -> str:
+        """How traces and reports call it."""
+        ...
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call."""
+        ...
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Write what was perceived and decided into ``tick`` (1,) TICK, for the trace."""
+        ...
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION: every decision so far."""
+        ...
+
+
+class AvoidingServo:
+    """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts."""
+
+    def __init__(
+        self, settings: Settings, arm: ArmModel, view: DesiredView, avoider: Avoider, gate: Gate, root_seed: int
+    ) -> None:
+        self.name = avoider.name
+        self._avoider = avoider
+        self._gate = gate
+        self._root_seed = root_seed
+        self._parameters = parameters(settings, arm, view)
+        self._filter_parameters = filter_parameters(settings.hand_filter, settings.hand_sensor)
+        self._state = initial_state()
+        self._tracks = no_tracks()
+        self._answer = np.zeros(1, ANSWER)
+        self._command = np.zeros(1, COMMAND)
+        self._decisions: list[NDArray[np.void]] = []
+        self._decided_now = False
+        self._ticks = 0
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """Look, decide if asked to, act."""
+        self._decided_now = begin_tick(
+            self._parameters, self._filter_parameters, self._state, self._tracks, observation
+        )
+        if self._decided_now:
+            self._decide(observation)
+        finish_tick(self._parameters, self._state, observation, self._answer, self._command)
+        self._ticks += 1
+        return self._command
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Copy what the stack knows into the trace's record of this tick."""
+        state = self._state[0]
+        row = tick[0]
+        for name in FROM_STATE:
+            row[name] = state[name]
+        row["demanded_joint_velocity_radps"] = self._command[0]["joint_velocity_radps"]
+        row["decision"] = len(self._decisions) - 1 if self._decided_now else -1
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION."""
+        return np.concatenate([np.zeros(0, DECISION), *self._decisions])
+
+    def _decide(self, observation: NDArray[np.void]) -> None:
+        """Ask the avoider, let the gate rule, note everything down."""
+        state, o = self._state[0], observation[0]
+        query = Query(
+            hand_position_in_base_m=state["predicted_hand_in_base_m"][state["nearest_track"]].copy(),
+            tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
+            transform_tcp_to_base=state["transform_tcp_to_base"].copy(),
+            joint_position_rad=o["joint_position_rad"].copy(),
+            seed=seed(self._root_seed, Branch.DECISION, len(self._decisions)),
+        )
+        ruling = self._gate.rule(self._avoider, query)
+        self._answer["stop"] = ruling.outcome is Outcome.STOP
+        self._answer["position_in_base_m"] = ruling.chosen_position_in_base_m
+        self._decisions.append(self._record(query, ruling, float(o["time_s"])))
+
+    def _record(self, query: Query, ruling: Ruling, time_s: float) -> NDArray[np.void]:
+        """(1,) DECISION."""
+        record = np.zeros(1, DECISION)
+        record["tick"], record["time_s"] = self._ticks, time_s
+        record["trigger"] = self._state["trigger"]
+        record["seed"] = query.seed
+        record["hand_position_in_base_m"] = query.hand_position_in_base_m
+        record["tcp_position_in_base_m"] = query.tcp_position_in_base_m
+        record["joint_position_rad"] = query.joint_position_rad
+        record["proposed_position_in_base_m"] = ruling.proposed.position_in_base_m
+        record["proposed_spread_m"] = ruling.proposed.spread_m
+        record["opposite_position_in_base_m"] = ruling.opposite.position_in_base_m
+        record["chosen_position_in_base_m"] = ruling.chosen_position_in_base_m
+        record["outcome"] = ruling.outcome
+        record["proposed_failed"] = ruling.proposed_failed
+        record["opposite_failed"] = ruling.opposite_failed
+        return record

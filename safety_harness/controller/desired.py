@@ -1,0 +1,34 @@
+"""Where servoing wants to go: the desired TCP pose and what the camera sees there."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.geometry.transforms import inverse_transform, transform_from
+from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.servoing.control import DesiredView, desired_view
+from safety_harness.settings import Settings
+
+DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y right, z down
+
+
+def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
+    """(4, 4) the desired TCP pose: straight above the object, looking down."""
+    return transform_from(DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
+
+
+def view_of(settings: Settings) -> DesiredView:
+    """What the true camera sees of the object at the desired pose: the desired image is a real one."""
+    cell = settings.cell
+    turn = rotation_from_vector(np.array([0.0, 0.0, cell.object_yaw_rad]))
+    object_to_base = transform_from(turn, np.array(cell.object_position_in_base_m))
+    camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
+        settings.camera, calibrated=False
+    )
+    return desired_view(
+        np.array(cell.object_polygon_m),
+        inverse_transform(camera_to_base) @ object_to_base,
+        settings.servo.object_kind,
+    )

@@ -1,0 +1,150 @@
+"""Servoing gets there once the hands have left: gain switch reached, and converged.
+
+Both are judged against the closed form of eq. 1 with the right interaction matrix: the error
+decays as exp(-lambda t), so from an error d the threshold c takes ln(d/c)/lambda seconds.  A run
+that ends before the time allowed is no evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.geometry.rotations import vector_from_rotation
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace
+
+ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
+GRACE_S = 1.0  # for getting up to speed
+
+
+def left_at(trace: Trace) -> int | None:
+    """The tick from which on no true hand is within the critical distance of the TCP, else None."""
+    ticks = trace.ticks
+    tcp = ticks["transform_tcp_to_base"][:, None, :3, 3]  # (n, 1, 3)
+    apart = np.linalg.norm(ticks["hand_position_in_base_m"] - tcp, axis=2)  # (n, hands)
+    near = (ticks["hand_present"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)).any(axis=1)
+    busy = np.flatnonzero(near | (ticks["mode"] == Mode.REPULSING) | (ticks["mode"] == Mode.PROTECTIVE_STOP))
+    if len(busy) == 0:
+        return 0
+    first = int(busy[-1]) + 1
+    return first if first < len(ticks) else None
+
+
+def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
+    desired = desired_transform_tcp_to_base(trace.scenario.settings)
+    poses = trace.ticks["transform_tcp_to_base"]
+    position = np.linalg.norm(poses[:, :3, 3] - desired[:3, 3], axis=1)
+    turns = desired[:3, :3].T @ poses[:, :3, :3]
+    angle = np.array([np.linalg.norm(vector_from_rotation(np.ascontiguousarray(turn))) for turn in turns])
+    return position, angle
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainSwitchReached:
+    """Eq. 15 falls below the switch within the allowed time after the last hand has left.
+
+    Margin: time left when it does, or minus the time that had been overrun at the end of the run.
+    Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.
+    """
+
+    within_s: float | None = None
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the first crossing after the hands have left."""
+        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
+        if problem is not None:
+            return inconclusive(self, problem)
+        first = left_at(trace)
+        if first is None:
+            return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
+        servo = trace.scenario.settings.servo
+        sse = trace.ticks["sse"][first:]
+        seen = np.flatnonzero(np.isfinite(sse))
+        if len(seen) == 0:
+            return inconclusive(self, "the object is not seen after the hands have left")
+        allowed_s = self.within_s
+        if allowed_s is None:
+            ratio = max(float(sse[seen[0]]) / servo.gain_switch_sse, 1.0)
+            allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
+        start_s = float(trace.time_s[first])
+        below = np.flatnonzero(sse < servo.gain_switch_sse)  # a NaN is not below
+        if len(below):
+            took_s = float(trace.time_s[first + below[0]]) - start_s
+            reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
+        else:
+            took_s = float(trace.time_s[-1]) - start_s
+            if took_s <= allowed_s:
+                return inconclusive(
+                    self, f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
+                )
+            reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
+        return judged(
+            self,
+            trace,
+            margin=allowed_s - took_s,
+            worst_time_s=start_s + took_s,
+            reason=reason,
+            exercised=1,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converged:
+    """The TCP ends within 1 mm and 0.1 degree of the desired pose, judged by pose, not by features.
+
+    Margin: 1 mm less the distance at the end; where the angle is too large, minus the distance
+    that the excess angle means at the camera's desired depth.  A run shorter than the closed form
+    needs (both gains) is inconclusive unless it has converged already.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "converged to the desired pose"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the last tick."""
+        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
+        if problem is not None:
+            return inconclusive(self, problem)
+        first = left_at(trace)
+        if first is None:
+            return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
+        position, angle = pose_errors(trace)
+        needed_s = self._needed_s(trace, float(position[first]))
+        had_s = float(trace.time_s[-1] - trace.time_s[first])
+        margin = CONVERGED_POSITION_M - float(position[-1])
+        excess_rad = float(angle[-1]) - CONVERGED_ANGLE_RAD
+        if excess_rad > 0.0:
+            cell = trace.scenario.settings.cell
+            depth_m = cell.desired_tcp_position_in_base_m[2] - cell.object_position_in_base_m[2]
+            margin = min(margin, -excess_rad * depth_m)
+        if margin < 0.0 and had_s < needed_s:
+            return inconclusive(self, f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s")
+        return judged(
+            self,
+            trace,
+            margin=margin,
+            worst_time_s=float(trace.time_s[-1]),
+            reason=f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle[-1]):.3f} deg off",
+            exercised=1,
+        )
+
+    def _needed_s(self, trace: Trace, distance_m: float) -> float:
+        """Closed form from ``distance_m``: fast until the gain switch, slow from there to 1 mm."""
+        servo = trace.scenario.settings.servo
+        switch_m = float(np.sqrt(servo.gain_switch_sse))
+        far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
+        near_s = np.log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
+        return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)

@@ -1,0 +1,149 @@
+"""One self-contained HTML file about one or many runs."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.path_artists import MOST_NUMBERS
+from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.timeline import thinning, timeline
+from safety_harness.report.view import (
+    MOST_DECISION_ROWS,
+    ClaimRow,
+    DecisionRow,
+    LimitRow,
+    changes,
+    claim_rows,
+    decision_rows,
+    limit_rows,
+    mode_rows,
+    notes,
+    summarise,
+)
+
+PACKAGE = "safety_harness.report"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """Everything that the page shows about one run."""
+
+    id: str
+    run: JudgedRun
+    claims: list[ClaimRow]
+    views: tuple[Markup, ...]  # from above, from the side, both again close to the TCP
+    timeline: Markup
+    moment_time: str
+    moment_claim: int | None  # counted from 1
+    thinned: int
+    decisions: list[DecisionRow]
+    limits: list[LimitRow]
+    modes: list[LimitRow]
+    notes: list[str]
+    changes: list[tuple[str, str, str]]
+    text: str
+
+
+def write_report(
+    path: Path,
+    runs: Sequence[JudgedRun],
+    *,
+    title: str,
+    command: str,
+    interrupted: bool,
+    generated_at: datetime,
+) -> None:
+    """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
+
+    ``command`` is the command line that made the report; ``interrupted`` says that more runs were
+    planned than are here.  Folders that are missing are made.  Raises OSError.
+    """
+    page = render(runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with unfinished.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file:
+            file.write(page)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+    finally:
+        unfinished.unlink(missing_ok=True)
+
+
+def render(
+    runs: Sequence[JudgedRun], *, title: str, command: str, interrupted: bool, generated_at: datetime
+) -> str:
+    """The page as text; the same arguments give the same bytes."""
+    environment = Environment(
+        loader=PackageLoader(PACKAGE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    script = _asset("report.js")
+    return environment.get_template("report.html.j2").render(
+        title=title,
+        command=command,
+        generated=_date(generated_at),
+        generated_iso=generated_at.isoformat(),
+        summary=summarise(runs, interrupted=interrupted),
+        sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
+        most_decisions=MOST_DECISION_ROWS,
+        most_numbers=MOST_NUMBERS,
+        style=Markup(_asset("report.css")),
+        script=Markup(script),
+        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    )
+
+
+def _section(run: JudgedRun, number: int) -> Section:
+    section = f"run-{number}"
+    drawn = len(run.trace.ticks) > 0
+    moment = shown_moment(run)
+    return Section(
+        id=section,
+        run=run,
+        claims=claim_rows(run, section),
+        views=_views(run, f"{section}-") if drawn else (),
+        timeline=Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
+        moment_time=f"{moment.time_s:.2f} s" if moment else "",
+        moment_claim=moment.claim + 1 if moment and moment.claim is not None else None,
+        thinned=thinning(run.trace),
+        decisions=decision_rows(run.trace),
+        limits=limit_rows(run.trace),
+        modes=mode_rows(run.trace),
+        notes=notes(run),
+        changes=changes(run),
+        text=_scenario_text(run),
+    )
+
+
+def _views(run: JudgedRun, prefix: str) -> tuple[Markup, ...]:
+    views = path_views(run, prefix=prefix)
+    return tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close))
+
+
+def _scenario_text(run: JudgedRun) -> str:
+    return ""
+
+
+def _date(moment: datetime) -> str:
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
+
+
+def _asset(name: str) -> str:
+    return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")

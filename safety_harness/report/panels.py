@@ -1,0 +1,201 @@
+"""The curves of the time series, one function a panel; limits are drawn across them, with their names."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.report.decimate import keep_extremes
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.palette import HANDS, Ink
+from safety_harness.report.svg import plain
+from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps
+from safety_harness.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PANEL_PX = 882.0
+COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
+MM, DEGREES = 1e3, 180.0 / np.pi
+
+DASHES: tuple[Any, ...] = (
+    "solid",
+    (0, (6, 2)),
+    (0, (2, 1.5)),
+    (0, (7, 2, 1.5, 2)),
+    (0, (1, 1)),
+    (0, (9, 3, 2, 3, 2, 3)),
+)
+JOINTS = (
+    ("pan", Ink.TCP),
+    ("lift", Ink.HAND_1),
+    ("elbow", Ink.GREEN),
+    ("wrist 1", Ink.HAND_2),
+    ("wrist 2", Ink.PREDICTED),
+    ("wrist 3", Ink.SKY),
+)
+SUPERSCRIPT = str.maketrans(
+    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
+)
+LABEL_PX = 13.0  # the height of a limit's name
+
+Floats = NDArray[np.float64]
+Line = tuple[str, Floats, Ink, Any]  # name, (n,) values, colour, dash pattern
+
+
+def distance_panel(axes: Axes, run: JudgedRun) -> None:
+    """Hands to robot, surface to surface, and the predicted hand to the TCP, with their limits."""
+    trace = run.trace
+    lines: list[Line] = []
+    for hand, ink in enumerate(HANDS):
+        present = trace.ticks["hand_present"][:, hand]
+        if present.any():
+            values = np.where(present, trace.ticks["hand_distance_m"][:, hand], np.nan) * MM
+            hands = trace.scenario.hands
+            name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
+            lines.append((f"{plain(name, longest=22)} to robot", values, ink, DASHES[hand]))
+    lines.append(
+        ("predicted hand to TCP", trace.ticks["predicted_distance_m"] * MM, Ink.PREDICTED, (0, (2, 1.5)))
+    )
+    _panel(axes, trace, "Hand distance, mm", lines)
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.0), high)
+    limits = [("critical distance", trace.scenario.settings.avoidance.critical_distance_m * MM)]
+    for number, evaluation in enumerate(run.evaluations, start=1):
+        limit_m = claimed_hand_distance_m(evaluation)
+        if limit_m is not None:
+            limits.append((f"claim {number}", limit_m * MM))
+    _limit_lines(axes, limits)
+
+
+def length_error_panel(axes: Axes, trace: Trace) -> None:
+    """The errors of x_n, y_n and a_n."""
+    errors = _seen(trace, "feature_error") * MM
+    names = (("x\u2099", Ink.TCP), ("y\u2099", Ink.HAND_1), ("a\u2099", Ink.GREEN))
+    lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
+    _panel(axes, trace, "Feature errors, lengths, mm", lines, zero=True)
+
+
+def shape_error_panel(axes: Axes, trace: Trace) -> None:
+    """The errors of gamma, delta and alpha."""
+    errors = _seen(trace, "feature_error")
+    names = (("\u03b3", Ink.HAND_2), ("\u03b4", Ink.PREDICTED), ("\u03b1", Ink.SKY))
+    lines = [(name, errors[:, 3 + i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
+    _panel(axes, trace, "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)", lines, zero=True)
+
+
+def sse_panel(axes: Axes, trace: Trace) -> None:
+    """|f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
+    sse = _seen(trace, "sse")
+    positive = np.where(sse > 0.0, sse, np.nan)
+    if np.isfinite(positive).any():
+        axes.set_yscale("log")
+    _panel(axes, trace, "Squared image error |f \u2212 f*|\u00b2", [("sse", positive, Ink.TCP, "solid")])
+    if axes.get_yscale() == "log":
+        from matplotlib.ticker import LogLocator, NullLocator
+
+        axes.yaxis.set_major_locator(LogLocator(numticks=4))
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(
+            lambda value, _: "10" + str(round(np.log10(value))).translate(SUPERSCRIPT)
+        )
+    switch = trace.scenario.settings.servo.gain_switch_sse
+    _limit_lines(axes, [("gain switch", switch)])
+
+
+def speed_panel(axes: Axes, run: JudgedRun) -> None:
+    """The TCP's speed with its limits."""
+    trace = run.trace
+    _panel(
+        axes,
+        trace,
+        "TCP speed, mm/s",
+        [("TCP", trace.ticks["tcp_speed_mps"] * MM, Ink.TCP, "solid")],
+        zero=True,
+    )
+    limits = [("speed limit", trace.scenario.settings.motion.max_tcp_speed_mps * MM)]
+    for number, evaluation in enumerate(run.evaluations, start=1):
+        claimed_mps = claimed_tcp_speed_mps(evaluation)
+        if claimed_mps is not None:
+            limits.append((f"claim {number}", claimed_mps * MM))
+    _limit_lines(axes, limits)
+
+
+def joint_panel(axes: Axes, trace: Trace) -> None:
+    """The six joint angles."""
+    angles = trace.ticks["joint_position_rad"] * DEGREES
+    lines = [(name, angles[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(JOINTS)]
+    _panel(axes, trace, "Joint angles, deg", lines)
+
+
+def _seen(trace: Trace, name: str) -> Floats:
+    """A field of the image where the object was in view; NaN elsewhere."""
+    visible = trace.ticks["object_visible"]
+    values: Floats = trace.ticks[name]
+    return np.where(visible.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
+
+def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
+    """Title to the left, a key to the right, the curves below."""
+    axes.grid(True)
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", pad=8)
+    if zero:
+        axes.axhline(0.0, color=Ink.MUTED.sentinel, linewidth=0.8)
+    handles = []
+    for name, values, ink, dash in lines:
+        times, kept = keep_extremes(trace.time_s, values, COLUMNS)
+        (handle,) = axes.plot(times, kept, color=ink.sentinel, linewidth=1.5, linestyle=dash)
+        if len(lines) > 1:
+            handles.append((handle, name))
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=5)
+    if handles:
+        legend = axes.legend(
+            [handle for handle, _ in handles],
+            [""] * len(handles),
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            frameon=False,
+            borderaxespad=0.0,
+            borderpad=0.1,
+            handlelength=2.6,
+            columnspacing=1.6,
+            handletextpad=0.5,
+        )
+        for text, (_, name) in zip(legend.get_texts(), handles, strict=True):
+            text.set_text(name)  # not given as a label: a leading underscore would hide it
+
+
+def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
+    """Horizontal limits (name, value), named at their right ends; the view grows to hold them.
+
+    Limits of one value share a line and a label; labels that would cover another stand further left.
+    """
+    named: dict[float, list[str]] = {}
+    for name, value in limits:
+        named.setdefault(round(value, 9), []).append(name)
+    for value in named:
+        axes.axhline(value, color=Ink.LIMIT.sentinel, linewidth=1.2, linestyle=(0, (4, 3)))
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, value), max(high, value))
+    used: list[tuple[float, float]] = []  # (height in pixels, place along the axis)
+    for value, names in named.items():
+        height = float(axes.transData.transform((0.0, value))[1])
+        right = 1.0
+        while any(abs(height - other) < LABEL_PX and right == place for other, place in used):
+            right -= 0.25
+        used.append((height, right))
+        axes.annotate(
+            f"{' and '.join(names)}: {value:g}",
+            (right, value),
+            xycoords=("axes fraction", "data"),
+            xytext=(-4, 3),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=10,
+        )

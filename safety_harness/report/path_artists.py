@@ -1,0 +1,272 @@
+"""What can be drawn into a view of the paths: the cell, the arm, hands, the TCP, decisions.
+
+Every function draws base x to the right and base ``axis`` (1: y, 2: z) upwards, in millimetres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.report.decimate import keep_extremes
+from safety_harness.report.palette import HANDS, Ink
+from safety_harness.report.words import with_minus
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.settings import Cell
+from safety_harness.trace.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLUMNS = 400
+SMALLEST_CLOSE_UP_MM = 60.0  # half its side; an arm that hardly moves is not blown up further
+MOST_NUMBERS = 12  # decisions that are numbered in a view; more would hide the paths
+MM = 1e3
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The instant at which hands, forearms and the arm are drawn in full."""
+
+    tick: int
+    time_s: float
+    claim: int | None  # index of the claim whose worst moment it is
+
+
+def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
+    """The two corners (3,) [mm] of the box that holds all of the TCP's path and every decision."""
+    points = np.vstack(
+        [
+            trace.ticks["transform_tcp_to_base"][:, :3, 3],
+            trace.decisions["chosen_position_in_base_m"],
+            np.array([trace.scenario.settings.cell.desired_tcp_position_in_base_m]),
+        ]
+    )
+    points = points[np.isfinite(points).all(axis=1)] * MM
+    low, high = points.min(axis=0), points.max(axis=0)
+    half = np.maximum(0.58 * (high - low), SMALLEST_CLOSE_UP_MM)
+    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+
+
+def name_table(axes: Axes, cell: Cell) -> None:
+    """The height of the table's surface, written below it."""
+    axes.annotate(
+        with_minus(f"table, z = {cell.table_height_m * MM:.0f}"),
+        (1.0, cell.table_height_m * MM),
+        xycoords=("axes fraction", "data"),
+        xytext=(0, -4),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        color=Ink.MUTED.sentinel,
+    )
+
+
+def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
+    """What part of the whole view the close-up shows."""
+    low, high = close_up_mm(trace)
+    axes.plot(
+        np.array([low[0], high[0], high[0], low[0], low[0]]),
+        np.array([low[axis], low[axis], high[axis], high[axis], low[axis]]),
+        color=Ink.MUTED.sentinel,
+        linewidth=0.8,
+        zorder=3,
+    )
+
+
+def draw_cell(axes: Axes, cell: Cell, axis: int) -> None:
+    """Object, desired TCP and, from the side, the table's edge."""
+    c, s = np.cos(cell.object_yaw_rad), np.sin(cell.object_yaw_rad)
+    corners = np.zeros((len(cell.object_polygon_m), 3))
+    corners[:, :2] = np.array(cell.object_polygon_m) @ np.array([[c, s], [-s, c]])
+    corners = (corners + cell.object_position_in_base_m) * MM
+    axes.fill(corners[:, 0], corners[:, axis], facecolor=Ink.OBJECT.sentinel, alpha=0.18, zorder=2)
+    outline = np.vstack([corners, corners[:1]])
+    axes.plot(outline[:, 0], outline[:, axis], color=Ink.OBJECT.sentinel, linewidth=2.0, zorder=2)
+    desired = np.array(cell.desired_tcp_position_in_base_m) * MM
+    axes.plot(
+        desired[0],
+        desired[axis],
+        marker="+",
+        markersize=15,
+        markeredgewidth=1.6,
+        color=Ink.TEXT.sentinel,
+        zorder=6,
+    )
+    if axis == 2:
+        axes.axhline(cell.table_height_m * MM, color=Ink.TEXT.sentinel, linewidth=1.6, zorder=1.5)
+
+
+def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
+    """The arm as straight lines between its link frames."""
+    arm = load_arm()
+    joints = np.ascontiguousarray(trace.ticks["joint_position_rad"][moment.tick])
+    if not np.all(np.isfinite(joints)):
+        return
+    transforms = np.empty((FRAMES, 4, 4))
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints, transforms)
+    points = transforms[:, :3, 3] * MM  # (8, 3)
+    axes.plot(
+        points[:, 0],
+        points[:, axis],
+        color=Ink.ARM.sentinel,
+        linewidth=7,
+        solid_joinstyle="round",
+        zorder=1.2,
+    )
+    axes.plot(
+        points[:, 0],
+        points[:, axis],
+        linestyle="none",
+        marker="o",
+        markersize=4,
+        markerfacecolor=Ink.PAPER.sentinel,
+        markeredgecolor=Ink.MUTED.sentinel,
+        markeredgewidth=0.8,
+        zorder=1.3,
+    )
+
+
+def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
+    """The outline of each forearm's capsule at the moment."""
+    size = trace.scenario.settings.hand
+    tick = trace.ticks[moment.tick]
+    for hand in np.flatnonzero(tick["hand_present"]):
+        start, elbow = tick["hand_position_in_base_m"][hand], tick["elbow_position_in_base_m"][hand]
+        if not (np.isfinite(start).all() and np.isfinite(elbow).all()) or np.array_equal(start, elbow):
+            continue
+        length = float(np.linalg.norm(elbow - start))
+        end = start + (elbow - start) * min(1.0, size.forearm_length_m / length)
+        outline = capsule_outline(start[[0, axis]], end[[0, axis]], size.forearm_radius_m) * MM
+        axes.fill(
+            outline[:, 0],
+            outline[:, 1],
+            facecolor=HANDS[hand].sentinel,
+            edgecolor="none",
+            alpha=0.16,
+            zorder=1.6,
+        )
+
+
+def capsule_outline(start: Floats, end: Floats, radius: float) -> Floats:
+    """The outline (k, 2) of all points within ``radius`` of the segment; a disc when it has no length."""
+    along = end - start
+    heading = float(np.arctan2(along[1], along[0]))
+    turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 17) + heading
+    back = start + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    front = end + radius * np.column_stack([np.cos(turn + np.pi), np.sin(turn + np.pi)])
+    return np.vstack([back, front])
+
+
+def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
+    """The way of each hand's centre, and its sphere at the moment."""
+    from matplotlib.patches import Circle
+
+    radius_mm = trace.scenario.settings.hand.radius_m * MM
+    for hand, ink in enumerate(HANDS):
+        present = trace.ticks["hand_present"][:, hand]
+        if not present.any():
+            continue
+        path = np.where(present[:, None], trace.ticks["hand_position_in_base_m"][:, hand], np.nan) * MM
+        _draw_path(axes, path[:, 0], path[:, axis], ink, dashed=hand == 1)
+        seen = path[np.flatnonzero(present)]
+        _draw_ends(axes, seen[0], seen[-1], axis, ink)
+        if moment is not None and present[moment.tick]:
+            centre = path[moment.tick]
+            if np.all(np.isfinite(centre)):
+                axes.add_patch(
+                    Circle(
+                        (centre[0], centre[axis]),
+                        radius_mm,
+                        facecolor="none",
+                        edgecolor=ink.sentinel,
+                        linewidth=1.8,
+                        zorder=5,
+                    )
+                )
+
+
+def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
+    """The way of the TCP, and where it is at the moment."""
+    path = trace.ticks["transform_tcp_to_base"][:, :3, 3] * MM
+    _draw_path(axes, path[:, 0], path[:, axis], Ink.TCP, dashed=False)
+    _draw_ends(axes, path[0], path[-1], axis, Ink.TCP)
+    if moment is not None:
+        axes.plot(
+            path[moment.tick, 0],
+            path[moment.tick, axis],
+            marker="x",
+            markersize=9,
+            markeredgewidth=2,
+            color=Ink.TCP.sentinel,
+            zorder=7,
+        )
+
+
+def _draw_path(axes: Axes, x_mm: Floats, y_mm: Floats, ink: Ink, *, dashed: bool) -> None:
+    """A path, thinned so that the extremes of both coordinates survive."""
+    order = np.arange(len(x_mm), dtype=np.float64)
+    kept = np.union1d(keep_extremes(order, x_mm, COLUMNS)[0], keep_extremes(order, y_mm, COLUMNS)[0])
+    index = kept.astype(np.int64)
+    style = (0, (5, 2)) if dashed else "solid"
+    axes.plot(x_mm[index], y_mm[index], color=ink.sentinel, linewidth=1.6, linestyle=style, zorder=4)
+
+
+def _draw_ends(axes: Axes, first: Floats, last: Floats, axis: int, ink: Ink) -> None:
+    """A ring where a path starts, a square where it ends."""
+    for point, marker, fill in ((first, "o", Ink.PAPER), (last, "s", ink)):
+        axes.plot(
+            point[0],
+            point[axis],
+            marker=marker,
+            markersize=6.5,
+            markerfacecolor=fill.sentinel,
+            markeredgecolor=ink.sentinel,
+            markeredgewidth=1.6,
+            zorder=5.5,
+        )
+
+
+def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
+    """From where the TCP stood at each decision to the repulsive position that was chosen."""
+    decisions = trace.decisions
+    asked = decisions["tcp_position_in_base_m"] * MM
+    chosen = decisions["chosen_position_in_base_m"] * MM
+    ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
+    axes.plot(
+        ways[:, 0],
+        ways[:, axis],
+        color=Ink.CHOSEN.sentinel,
+        linewidth=1.0,
+        linestyle=(0, (1, 2)),
+        zorder=3,
+    )
+    for points, marker, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
+        axes.plot(
+            points[:, 0],
+            points[:, axis],
+            linestyle="none",
+            marker=marker,
+            markersize=7,
+            color=ink.sentinel,
+            markeredgecolor=Ink.PAPER.sentinel,
+            markeredgewidth=0.8,
+            zorder=6,
+        )
+    if len(decisions) > MOST_NUMBERS:
+        return
+    for number, point in enumerate(asked, start=1):
+        if np.all(np.isfinite(point)):
+            axes.annotate(
+                str(number),
+                (float(point[0]), float(point[axis])),
+                xytext=(5, 4),
+                textcoords="offset points",
+                zorder=8,
+            )

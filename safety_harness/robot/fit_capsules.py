@@ -1,0 +1,312 @@
+"""Fit capsules to the meshes of an arm: ``python -m safety_harness.robot.fit_capsules ur10``.
+
+A development tool: it needs scipy and trimesh (the ``test`` extra).  Each link's surface, of its
+collision and its visual mesh, is cut into pieces of at most ``PIECE_M``.  Every piece belongs
+to one capsule that holds it wholly (a capsule is convex, so its three corners suffice); hence
+the capsules together hold every triangle.  As in Lloyd's algorithm, pieces go to the capsule
+that they fit best, then each capsule is shrunk about its pieces to least volume; the best of
+several random starts, judged by the volume of the union, is kept.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.optimize import minimize  # type: ignore[import-untyped]
+from scipy.spatial import ConvexHull, cKDTree  # type: ignore[import-untyped]
+
+from safety_harness.compiled import compiled
+from safety_harness.geometry.segments import point_segment_distance
+from safety_harness.robot.capsules import capsule_file, load_capsules
+from safety_harness.robot.description import LinkMeshes, mesh_paths
+
+PIECE_M = 0.025
+GRID_M = 0.006
+STARTS = 30
+ROUNDS = 15
+MOST_CAPSULES = 4
+WORTH = 0.10  # one more capsule must take this share off the volume of the union
+DECIMALS = 4  # 0.1 mm
+
+Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, radius
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The triangles of a link in its frame: ``faces`` (n, 3) index ``vertices`` (v, 3) [m]."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Centres of the triangles (n, 3) [m]."""
+        centres: NDArray[np.float64] = self.vertices[self.faces].mean(axis=1)
+        return centres
+
+    @property
+    def areas(self) -> NDArray[np.float64]:
+        """Areas of the triangles (n,) [m^2]."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        areas: NDArray[np.float64] = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return areas
+
+    def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """The vertices (k, 3) of the ``chosen`` (n,) triangles, each once."""
+        return self.vertices[np.unique(self.faces[chosen])]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The capsules of one link, and the volume [m^3] of their union."""
+
+    capsules: list[Capsule]
+    volume_m3: float
+
+
+def link_surface(link: LinkMeshes, longest_m: float) -> Surface:
+    """Both meshes of a link, cut until no edge is longer than ``longest_m``."""
+    vertices, faces, count = [], [], 0
+    for part in (link.collision, link.visual):
+        mesh = trimesh.load_mesh(part.file)
+        cut = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest_m)  # type: ignore[no-untyped-call]
+        points, triangles = cut[0], cut[1]
+        turn, shift = part.transform_mesh_to_link[:3, :3], part.transform_mesh_to_link[:3, 3]
+        vertices.append(points @ turn.T + shift)
+        faces.append(triangles + count)
+        count += len(points)
+    unique, index = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
+    return Surface(unique, index[np.concatenate(faces)].astype(np.int64))
+
+
+@compiled
+def farthest(points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+    """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all."""
+    largest = 0.0
+    for i in range(points.shape[0]):
+        largest = max(largest, point_segment_distance(points[i], start, end))
+    return largest
+
+
+@compiled
+def assign(
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int64],
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    owner_out: NDArray[np.int64],
+) -> None:
+    """Give every triangle (n, 3) to the capsule in which its outermost corner lies deepest."""
+    for i in range(faces.shape[0]):
+        least = np.inf
+        for j in range(radii.shape[0]):
+            out = -np.inf
+            for k in range(3):
+                out = max(out, point_segment_distance(vertices[faces[i, k]], starts[j], ends[j]) - radii[j])
+            if out < least:
+                least = out
+                owner_out[i] = j
+
+
+@compiled
+def count_inside(
+    points: NDArray[np.float64],
+    starts: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    radii: NDArray[np.float64],
+) -> int:
+    """How many of ``points`` (n, 3) lie in any capsule."""
+    inside = 0
+    for i in range(points.shape[0]):
+        for j in range(radii.shape[0]):
+            if point_segment_distance(points[i], starts[j], ends[j]) <= radii[j]:
+                inside += 1
+                break
+    return inside
+
+
+def smallest_capsule(points: NDArray[np.float64], start: Capsule | None) -> Capsule:
+    """A capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
+    hull = points[ConvexHull(points).vertices]
+
+    def volume(ends: NDArray[np.float64]) -> float:
+        radius = farthest(hull, ends[:3], ends[3:])
+        return float(np.pi * radius**2 * (np.linalg.norm(ends[3:] - ends[:3]) + 4.0 / 3.0 * radius)) * 1e6
+
+    best = None
+    for guess in [np.concatenate(start[:2])] if start is not None else _axis_guesses(hull):
+        simplex = np.vstack((guess, guess + 0.01 * np.eye(6)))
+        for _ in range(1 if start is not None else 2):
+            options = {"initial_simplex": simplex, "maxiter": 600, "xatol": 1e-6, "fatol": 1e-5}
+            answer = minimize(volume, guess, method="Nelder-Mead", options=options)
+            simplex = np.vstack((answer.x, answer.x + 0.003 * np.eye(6)))
+        if best is None or answer.fun < best.fun:
+            best = answer
+    assert best is not None
+    return best.x[:3], best.x[3:], farthest(hull, best.x[:3], best.x[3:])
+
+
+def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    centre = hull.mean(axis=0)
+    guesses = []
+    for axis in np.linalg.eigh(np.cov((hull - centre).T))[1].T:
+        along = (hull - centre) @ axis
+        middle, quarter = (along.max() + along.min()) / 2.0, (along.max() - along.min()) / 4.0
+        guesses.append(
+            np.concatenate((centre + (middle - quarter) * axis, centre + (middle + quarter) * axis))
+        )
+    return guesses
+
+
+def fit_link(surface: Surface, count: int, rng: np.random.Generator) -> Fit:
+    """The best of several fits of ``count`` capsules that together hold every triangle."""
+    centres = surface.centres
+    low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
+    axes = [np.arange(low[i], high[i], GRID_M) for i in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    best = None
+    for _ in range(STARTS if count > 1 else 1):
+        seeds = centres[rng.choice(len(centres), count, replace=False, p=surface.areas / surface.areas.sum())]
+        owner = np.argmin(((centres[:, None] - seeds) ** 2).sum(axis=2), axis=1)
+        capsules = _improve(surface, owner, count)
+        if capsules is None:
+            continue
+        volume = count_inside(grid, *_stacked(capsules)) * GRID_M**3
+        if best is None or volume < best.volume_m3:
+            best = Fit(capsules, volume)
+    if best is None:
+        raise RuntimeError(f"no start led to {count} capsules")
+    return best
+
+
+def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
+    """Shrink capsules and hand over triangles by turns; None if a capsule is left with nothing."""
+    capsules: list[Capsule] = []
+    for _ in range(ROUNDS):
+        groups = [surface.corners(owner == j) for j in range(count)]
+        if min(len(group) for group in groups) < 12:
+            return None
+        starts: Sequence[Capsule | None] = capsules or [None] * count
+        capsules = [smallest_capsule(group, start) for group, start in zip(groups, starts, strict=True)]
+        previous = owner.copy()
+        assign(surface.vertices, surface.faces, *_stacked(capsules), owner)
+        if (owner == previous).mean() > 0.999:
+            break
+    return capsules
+
+
+def _stacked(capsules: list[Capsule]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    starts, ends, radii = zip(*capsules, strict=True)
+    return np.array(starts), np.array(ends), np.array(radii)
+
+
+def rounded(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
+    """Ends rounded to 0.1 mm, then each radius just enough for its own triangles, rounded up."""
+    owner = np.zeros(len(surface.faces), dtype=np.int64)
+    assign(surface.vertices, surface.faces, *_stacked(capsules), owner)
+    result = []
+    for j, (start, end, _) in enumerate(capsules):
+        a, b = np.round(start, DECIMALS) + 0.0, np.round(end, DECIMALS) + 0.0
+        radius = farthest(surface.corners(owner == j), a, b)
+        result.append((a, b, float(np.round(np.ceil(radius * 10**DECIMALS + 1e-6) / 10**DECIMALS, DECIMALS))))
+    return result
+
+
+def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) -> tuple[float, float]:
+    """Largest and mean distance [m] from the union's surface to the link's surface, by sampling."""
+    samples = []
+    for j, (start, end, radius) in enumerate(capsules):
+        axis = end - start
+        length = float(np.linalg.norm(axis))
+        caps = rng.normal(size=(4000, 3))
+        caps /= np.linalg.norm(caps, axis=1, keepdims=True)
+        tube = rng.normal(size=(int(4000 * length / (2.0 * radius)), 3))
+        tube -= np.outer(tube @ axis, axis) / length**2 if length > 0.0 else 0.0
+        tube /= np.linalg.norm(tube, axis=1, keepdims=True)
+        points = np.vstack(
+            (
+                np.where((caps @ axis > 0.0)[:, None], end, start) + radius * caps,
+                start + rng.random((len(tube), 1)) * axis + radius * tube,
+            )
+        )
+        others = [other for i, other in enumerate(capsules) if i != j]
+        free = [all(point_segment_distance(p, a, b) > r for a, b, r in others) for p in points]
+        samples.append(points[free])
+    distance = cKDTree(surface.centres).query(np.vstack(samples))[0]
+    return float(distance.max()), float(distance.mean())
+
+
+def fit_arm(name: str, rng: np.random.Generator) -> list[tuple[LinkMeshes, list[Capsule]]]:
+    """For each link the capsules of the largest number that is worth it."""
+    result = []
+    for link in mesh_paths(name):
+        surface = link_surface(link, PIECE_M)
+        fit = fit_link(surface, 1, rng)
+        for count in range(2, MOST_CAPSULES + 1):
+            finer = fit_link(surface, count, rng)
+            if finer.volume_m3 > (1.0 - WORTH) * fit.volume_m3:
+                break
+            fit = finer
+        result.append((link, rounded(surface, fit.capsules)))
+    return result
+
+
+def table(name: str, frames: list[tuple[LinkMeshes, list[Capsule]]]) -> str:
+    """How far the capsules stand out over the meshes, link by link, as text."""
+    rng = np.random.default_rng(0)
+    lines = [f"{name}: capsules over meshes", f"{'link':<16}{'capsules':>9}{'max mm':>9}{'mean mm':>9}"]
+    for link, capsules in frames:
+        largest, mean = excess(capsules, link_surface(link, 0.004), rng)
+        lines.append(f"{link.link:<16}{len(capsules):>9}{1e3 * largest:>9.1f}{1e3 * mean:>9.1f}")
+    return "\n".join(lines) + "\n"
+
+
+def stored(name: str) -> list[tuple[LinkMeshes, list[Capsule]]]:
+    """The capsules on file, link by link."""
+    capsules = load_capsules(name)
+    rows = list(zip(capsules.start_in_link, capsules.end_in_link, capsules.radius_m.tolist(), strict=True))
+    return [
+        (link, [row for row, index in zip(rows, capsules.link_index, strict=True) if index == link.index])
+        for link in mesh_paths(name)
+    ]
+
+
+def write(name: str, frames: list[tuple[LinkMeshes, list[Capsule]]]) -> None:
+    """Write the capsules of an arm where ``load_capsules`` looks for them."""
+    entries = [
+        {
+            "name": link.link.removesuffix("_link") + (f"_{i}" if len(capsules) > 1 else ""),
+            "link": link.link,
+            "start_in_link_m": start.tolist(),
+            "end_in_link_m": end.tolist(),
+            "radius_m": radius,
+        }
+        for link, capsules in frames
+        for i, (start, end, radius) in enumerate(capsules, start=1)
+    ]
+    text = json.dumps({"arm": name, "capsules": entries}, indent=1)
+    capsule_file(name).write_text(text + "\n", encoding="utf-8")
+
+
+def main() -> None:
+    """Fit and write, or with ``--report`` only print the table of what is on file."""
+    parser = argparse.ArgumentParser(description="Fit capsules to the meshes of an arm.")
+    parser.add_argument("arm", help="ur3, ur5 or ur10")
+    parser.add_argument("--report", action="store_true", help="fit nothing; print the table of the file")
+    arguments = parser.parse_args()
+    if not arguments.report:
+        write(arguments.arm, fit_arm(arguments.arm, np.random.default_rng(0)))
+        load_capsules.cache_clear()
+    sys.stdout.write(table(arguments.arm, stored(arguments.arm)))
+
+
+if __name__ == "__main__":
+    main()

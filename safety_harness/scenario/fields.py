@@ -1,0 +1,198 @@
+"""Typed reading of one value at a time: a ``Field`` is a node that knows where it stands.
+
+Every method either returns a checked value or raises ScenarioError with file, line, field, what
+was expected and what came.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TypeVar
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
+from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
+from safety_harness.settings import Vector3
+
+E = TypeVar("E", bound=Enum)
+
+_INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
+_LONGEST_SENTENCE = 200  # characters; YAML allows a key of 1,024 bytes
+
+
+@dataclass(frozen=True)
+class Field:
+    """One value of a scenario file.  ``path`` is what a message calls it: ``hands[0].starts at``."""
+
+    node: Node
+    file: Path | None
+    path: str
+    line: int
+
+    @property
+    def place(self) -> Place:
+        """For errors, here and after reading."""
+        return Place(file=self.file, line=self.line, field=self.path or None)
+
+    def error(self, expected: str, *, got: str | None = None, hint: str = "") -> ScenarioError:
+        """The error to raise when this value is not what was expected."""
+        return ScenarioError(
+            place=self.place, expected=expected, got=got if got is not None else self.got(), hint=hint
+        )
+
+    def got(self) -> str:
+        """What came, in the words of a message."""
+        if isinstance(self.node, Scalar):
+            return shown(self.node.text)
+        count = len(self.node.items if isinstance(self.node, Sequence) else self.node.entries)
+        kind = "list" if isinstance(self.node, Sequence) else "mapping"
+        return f"an empty {kind}" if count == 0 else f"a {kind} of {count}"
+
+    def scalar(self, expected: str) -> str:
+        """The text of a single value."""
+        if not isinstance(self.node, Scalar):
+            raise self.error(expected)
+        return self.node.text
+
+    def quantity(
+        self,
+        dimension: Dimension,
+        *,
+        above: float | None = None,
+        least: float | None = None,
+        most: float | None = None,
+    ) -> float:
+        """A quantity in SI, within the bounds given."""
+        value = parse_quantity(self.scalar(dimension.expected), dimension, self.place)
+        bounds = (
+            ("above", above, above is None or value > above),
+            ("at least", least, least is None or value >= least),
+            ("at most", most, most is None or value <= most),
+        )
+        if not all(kept for _, _, kept in bounds):
+            wanted = " and ".join(f"{word} {bound:g}" for word, bound, _ in bounds if bound is not None)
+            raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
+        return value
+
+    def integer(self, *, least: int, most: int) -> int:
+        """A whole number without a unit."""
+        expected = f"a whole number from {least} to {most}"
+        text = self.scalar(expected).strip()
+        if not _INTEGER.fullmatch(text) or not least <= int(text) <= most:
+            raise self.error(expected)
+        return int(text)
+
+    def vector(self, dimension: Dimension, *, largest: float | None = None) -> Vector3:
+        """Three quantities; none larger than ``largest`` either way."""
+        x, y, z = (
+            item.quantity(dimension, least=None if largest is None else -largest, most=largest)
+            for item in self.items(f"a list of three, each {dimension.expected}", count=3)
+        )
+        return x, y, z
+
+    def choice(self, choices: type[E]) -> E:
+        """One of the values of an enumeration."""
+        names = [str(member.value) for member in choices]
+        expected = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+        text = self.scalar(expected)
+        if text not in names:
+            raise self.error(expected, hint=near_miss(text, names))
+        return choices(text)
+
+    def sentence(self, expected: str) -> str:
+        """A text that is looked up elsewhere, or a name: one line of printable characters."""
+        text = self.scalar(expected)
+        if not text.strip() or not text.isprintable() or len(text) > _LONGEST_SENTENCE:
+            raise self.error(f"{expected}: one line of 1 to {_LONGEST_SENTENCE} printable characters")
+        return text
+
+    def prose(self, expected: str, *, lines: bool = False) -> str:
+        """A text for people, in any script, without control characters; one line unless ``lines``."""
+        text = self.scalar(expected)
+        for character in text:
+            category = unicodedata.category(character)
+            if category in ("Cc", "Cs", "Zl", "Zp") and not (lines and character == "\n"):
+                raise self.error(expected, got=f"a text with the character U+{ord(character):04X}")
+        return text
+
+    def items(
+        self, expected: str, *, count: int | None = None, least: int = 0, most: int | None = None
+    ) -> tuple[Field, ...]:
+        """The members of a list: exactly ``count`` of them, or from ``least`` to ``most``."""
+        if not isinstance(self.node, Sequence):
+            raise self.error(expected)
+        length = len(self.node.items)
+        if (count is not None and length != count) or length < least or (most is not None and length > most):
+            raise self.error(expected)
+        return tuple(
+            Field(node, self.file, f"{self.path}[{index}]", node.line)
+            for index, node in enumerate(self.node.items)
+        )
+
+    def entries(self, expected: str) -> tuple[tuple[str, Field], ...]:
+        """The keys and values of a mapping whose keys are free."""
+        if not isinstance(self.node, Mapping):
+            raise self.error(expected)
+        return tuple(
+            (key.text, Field(node, self.file, join(self.path, key.text), key.line))
+            for key, node in self.node.entries
+        )
+
+    def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
+        """The values of a mapping whose keys are among ``allowed``.
+
+        ``hints`` says for keys that people will try here what to write instead.
+        """
+        entries = self.entries(f"a mapping with the keys {', '.join(allowed)}")
+        for key, field in entries:
+            if key not in allowed:
+                hint = (hints or {}).get(key) or near_miss(key, allowed)
+                raise field.error(
+                    f"one of the keys {', '.join(allowed)}", got=f'the key "{shown(key)}"', hint=hint
+                )
+        return Fields(self, dict(entries))
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The values of a mapping by their keys."""
+
+    whole: Field
+    by_key: dict[str, Field]
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.by_key
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.by_key)
+
+    def required(self, key: str) -> Field:
+        """The value of ``key``; ScenarioError when it is missing."""
+        if key not in self.by_key:
+            present = ", ".join(map(shown, self.by_key))
+            place = Place(file=self.whole.file, line=self.whole.line, field=join(self.whole.path, key))
+            got = f"only {present}" if present else "nothing"
+            raise ScenarioError(place=place, expected=f'the key "{key}"', got=got)
+        return self.by_key[key]
+
+    def optional(self, key: str) -> Field | None:
+        """The value of ``key``, or None."""
+        return self.by_key.get(key)
+
+
+def places(field: Field) -> dict[str, Place]:
+    """The place of ``field`` and of everything below it, by path."""
+    found = {field.path: field.place} if field.path else {}
+    below: tuple[Field, ...] = ()
+    if isinstance(field.node, Sequence):
+        below = field.items("a list")
+    elif isinstance(field.node, Mapping):
+        below = tuple(child for _, child in field.entries("a mapping"))
+    for child in below:
+        found.update(places(child))
+    return found

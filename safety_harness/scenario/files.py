@@ -1,0 +1,36 @@
+"""Bytes and text from files that a stranger may have written: bounded, and errors with a place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safety_harness.exceptions import InputError, Place
+
+
+def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) -> bytes:
+    """The first ``most`` + 1 bytes of a regular file, so that ``decode`` sees whether there are more.
+
+    ``error`` at ``place`` when there is no such file; devices and pipes, which may never end, are none.
+    """
+    try:
+        if path.is_file():
+            with path.open("rb") as stream:
+                return stream.read(most + 1)
+        problem = f"no such file: {path}" if not path.exists() else f"{path}, which is not a regular file"
+    except OSError as reason:
+        problem = f"{path}: {reason.strerror}"
+    raise error(place=place, expected="a file that can be read", got=problem)
+
+
+def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:
+    """``data`` as UTF-8; ``error`` when it is larger than ``most`` bytes or not UTF-8."""
+    if len(data) > most:
+        raise error(place=Place(file=file), expected=f"at most {most:,} bytes", got="more")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as reason:
+        raise error(
+            place=Place(file=file, line=data.count(b"\n", 0, reason.start) + 1),
+            expected="text in UTF-8",
+            got=f"the byte 0x{data[reason.start]:02x}, which is not UTF-8 here",
+        ) from reason

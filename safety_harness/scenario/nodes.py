@@ -1,0 +1,173 @@
+"""The text of a scenario file as a tree that knows on which line each of its parts stands.
+
+YAML 1.2 is read down to its events and no further: no value is constructed, no tag is obeyed,
+nothing is expanded or executed.  What the small language does not need (tags, anchors and
+aliases, several documents, tabs, deep nesting) is refused by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    CollectionStartEvent,
+    DocumentStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+from ruamel.yaml.reader import ReaderError
+
+from safety_harness.exceptions import Place, ScenarioError
+
+_MAX_DEPTH = 16  # the language itself needs six
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A single value: its text, with quotes and folding undone."""
+
+    text: str
+    line: int
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A list."""
+
+    items: tuple[Node, ...]
+    line: int
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Keys and values in the order of the file; duplicate keys were refused."""
+
+    entries: tuple[tuple[Scalar, Node], ...]
+    line: int
+
+
+Node = Scalar | Sequence | Mapping
+
+
+def parse_tree(text: str, file: Path | None) -> Node:
+    """The tree of a YAML text with exactly one document; ScenarioError for anything else."""
+    if "\t" in text:
+        raise ScenarioError(
+            place=Place(file=file, line=text.count("\n", 0, text.index("\t")) + 1),
+            expected="spaces",
+            got="a tab",
+            hint="a scenario file has no tabs, neither to indent nor within a line",
+        )
+    events = _events(text, file)
+    documents = 0
+    root: Node | None = None
+    for event in events:
+        if isinstance(event, DocumentStartEvent):
+            documents += 1
+            if documents > 1:
+                raise ScenarioError(
+                    place=Place(file=file, line=_line(event)), expected="one document", got="a second one"
+                )
+            root = _Builder(events, file).node(next(events), path="", depth=0)
+    if root is None:
+        raise ScenarioError(place=Place(file=file, line=1), expected="a scenario", got="an empty file")
+    return root
+
+
+def join(path: str, key: str) -> str:
+    """The field path of ``key`` within ``path``: ``tcp start.offset``."""
+    return f"{path}.{key}" if path else key
+
+
+@dataclass
+class _Builder:
+    """Takes events from the parser and gives nodes; ``path`` is the field that is being read."""
+
+    events: Iterator[Event]
+    file: Path | None
+
+    def node(self, event: Event, *, path: str, depth: int) -> Node:
+        self._refuse_what_has_no_use(event, path, depth)
+        line = _line(event)
+        if isinstance(event, SequenceStartEvent):
+            return Sequence(tuple(self._items(path, depth + 1)), line)
+        if isinstance(event, MappingStartEvent):
+            return Mapping(tuple(self._entries(path, depth + 1)), line)
+        assert isinstance(event, ScalarEvent)
+        # The last line break of a block text (| or >) belongs to its notation, not to the text.
+        return Scalar(event.value.rstrip("\n") if event.style in ("|", ">") else event.value, line)
+
+    def _items(self, path: str, depth: int) -> Iterator[Node]:
+        index = 0
+        while not isinstance(event := next(self.events), SequenceEndEvent):
+            yield self.node(event, path=f"{path}[{index}]", depth=depth)
+            index += 1
+
+    def _entries(self, path: str, depth: int) -> Iterator[tuple[Scalar, Node]]:
+        first_line: dict[str, int] = {}
+        while not isinstance(event := next(self.events), MappingEndEvent):
+            key = self.node(event, path=path, depth=depth)
+            if not isinstance(key, Scalar):
+                raise self._error(key.line, path, "a key of plain words", "a list or a mapping as a key")
+            field = join(path, key.text)
+            if key.text in first_line:
+                got = f'"{key.text}" a second time (first on line {first_line[key.text]})'
+                raise self._error(key.line, field, "each key once", got)
+            first_line[key.text] = key.line
+            value = self.node(next(self.events), path=field, depth=depth)
+            if isinstance(value, Scalar) and not value.text:
+                value = Scalar("", key.line)  # the parser notices a missing value only lines later
+            yield key, value
+
+    def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:
+        line = _line(event)
+        if isinstance(event, AliasEvent):
+            raise self._error(line, path, "the value itself", f"the alias *{event.anchor}")
+        assert isinstance(event, ScalarEvent | CollectionStartEvent)
+        if event.anchor is not None:
+            raise self._error(line, path, "a value without an anchor", f"the anchor &{event.anchor}")
+        if event.tag is not None:
+            raise self._error(line, path, "a value without a tag", f"the tag {event.tag}")
+        if depth > _MAX_DEPTH:
+            raise self._error(line, path, f"at most {_MAX_DEPTH} levels", "a deeper nesting")
+
+    def _error(self, line: int, path: str, expected: str, got: str) -> ScenarioError:
+        place = Place(file=self.file, line=line, field=path or None)
+        return ScenarioError(place=place, expected=expected, got=got)
+
+
+def _events(text: str, file: Path | None) -> Iterator[Event]:
+    """The parser's events; whatever it raises becomes a ScenarioError with the line."""
+    try:
+        yield from YAML(typ="safe", pure=True).parse(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        line = mark.line + 1 if mark is not None else None
+        raise _syntax_error(file, line, error.problem or str(error)) from error
+    except ReaderError as error:
+        line = text.count("\n", 0, error.position) + 1
+        raise _syntax_error(file, line, f"the character U+{error.character:04X}") from error
+    except (YAMLError, ValueError) as error:  # ValueError: an escape beyond the last code point
+        raise _syntax_error(file, None, str(error)) from error
+
+
+def _syntax_error(file: Path | None, line: int | None, problem: str) -> ScenarioError:
+    return ScenarioError(
+        place=Place(file=file, line=line),
+        expected="well-formed YAML",
+        got=f"a syntax error: {' '.join(problem.split())}",
+        hint='a text with ": " or " #" in it, or one that begins with a sign such as % or @, needs quotes',
+    )
+
+
+def _line(event: Event) -> int:
+    return int(event.start_mark.line) + 1

@@ -1,0 +1,168 @@
+"""Reading the hands of a scenario: one function for each kind of hand and each move."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from math import pi
+from pathlib import Path
+
+from safety_harness.exceptions import RecordingError
+from safety_harness.scenario import recording as recordings
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.model import (
+    MAX_HANDS,
+    FollowTcp,
+    HandMove,
+    HandTrajectory,
+    MoveTo,
+    MovingHand,
+    ReachForTcp,
+    RecordedHand,
+    Wait,
+    Withdraw,
+)
+from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss
+from safety_harness.settings import Settings, Vector3
+
+LARGEST_COORDINATE_M = 100.0  # a slip of the unit, not a workplace
+LARGEST_ANGLE_RAD = 2.0 * pi
+_FASTEST_MPS = 100.0
+
+DEFAULT_LONGEST_GAP_S = 0.2
+DEFAULT_FASTEST_JUMP_MPS = 5.0
+
+_MOVING_KEYS = ("hand", "starts at", "elbow towards", "moves")
+_RECORDED_KEYS = (
+    "recording",
+    "sha256",
+    "hand",
+    "track",
+    "elbow track",
+    "elbow towards",
+    "starts at",
+    "turned",
+    "speed factor",
+    "from",
+    "to",
+    "longest gap",
+    "fastest jump",
+)
+
+
+def read_hands(
+    field: Field | None, *, settings: Settings, carried: Mapping[str, bytes]
+) -> tuple[HandTrajectory, ...]:
+    """The hands, at most MAX_HANDS, each with a name of its own.
+
+    ``carried`` are recordings by the SHA-256 of their bytes; they come before files.
+    """
+    if field is None:
+        return ()
+    hands: list[HandTrajectory] = []
+    for item in field.items(f"a list of at most {MAX_HANDS} hands", most=MAX_HANDS):
+        if "recording" in dict(item.entries("a hand: a mapping with the key hand or recording")):
+            hand: HandTrajectory = _recorded_hand(item.fields(_RECORDED_KEYS), settings, carried)
+        else:
+            hand = _moving_hand(item.fields(_MOVING_KEYS))
+        if any(hand.name == other.name for other in hands):
+            raise item.error("another name for each hand", got=f'"{hand.name}" twice', hint="the key hand")
+        hands.append(hand)
+    return tuple(hands)
+
+
+def read_position(field: Field) -> Vector3:
+    """A point in the base frame, or a shift, with a bound that catches slips of the unit."""
+    return field.vector(LENGTH, largest=LARGEST_COORDINATE_M)
+
+
+def _moving_hand(hand: Fields) -> MovingHand:
+    starts_at_in_base_m = read_position(hand.required("starts at"))
+    elbow = hand.required("elbow towards")
+    elbow_towards_in_base_m = read_position(elbow)
+    if elbow_towards_in_base_m == starts_at_in_base_m:
+        raise elbow.error("a point other than where the hand starts")
+    moves = hand.required("moves").items("a list of moves")
+    return MovingHand(
+        name=hand.required("hand").sentence("a name for the hand"),
+        starts_at_in_base_m=starts_at_in_base_m,
+        elbow_towards_in_base_m=elbow_towards_in_base_m,
+        moves=tuple(_move(move) for move in moves),
+    )
+
+
+def _move(field: Field) -> HandMove:
+    """The move that one of its keys names."""
+    names = ", ".join(_MOVES)
+    given = [key for key, _ in field.entries(f"a move: a mapping with one of the keys {names}")]
+    kinds = [key for key in given if key in _MOVES]
+    if len(kinds) != 1:
+        hint = near_miss(given[0], _MOVES) if given and not kinds else ""
+        got = f"the keys {', '.join(given)}" if given else "an empty mapping"
+        raise field.error(f"one move: one of the keys {names}", got=got, hint=hint.strip())
+    further_keys, read = _MOVES[kinds[0]]
+    return read(field.fields((kinds[0], *further_keys)))
+
+
+def _move_to(move: Fields) -> MoveTo:
+    return MoveTo(
+        position_in_base_m=read_position(move.required("move to")), speed_mps=_speed(move.required("speed"))
+    )
+
+
+def _wait(move: Fields) -> Wait:
+    return Wait(duration_s=_duration(move.required("wait")))
+
+
+def _reach_for_tcp(move: Fields) -> ReachForTcp:
+    return ReachForTcp(
+        speed_mps=_speed(move.required("reach for tcp")),
+        until_distance_m=_distance(move.required("until")),
+        at_most_s=_duration(move.required("at most")),
+    )
+
+
+def _follow_tcp(move: Fields) -> FollowTcp:
+    return FollowTcp(
+        speed_mps=_speed(move.required("follow tcp")),
+        distance_m=_distance(move.required("keeping")),
+        duration_s=_duration(move.required("for")),
+    )
+
+
+def _withdraw(move: Fields) -> Withdraw:
+    return Withdraw(speed_mps=_speed(move.required("withdraw")))
+
+
+# The key that names a move, the further keys it takes, and its reader.
+_MOVES: dict[str, tuple[tuple[str, ...], Callable[[Fields], HandMove]]] = {
+    "move to": (("speed",), _move_to),
+    "wait": ((), _wait),
+    "reach for tcp": (("until", "at most"), _reach_for_tcp),
+    "follow tcp": (("keeping", "for"), _follow_tcp),
+    "withdraw": ((), _withdraw),
+}
+
+
+def _speed(field: Field) -> float:
+    return field.quantity(SPEED, above=0.0, most=_FASTEST_MPS)
+
+
+def _duration(field: Field) -> float:
+    return field.quantity(TIME, above=0.0)
+
+
+def _distance(field: Field) -> float:
+    return field.quantity(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
+
+
+def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
+    path = Path(hand.required("recording").sentence("the path of a recording"))
+    recording = _recording(hand, path, carried)
+    track = _track(hand.required("track"))
+    elbow_track, elbow_towards_in_base_m = _elbow(hand, recording, track)
+    name = hand.optional("hand")
+    name_or_track = name.sentence("a name for the hand") if name else track.replace("_", " ")
+    starts_at_in_base_m = read_position(hand.required("starts at"))
+    turn_rad = _or(hand, "turned", 0.0, ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
+    ...

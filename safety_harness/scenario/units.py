@@ -1,0 +1,170 @@
+"""Quantities as people write them, ``80 mm`` or ``0.5 m/s``, turned into SI without rounding twice.
+
+The SI value is the float nearest to the decimal quantity that was written: ``80 mm`` is the
+literal ``0.08``.  Degrees are the exception, since pi is no fraction: they go through
+``math.radians``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from safety_harness.exceptions import Place, ScenarioError
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+_LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
+_LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
+
+_Factor = Fraction | None  # None: degrees, by math.radians
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dimension:
+    """A kind of quantity: its name and an example for messages, its SI unit, its units' factors to SI.
+
+    ``bare`` says that a number without a unit is understood (numbers, and fractions beside ``%``).
+    """
+
+    name: str
+    example: str
+    si: str
+    units: Mapping[str, _Factor]
+    bare: bool = False
+
+    @property
+    def expected(self) -> str:
+        """For the sentence "expected ..."."""
+        article = "an" if self.name[0] in "aeiou" else "a"
+        return f"{article} {self.name} such as {self.example}"
+
+
+def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor]:
+    return {unit + suffix: factor for unit, factor in scale.items()}
+
+
+_METRES: dict[str, _Factor] = {
+    "m": Fraction(1),
+    "cm": Fraction(1, 100),
+    "mm": Fraction(1, 1000),
+}
+_RADIANS: dict[str, _Factor] = {"rad": Fraction(1), "mrad": Fraction(1, 1000), "deg": None}
+_SECONDS: dict[str, _Factor] = {"s": Fraction(1), "ms": Fraction(1, 1000), "min": Fraction(60)}
+_PIXELS: dict[str, _Factor] = {"px": Fraction(1)}
+
+NUMBER = Dimension(name="number", example="0.4", si="", units={}, bare=True)
+FRACTION = Dimension(name="fraction", example="5 % or 0.05", si="", units={"%": Fraction(1, 100)}, bare=True)
+LENGTH = Dimension(name="length", example="80 mm", si="m", units=_METRES)
+TIME = Dimension(name="time", example="0.5 s", si="s", units=_SECONDS)
+ANGLE = Dimension(name="angle", example="30 deg", si="rad", units=_RADIANS)
+RATE = Dimension(name="rate", example="30 Hz", si="Hz", units={"Hz": Fraction(1), "kHz": Fraction(1000)})
+SPEED = Dimension(
+    name="speed", example="0.5 m/s", si="m/s", units={**_powers(_METRES, "/s"), "km/h": Fraction(5, 18)}
+)
+ACCELERATION = Dimension(name="acceleration", example="1 m/s2", si="m/s2", units=_powers(_METRES, "/s2"))
+ANGULAR_SPEED = Dimension(name="angular speed", example="30 deg/s", si="rad/s", units=_powers(_RADIANS, "/s"))
+ANGULAR_ACCELERATION = Dimension(
+    name="angular acceleration", example="90 deg/s2", si="rad/s2", units=_powers(_RADIANS, "/s2")
+)
+PIXELS = Dimension(name="number of pixels", example="2 px", si="px", units=_PIXELS)
+PIXEL_AREA = Dimension(name="area in the image", example="400 px2", si="px2", units=_powers(_PIXELS, "2"))
+PIXEL_SPEED = Dimension(
+    name="speed in the image", example="900 px/s", si="px/s", units=_powers(_PIXELS, "/s")
+)
+PIXEL_ACCELERATION = Dimension(
+    name="acceleration in the image", example="3000 px/s2", si="px/s2", units=_powers(_PIXELS, "/s2")
+)
+PIXEL_AREA_RATE = Dimension(
+    name="rate of an area in the image", example="20000 px2/s", si="px2/s", units=_powers(_PIXELS, "2/s")
+)
+PER_LENGTH = Dimension(
+    name="number per length",
+    example="0.0025 /m",
+    si="/m",
+    units={"/m": Fraction(1), "/cm": Fraction(100), "/mm": Fraction(1000)},
+)
+TIME_PER_SPEED = Dimension(name="time per speed", example="0.1 s2/m", si="s2/m", units={"s2/m": Fraction(1)})
+
+
+def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
+    """The SI value of ``text``; ScenarioError at ``place`` when it is no finite quantity of that kind."""
+    stripped = text.strip()
+    matched = _NUMBER.match(stripped)
+    if matched is None:
+        raise ScenarioError(
+            place=place, expected=dimension.expected, got=shown(text), hint=_units_hint("", dimension)
+        )
+    number, unit = matched.group(), normal_unit(stripped[matched.end() :])
+    if not unit and not dimension.bare:
+        raise ScenarioError(
+            place=place,
+            expected=dimension.expected,
+            got=f"{number}, which has no unit",
+            hint=_units_hint("", dimension),
+        )
+    if unit and unit not in dimension.units:
+        raise ScenarioError(
+            place=place, expected=dimension.expected, got=shown(text), hint=_units_hint(unit, dimension)
+        )
+    value = _si_value(number, dimension.units[unit] if unit else Fraction(1))
+    if value is None:
+        raise ScenarioError(
+            place=place,
+            expected=f"{dimension.expected}, of at most {_LONGEST_NUMBER} characters and within the range of "
+            "a 64-bit float",
+            got=shown(text),
+        )
+    return value
+
+
+def format_quantity(value: float, dimension: Dimension) -> str:
+    """``value`` in its SI unit, so that ``parse_quantity`` gives the same float again."""
+    number = repr(float(value))
+    return f"{number} {dimension.si}" if dimension.si else number
+
+
+def normal_unit(unit: str) -> str:
+    """One spelling for the ways to write a unit: ``m/s^2``, ``m/s²`` and ``m / s2`` are ``m/s2``."""
+    unit = "".join(unit.split()).replace("²", "2").replace("^2", "2").replace("°", "deg")
+    return unit.removeprefix("1") if unit.startswith("1/") else unit
+
+
+def near_miss(word: str, allowed: Iterable[str]) -> str:
+    """``did you mean "..."? `` when ``word`` resembles one of ``allowed``, else nothing."""
+    by_lower = {name.lower(): name for name in allowed}
+    close = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=0.5)
+    return f'did you mean "{by_lower[close[0]]}"? ' if word and close else ""
+
+
+def shown(text: str) -> str:
+    """``text`` for a message: on one line, shortened."""
+    printable = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in " ".join(text.split()))
+    if not printable:
+        return "nothing"
+    return printable if len(printable) <= 80 else printable[:77] + "..."
+
+
+def _units_hint(unit: str, dimension: Dimension) -> str:
+    if not dimension.units:
+        return "a number without a unit"
+    return near_miss(unit, dimension.units) + "allowed units: " + ", ".join(dimension.units)
+
+
+def _si_value(number: str, factor: _Factor) -> float | None:
+    """``number`` times ``factor``, rounded once; None when no finite float is meant."""
+    exponent = number.lower().partition("e")[2]
+    # The exponent is looked at before anything is computed: 10**1000000000 would not end.
+    if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):
+        return None
+    try:
+        magnitude = math.radians(float(number)) if factor is None else float(Fraction(number) * factor)
+    except OverflowError:
+        return None
+    if not math.isfinite(magnitude):
+        return None
+    # A fraction has no negative zero, a float has, and files must come back bit for bit.
+    return math.copysign(magnitude, -1.0) if number.startswith("-") else magnitude

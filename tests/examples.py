@@ -1,0 +1,140 @@
+"""Scenarios, runs and broken parts that several tests use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.avoidance.avoider import Avoider, Proposal
+from safety_harness.avoidance.gate import Gate, Query
+from safety_harness.controller.controller import AvoidingServo, Controller
+from safety_harness.controller.records import COMMAND
+from safety_harness.scenario.model import (
+    HandMove,
+    MoveTo,
+    MovingHand,
+    OffsetStart,
+    Scenario,
+    Wait,
+    Withdraw,
+)
+from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.simulate import simulate
+from safety_harness.trace.records import DECISION, Check
+from safety_harness.trace.trace import Trace
+
+
+def hand(*moves: HandMove, at: tuple[float, float, float] = (1.1, -0.75, 0.2), name: str = "right") -> MovingHand:
+    return MovingHand(
+        name=name, starts_at_in_base_m=at, elbow_towards_in_base_m=(1.6, -1.2, 0.3), moves=tuple(moves)
+    )
+
+
+VISIT = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=0.4), Withdraw(speed_mps=1.0))
+
+
+def scenario(
+    *hands: MovingHand,
+    duration_s: float = 2.5,
+    offset: tuple[float, float, float] = (0.04, -0.12, 0.06),
+    tilt: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    avoider: str = "opposite pose",
+    settings: Settings = DEFAULTS,
+    seed: int = 1,
+) -> Scenario:
+    return Scenario(
+        name="example",
+        title="an example",
+        about="",
+        duration_s=duration_s,
+        seed=seed,
+        start=OffsetStart(offset_in_base_m=offset, tilt_in_tcp_rad=tilt),
+        hands=hands,
+        avoider=avoider,
+        claims=(),
+        settings=settings,
+    )
+
+
+def run(
+    what: Scenario, *, avoider: Avoider | None = None, controller: Controller | None = None, gate: Gate | None = None
+) -> Trace:
+    admitted = admit(what)
+    if avoider is not None:
+        admitted = replace(admitted, avoider=avoider)
+    if controller is None:
+        controller = admitted.controller() if gate is None else ungated(admitted, gate)
+    with PyBulletWorld(what, admitted.arm, admitted.joint_position_rad) as world:
+        return simulate(world, controller, what)
+
+
+def ungated(admitted: Admitted, gate: Gate) -> AvoidingServo:
+    return AvoidingServo(
+        admitted.scenario.settings, admitted.arm, admitted.view, admitted.avoider, gate, admitted.scenario.seed
+    )
+
+
+class PassingGate(Gate):
+    """A broken gate: it passes whatever is proposed."""
+
+    def check(self, position_in_base_m: NDArray[np.float64], query: Query) -> Check:
+        return Check.NONE
+
+
+@dataclass(frozen=True)
+class TowardsTheHand:
+    """A broken avoider: it moves to where the hand is."""
+
+    name: str = "towards the hand"
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
+        return Proposal(hand_position_in_base_m)
+
+
+@dataclass(frozen=True)
+class Displaced:
+    """An avoider that always proposes the same displacement."""
+
+    by_m: tuple[float, float, float]
+    name: str = "displaced"
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
+        return Proposal(tcp_position_in_base_m + np.array(self.by_m))
+
+
+class ConstantSpeed:
+    """A broken controller: it turns the joints at a constant speed, whatever it sees."""
+
+    name = "constant speed"
+
+    def __init__(self, joint_velocity_radps: tuple[float, ...]) -> None:
+        self._command = np.zeros(1, COMMAND)
+        self._command["joint_velocity_radps"] = joint_velocity_radps
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        return self._command
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        tick["decision"] = -1
+        tick["sse"] = np.nan
+        tick["predicted_distance_m"] = np.inf
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        return np.zeros(0, DECISION)

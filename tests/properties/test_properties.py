@@ -1,0 +1,171 @@
+"""Every property holds on a run that keeps it and is violated by something that breaks it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHand, hand, run, scenario
+
+from safety_harness.admission.admit import kinematics
+from safety_harness.avoidance.gate import Gate
+from safety_harness.properties.base import Property
+from safety_harness.properties.hand_distance import HandDistance, closest_approach
+from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
+from safety_harness.properties.repulsive_pose import MovesAway, RepulsivePosesReachable
+from safety_harness.properties.servoing import Converged, GainSwitchReached
+from safety_harness.scenario.model import FollowTcp, MoveTo, Verdict, Wait
+from safety_harness.settings import DEFAULTS
+from safety_harness.trace.trace import Trace
+
+DISTANCE = HandDistance(minimum_m=0.05, near_m=0.4)
+ALL: tuple[Property, ...] = (
+    DISTANCE,
+    RepulsivePosesReachable(proposed=False),
+    RepulsivePosesReachable(proposed=True),
+    MovesAway(),
+    JointLimits(),
+    JointSpeedLimits(),
+    TcpSpeedLimit(maximum_mps=0.25),
+    GainSwitchReached(),
+    Converged(),
+)
+TRACE_LENGTH_CLAIMS = (Converged,)
+
+
+def truncated(trace: Trace, ticks: int) -> Trace:
+    kept = trace.decisions[trace.decisions["tick"] < ticks]
+    return replace(trace, ticks=trace.ticks[:ticks].copy(), decisions=kept.copy(), ended="interrupted by the user")
+
+
+def with_nan(trace: Trace, field: str) -> Trace:
+    ticks = trace.ticks.copy()
+    ticks[field][len(ticks) // 2] = np.nan
+    return replace(trace, ticks=ticks)
+
+
+@pytest.mark.parametrize("prop", [p for p in ALL if not isinstance(p, Converged)], ids=lambda p: p.sentence)
+def test_the_plain_system_holds_when_a_hand_visits_slowly(prop: Property, visit: Trace) -> None:
+    evaluation = prop.evaluate(visit)
+    assert evaluation.verdict is Verdict.HOLDS, evaluation
+    assert evaluation.margin is not None
+    assert evaluation.margin >= 0.0
+    assert evaluation.exercised > 0
+
+
+@pytest.mark.parametrize("prop", ALL, ids=lambda p: p.sentence)
+def test_an_empty_trace_is_no_evidence(prop: Property, visit: Trace) -> None:
+    assert prop.evaluate(truncated(visit, 0)).verdict is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("prop", ALL, ids=lambda p: p.sentence)
+def test_a_truncated_trace_never_holds(prop: Property, visit: Trace) -> None:
+    for ticks in (1, 100, len(visit.ticks) - 1):
+        assert prop.evaluate(truncated(visit, ticks)).verdict is not Verdict.HOLDS
+
+
+@pytest.mark.parametrize(
+    ("prop", "field"),
+    [
+        (DISTANCE, "hand_distance_m"),
+        (DISTANCE, "joint_position_rad"),
+        (DISTANCE, "hand_position_in_base_m"),
+        (MovesAway(), "transform_tcp_to_base"),
+        (JointLimits(), "joint_position_rad"),
+        (JointSpeedLimits(), "joint_velocity_radps"),
+        (TcpSpeedLimit(maximum_mps=0.25), "tcp_speed_mps"),
+        (GainSwitchReached(), "transform_tcp_to_base"),
+        (Converged(), "hand_position_in_base_m"),
+        (RepulsivePosesReachable(proposed=False), "time_s"),
+    ],
+)
+def test_a_nan_in_mid_trace_is_no_evidence(prop: Property, field: str, visit: Trace) -> None:
+    assert prop.evaluate(with_nan(visit, field)).verdict is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("prop", [DISTANCE, MovesAway(), RepulsivePosesReachable(proposed=True)], ids=str)
+def test_what_was_never_exercised_is_no_evidence(prop: Property) -> None:
+    far = run(scenario(hand(Wait(duration_s=1.0), at=(2.0, -1.5, 0.2)), duration_s=0.4))
+    assert prop.evaluate(far).verdict is Verdict.INCONCLUSIVE
+
+
+def test_no_hand_at_all_is_no_evidence_about_hands() -> None:
+    assert DISTANCE.evaluate(run(scenario(duration_s=0.2))).verdict is Verdict.INCONCLUSIVE
+
+
+def test_an_avoider_that_seeks_the_hand_violates_distance_and_direction() -> None:
+    stays = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
+    trace = run(scenario(stays, duration_s=3.0), avoider=TowardsTheHand())
+    assert DISTANCE.evaluate(trace).verdict is Verdict.VIOLATED
+    assert MovesAway().evaluate(trace).verdict is Verdict.VIOLATED
+
+
+def test_a_hand_that_catches_the_arm_is_violated_even_if_the_run_was_cut_short() -> None:
+    chase = hand(FollowTcp(speed_mps=2.0, distance_m=0.0, duration_s=9.0))
+    trace = run(scenario(chase, duration_s=1.5))
+    assert DISTANCE.evaluate(truncated(trace, len(trace.ticks) - 5)).verdict is Verdict.VIOLATED
+
+
+def test_an_unreachable_proposal_is_counted_even_when_the_gate_refused_it() -> None:
+    trace = run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)))
+    proposed = RepulsivePosesReachable(proposed=True).evaluate(trace)
+    assert proposed.verdict is Verdict.VIOLATED
+    assert proposed.margin is not None
+    assert proposed.margin < -0.5
+    assert RepulsivePosesReachable(proposed=False).evaluate(trace).verdict is Verdict.HOLDS
+
+
+def test_without_the_gate_an_unreachable_position_is_chosen() -> None:
+    gate = Gate.of(DEFAULTS, kinematics())
+    broken = PassingGate(gate.kinematics, gate.fallback, gate.min_singular_value, gate.lowest_tcp_height_m)
+    trace = run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=broken)
+    assert RepulsivePosesReachable(proposed=False).evaluate(trace).verdict is Verdict.VIOLATED
+
+
+def test_a_controller_that_turns_too_fast_violates_the_speed_limits() -> None:
+    trace = run(scenario(duration_s=0.2), controller=ConstantSpeed((2.5, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert JointSpeedLimits().evaluate(trace).verdict is Verdict.VIOLATED
+    assert TcpSpeedLimit(maximum_mps=0.25).evaluate(trace).verdict is Verdict.VIOLATED
+
+
+def test_a_joint_beyond_its_limit_is_violated(visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    ticks["joint_position_rad"][7, 2] = np.pi + 1e-6  # the elbow's limit is pi
+    evaluation = JointLimits().evaluate(replace(visit, ticks=ticks))
+    assert evaluation.verdict is Verdict.VIOLATED
+    assert evaluation.worst_time_s == visit.time_s[7]
+
+
+def test_a_controller_that_does_nothing_never_switches_its_gain() -> None:
+    idle = run(scenario(duration_s=4.0), controller=ConstantSpeed((0.0,) * 6))
+    assert GainSwitchReached().evaluate(idle).verdict is Verdict.INCONCLUSIVE  # it reports no features
+    ticks = idle.ticks.copy()
+    ticks["sse"] = 0.0196
+    assert GainSwitchReached().evaluate(replace(idle, ticks=ticks)).verdict is Verdict.VIOLATED
+
+
+def test_convergence_is_judged_by_pose_after_the_time_of_the_closed_form() -> None:
+    long = scenario(duration_s=60.0, offset=(0.02, -0.03, 0.02))
+    held = Converged().evaluate(run(long))
+    assert held.verdict is Verdict.HOLDS, held
+    idle = run(replace(long, duration_s=56.0), controller=ConstantSpeed((0.0,) * 6))
+    assert Converged().evaluate(idle).verdict is Verdict.VIOLATED
+    assert Converged().evaluate(run(replace(long, duration_s=3.0))).verdict is Verdict.INCONCLUSIVE
+
+
+def test_the_closest_approach_between_ticks_counts() -> None:
+    """A hand that passes the arm at 16 m/s is nearer between two ticks than at any of them."""
+    passing = hand(MoveTo(position_in_base_m=(0.9, 0.9, 0.30), speed_mps=16.0), at=(0.9, -0.9, 0.30))
+    trace = run(scenario(passing, duration_s=0.3))
+    at_ticks = trace.ticks["hand_distance_m"][:, 0].min()
+    distance_m, time_s, _ = closest_approach(trace)
+    assert distance_m < at_ticks - 1e-3
+    assert not np.isclose(np.mod(time_s, 0.008), 0.0, atol=1e-6)
+
+
+def test_a_margin_of_exactly_zero_holds(visit: Trace) -> None:
+    fastest = TcpSpeedLimit(maximum_mps=0.25).evaluate(visit)
+    assert fastest.margin is not None
+    exact = TcpSpeedLimit(maximum_mps=0.25 - fastest.margin).evaluate(visit)
+    assert exact.margin == pytest.approx(0.0, abs=1e-15)

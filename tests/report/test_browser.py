@@ -1,0 +1,211 @@
+"""The report in a real browser: quiet on the network, without errors, readable at every width."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import factory
+import pytest
+
+from safety_harness.report.html import write_report
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+REQUIRED = os.environ.get("SAFETY_HARNESS_REQUIRE_BROWSER") == "1"
+
+
+def needed(program: str) -> str:
+    found = shutil.which(program)
+    if found is None:
+        message = f"{program} is not installed, so the report is not tried in a browser"
+        if REQUIRED:
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    binary, driver = needed("chromium"), needed("chromedriver")
+    if not REQUIRED:
+        pytest.importorskip("selenium", reason="selenium is not installed")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options = Options()
+    options.binary_location = binary
+    for flag in FLAGS:
+        options.add_argument(flag)
+    options.add_argument(f"--user-data-dir={tmp_path_factory.mktemp('profile')}")
+    options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
+    chrome = webdriver.Chrome(options=options, service=Service(driver))
+    yield chrome
+    chrome.quit()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(
+        path,
+        [
+            factory.holds_run(),
+            factory.violated_run(),
+            factory.no_hands_run(),
+            factory.truncated_run(),
+            factory.hostile_run(),
+        ],
+        title=f"Report {factory.HOSTILE}",
+        command="harness run " + "very-long-name-without-a-break/" * 8,
+        interrupted=True,
+        generated_at=datetime(2025, 11, 21, 9, 30, tzinfo=UTC),
+    )
+    return Path(path).as_uri()
+
+
+def show(browser: Any, report: str, *, width: int, scheme: str = "light", media: str = "screen") -> None:
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
+    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(report)
+
+
+def colour(browser: Any, selector: str, name: str) -> list[int]:
+    script = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
+    value = browser.execute_script(script, selector, name)
+    return [int(word) for word in value[value.index("(") + 1 : -1].split(",")[:3]]
+
+
+def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, report: str) -> None:
+    browser.get_log("performance")
+    browser.get_log("browser")
+    show(browser, report, width=1000)
+    browser.execute_script("scrollTo(0, document.body.scrollHeight)")
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    asked = {one["request"]["url"] for one in sent if one["documentURL"] == report}
+    assert report in asked  # the log does see requests
+    assert asked - {report} <= {"data:,"}
+    assert browser.get_log("browser") == []
+
+
+def test_markup_of_the_user_runs_nowhere(browser: Any, report: str) -> None:
+    show(browser, report, width=1000)
+    assert browser.execute_script("return document.scripts.length") == 1
+    assert browser.execute_script("return document.querySelectorAll('b').length") == 0
+
+
+def test_the_policy_stops_a_script_that_is_not_the_reports_own(browser: Any, report: str) -> None:
+    show(browser, report, width=1000)
+    inserted = "const s = document.createElement('script'); s.textContent = 'window.ran = 1';"
+    browser.execute_script(inserted + "document.body.append(s)")
+    assert browser.execute_script("return window.ran === undefined")
+    browser.get_log("browser")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [360, 768, 1280])
+def test_the_page_never_scrolls_sideways(browser: Any, report: str, width: int, scheme: str) -> None:
+    show(browser, report, width=width, scheme=scheme)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    # Nor is anything cut off without a way to scroll to it.
+    outside = browser.execute_script(
+        """return [...document.querySelectorAll('main *, header *, footer *')].filter((e) =>
+             !e.closest('.drawing, .unseen') && e.getBoundingClientRect().right > innerWidth + 1
+           ).map((e) => e.outerHTML.slice(0, 120))"""
+    )
+    assert outside == []
+
+
+def test_dark_paper_turns_text_and_curves_light(browser: Any, report: str) -> None:
+    brightness = {}
+    for scheme in ("light", "dark"):
+        show(browser, report, width=1000, scheme=scheme)
+        brightness[scheme] = {
+            "paper": sum(colour(browser, "body", "backgroundColor")),
+            "text": sum(colour(browser, "body", "color")),
+            "figure": sum(colour(browser, ".drawing text", "fill")),
+        }
+    assert brightness["light"]["paper"] > 600 > 300 > brightness["light"]["text"]
+    assert brightness["dark"]["paper"] < 150 < 500 < brightness["dark"]["text"]
+    assert brightness["dark"]["figure"] > brightness["light"]["figure"] + 200
+
+
+def test_every_small_text_has_enough_contrast_in_both_schemes(browser: Any, report: str) -> None:
+    def luminance(rgb: list[int]) -> float:
+        linear = [(c / 255 / 12.92 if c <= 10 else ((c / 255 + 0.055) / 1.055) ** 2.4) for c in rgb]
+        return float(0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2])
+
+    for scheme in ("light", "dark"):
+        show(browser, report, width=1000, scheme=scheme)
+        paper = luminance(colour(browser, "body", "backgroundColor"))
+        for selector in (
+            "body",
+            "caption",
+            ".verdict.holds",
+            ".verdict.violated",
+            ".verdict.inconclusive",
+            "a[href]",
+        ):
+            ink = luminance(colour(browser, selector, "color"))
+            contrast = (max(ink, paper) + 0.05) / (min(ink, paper) + 0.05)
+            assert contrast >= 4.5, (scheme, selector, contrast)
+
+
+def test_a_click_on_a_heading_sorts_the_table_by_the_number_and_not_by_its_text(
+    browser: Any, report: str
+) -> None:
+    from selenium.webdriver.common.by import By
+
+    show(browser, report, width=1280)
+    margin = browser.find_elements(By.CSS_SELECTOR, ".verdicts thead th button")[4]
+    cells = (
+        "return [...document.querySelectorAll('.verdicts tbody td:nth-child(5)')].map(c => c.dataset.sort)"
+    )
+    for direction in ("ascending", "descending"):
+        margin.click()
+        shown = browser.execute_script(cells)
+        numbers = [float(one) for one in shown if one]
+        assert numbers == sorted(numbers, reverse=direction == "descending")
+        assert shown[-1] == ""  # what has no margin stays at the end
+        heading = margin.find_element(By.XPATH, "..")
+        assert heading.get_attribute("aria-sort") == direction
+
+
+def test_the_keyboard_reaches_the_skip_link_first(browser: Any, report: str) -> None:
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    show(browser, report, width=1000)
+    browser.find_element(By.TAG_NAME, "body").send_keys(Keys.TAB)
+    active = browser.switch_to.active_element
+    assert active.get_attribute("class") == "skip"
+    assert active.rect["x"] >= 0
+    active.send_keys(Keys.ENTER)
+    assert browser.execute_script("return document.activeElement.id") == "verdicts"
+
+
+def test_in_print_everything_is_unfolded_and_on_light_paper(browser: Any, report: str) -> None:
+    show(browser, report, width=700, scheme="dark", media="print")
+    assert sum(colour(browser, "body", "backgroundColor")) > 600
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 700
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    assert base64.b64decode(printed["data"]).startswith(b"%PDF")
+    assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")

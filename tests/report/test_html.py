@@ -1,0 +1,283 @@
+from __future__ import annotations
+
+import itertools
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import factory
+import numpy as np
+import pytest
+from page import Node, parse
+
+import safety_harness.report.html as report_html
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.html import render, write_report
+from safety_harness.report.palette import Ink
+from safety_harness.report.view import MOST_DECISION_ROWS
+from safety_harness.scenario.model import Verdict
+from safety_harness.settings import DEFAULTS
+from safety_harness.trace.records import DECISION, TICK
+
+WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)
+
+
+def text_for(runs: Sequence[JudgedRun], *, title: str = "A report", interrupted: bool = False) -> str:
+    return render(runs, title=title, command="harness run", interrupted=interrupted, generated_at=WHEN)
+
+
+def banners(page: Node) -> list[str]:
+    summary = page.all("section", "summary")[0]
+    return [banner.all("strong")[0].text for banner in summary.all("p", "banner")]
+
+
+def rows(page: Node) -> list[list[str]]:
+    table = page.all("table", "verdicts")[0]
+    body = table.all("tbody")[0]
+    return [[cell.text for cell in row.children if isinstance(cell, Node)] for row in body.all("tr")]
+
+
+@pytest.fixture(scope="module")
+def full_text() -> str:
+    runs = [factory.holds_run(), factory.violated_run(), factory.no_hands_run(), factory.truncated_run()]
+    return text_for(runs, interrupted=True)
+
+
+@pytest.fixture(scope="module")
+def full(full_text: str) -> Node:
+    return parse(full_text)
+
+
+@pytest.fixture(scope="module")
+def hostile_text() -> str:
+    return text_for([factory.hostile_run()], title=f"page {factory.HOSTILE}")
+
+
+def test_every_scenario_and_claim_has_its_row_with_verdict_expectation_margin_and_moment(full: Node) -> None:
+    found = rows(full)
+    assert len(found) == 7
+    assert found[2] == [
+        "Two hands from both sides, the controller short-sighted",
+        f"1 {factory.APART}",
+        "violated",
+        "≠ holds",
+        "−37.1 mm",
+        "8.60 s",
+        "right hand 112.9 mm from wrist 1",
+    ]
+    assert found[5][2:6] == ["inconclusive", "inconclusive", "–", "–"]
+
+
+def test_every_row_leads_to_the_section_of_its_scenario(full: Node) -> None:
+    sections = {article.attributes["id"]: article for article in full.all("article")}
+    for row in full.all("table", "verdicts")[0].all("tbody")[0].all("tr"):
+        (link,) = row.all("a")
+        heading = sections[link.attributes["href"].removeprefix("#")].all("h2")[0]
+        assert heading.text == link.text
+
+
+def test_a_verdict_is_a_word_and_a_symbol_never_a_colour_alone(full: Node) -> None:
+    shown = full.all("span", "verdict")
+    assert len(shown) == 14  # each claim in the table and in its section
+    for verdict in shown:
+        assert verdict.text in {each.value for each in Verdict}
+        assert verdict.all("use")[0].attributes["href"] == f"#icon-{verdict.text}"
+    assert len({full.one(f"icon-{each.value}").all("path")[0].attributes["d"] for each in Verdict}) == 3
+
+
+def test_interruption_differences_doubt_and_truncation_are_said_first(full: Node) -> None:
+    assert banners(full) == ["Interrupted.", "Not as expected.", "Inconclusive.", "Cut short."]
+
+
+def test_a_report_in_which_all_came_out_as_expected_says_just_that() -> None:
+    page = parse(text_for([factory.holds_run()]))
+    assert banners(page) == ["As expected."]
+    assert page.all("p", "fine")
+
+
+def test_a_report_with_an_expected_inconclusive_claim_is_not_all_green() -> None:
+    page = parse(text_for([factory.holds_run(), factory.no_hands_run()]))
+    assert banners(page) == ["Inconclusive."]
+    assert not page.all("p", "fine")
+
+
+def test_a_foreseen_violation_is_not_shown_as_green() -> None:
+    run = factory.violated_run()
+    claims = tuple(replace(claim, expected=Verdict.VIOLATED) for claim in run.trace.scenario.claims[:2])
+    scenario = replace(run.trace.scenario, claims=claims)
+    run = JudgedRun(replace(run.trace, scenario=scenario), run.evaluations[:2], "again")
+    page = parse(text_for([run]))
+    assert banners(page) == ["As expected."]
+    assert "2 of them are violations that the file foresees" in page.all("p", "banner")[0].text
+    assert not page.all("p", "fine")
+
+
+def test_no_run_or_no_claim_is_no_evidence() -> None:
+    assert banners(parse(text_for([]))) == ["No evidence."]
+    unclaimed = JudgedRun(factory.trace(factory.scenario(), ticks=20), (), "again")
+    assert "No evidence." in banners(parse(text_for([unclaimed])))
+    mixed = banners(parse(text_for([factory.holds_run(), unclaimed])))
+    assert "Nothing claimed." in mixed
+    assert "As expected." not in mixed
+
+
+def test_the_decisions_are_listed_with_triggers_outcomes_and_failed_checks(full: Node) -> None:
+    table = full.one("run-2").all("table", "decisions")[0]
+    cells = [[cell.text for cell in row.all("th") + row.all("td")] for row in table.all("tbody")[0].all("tr")]
+    assert [row[2] for row in cells] == ["hand entered", "hand still there", "another hand"]
+    assert [row[6] for row in cells] == ["proposed position", "opposite pose", "protective stop"]
+    assert cells[2][7] == "proposed: unreachable, table; opposite: unreachable"
+    assert cells[2][8] == "–"
+    decision = factory.violated_run().trace.decisions[0]
+    numbers = [int(word.replace("−", "-")) for word in cells[0][3].split(",")]
+    assert numbers == np.rint(decision["hand_position_in_base_m"] * 1e3).tolist()
+
+
+def test_limits_settings_notes_provenance_and_replay_are_there(full: Node) -> None:
+    section = full.one("run-2")
+    text = section.text
+    assert "avoidance." in text
+    for expected in ("400 mm", "250 mm", "TCP speed", "TCP acceleration", "3 gaps of at most 41 ms"):
+        assert expected in text
+    for expected in ("0123456789abcdef", "kinematic", "Linux-x86_64", "numpy 2.4.6", "2501 of 2501"):
+        assert expected in text
+    assert section.all("code", "copy")[0].text == factory.violated_run().replay_command
+    assert "All settings are the defaults" in full.one("run-1").text
+
+
+def test_the_ticks_of_each_limit_are_counted(full: Node) -> None:
+    acted = factory.holds_run().trace.ticks["limits"]
+    (row,) = [row for row in full.one("run-1").all("tr") if row.text.startswith("TCP speed")]
+    assert row.all("td")[0].text == str(int((acted & 1 != 0).sum()))
+
+
+def test_a_scenario_without_hands_has_neither_hands_nor_decisions(full: Node) -> None:
+    section = full.one("run-3")
+    assert "No decision was asked for." in section.text
+    assert "no hand was there" in section.text
+    assert not section.all("table", "decisions")
+
+
+def test_a_trace_without_ticks_says_so_instead_of_drawing() -> None:
+    source = factory.scenario(claims=(factory.claim(factory.APART),))
+    empty = replace(
+        factory.trace(source, ticks=1), ticks=np.zeros(0, TICK), decisions=np.zeros(0, DECISION), ended="?"
+    )
+    verdict = factory.evaluation(factory.APART, Verdict.INCONCLUSIVE, margin=None, worst_time_s=None)
+    page = parse(text_for([JudgedRun(empty, (verdict,), "again")]))
+    assert "The trace has no ticks" in page.one("run-1").text
+    assert not page.one("run-1").all("figure")
+
+
+def test_a_thinned_curve_says_that_it_is_thinned(full: Node) -> None:
+    assert "of every 6 in a row the smallest and the largest value are drawn" in full.one("run-2").text
+    assert "Every tick is drawn." in full.one("run-4").text
+
+
+def test_a_table_that_leaves_decisions_out_says_so() -> None:
+    run = factory.holds_run()
+    many = np.concatenate([run.trace.decisions] * 40)
+    page = parse(text_for([replace(run, trace=replace(run.trace, decisions=many))]))
+    table = page.all("table", "decisions")[0]
+    assert len(table.all("tbody")[0].all("tr")) == MOST_DECISION_ROWS
+    assert f"The first {MOST_DECISION_ROWS} of 120 decisions" in table.all("caption")[0].text
+
+
+def test_markup_in_any_text_of_the_user_is_shown_and_not_obeyed(hostile_text: str) -> None:
+    assert hostile_text.count("<script") == 1  # the page's own
+    assert "<b>" not in hostile_text
+    page = parse(hostile_text)
+    for prefix in ("page", "title", "about", "hand claim", "hand read", "reason", "note", "replay", "ended"):
+        assert f"{prefix} {factory.HOSTILE}" in page.text, prefix
+
+
+def test_the_page_asks_nothing_of_the_network(full_text: str, full: Node) -> None:
+    assert "http:" not in full_text
+    assert "https:" not in full_text
+    assert "@import" not in full_text
+    for node in full.walk():
+        for name in ("src", "href", "xlink:href", "action", "srcset", "poster"):
+            assert re.match(r"#|data:,$", node.attributes.get(name, "#")), (node.tag, node.attributes)
+    assert set(re.findall(r"url\(\s*['\"]?(.)", full_text)) <= {"#"}
+
+
+def test_ids_are_unique_and_everything_pointed_at_exists(full: Node) -> None:
+    ids = [node.attributes["id"] for node in full.walk() if "id" in node.attributes]
+    assert len(ids) == len(set(ids))
+    for node in full.walk():
+        for name in ("href", "aria-labelledby"):
+            for target in node.attributes.get(name, "").split():
+                assert target == "data:," or target.removeprefix("#") in ids
+
+
+def test_headings_descend_one_level_at_a_time_and_tables_have_captions(full: Node) -> None:
+    levels = [int(node.tag[1]) for node in full.walk() if re.fullmatch(r"h[1-6]", node.tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+    for table in full.all("table"):
+        assert table.all("caption")[0].text
+        assert all(cell.attributes.get("scope") in ("col", "row") for cell in table.all("th"))
+
+
+def test_every_drawing_says_what_it_is(full: Node) -> None:
+    drawings = [node for node in full.all("svg") if node.attributes.get("role") == "img"]
+    assert len(drawings) == 4 * 5
+    for drawing in drawings:
+        assert drawing.all("title")[0].text
+        assert drawing.all("desc")[0].text
+    assert all(figure.all("figcaption")[0].text for figure in full.all("figure"))
+
+
+def test_every_ink_has_a_value_for_light_and_for_dark_paper() -> None:
+    style = report_html._asset("report.css")
+    light, dark = style.split("prefers-color-scheme: dark", 1)
+    for ink in Ink:
+        assert f"{ink.variable}:" in light, ink
+        assert ink is Ink.PAPER or f"{ink.variable}:" in dark, ink  # follows the page's paper by itself
+
+
+def test_the_same_runs_give_the_same_bytes() -> None:
+    assert text_for([factory.holds_run()]) == text_for([factory.holds_run()])
+
+
+def test_the_footer_says_that_it_is_no_certificate(full: Node) -> None:
+    footer = full.all("footer")[0].text
+    for expected in ("simulated", "no certificate", "contact forces", "fingers", "real sensors"):
+        assert expected in footer
+
+
+def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "deep" / "er" / "report.html"
+    arguments = {"title": "t", "command": "c", "interrupted": False, "generated_at": WHEN}
+    write_report(path, [], **arguments)
+    before = path.read_bytes()
+    assert before.endswith(b"</html>\n")
+
+    def no_room(_: int) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(report_html.os, "fsync", no_room)
+    with pytest.raises(OSError, match="no space"):
+        write_report(path, [factory.truncated_run()], **arguments)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_text_that_cannot_be_encoded_does_not_lose_the_report(tmp_path: Path) -> None:
+    write_report(tmp_path / "r.html", [], title="\udcff", command="c", interrupted=False, generated_at=WHEN)
+    assert "\\udcff" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_importing_the_report_does_not_import_matplotlib() -> None:
+    code = "import sys, safety_harness.report.html; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+def test_the_defaults_are_the_reference_for_changed_settings() -> None:
+    assert factory.holds_run().trace.scenario.settings == DEFAULTS

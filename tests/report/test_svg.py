@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import factory
+import matplotlib
+import numpy as np
+import pytest
+
+from safety_harness.report.palette import BY_SENTINEL, Ink
+from safety_harness.report.path_artists import capsule_outline, close_up_mm
+from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.svg import drawing, new_figure, plain, to_svg
+from safety_harness.report.timeline import timeline
+
+
+def text_of(svg: str) -> list[str]:
+    return [element.text or "" for element in ElementTree.fromstring(svg).iter("text")]
+
+
+def sample(prefix: str) -> str:
+    with drawing():
+        figure = new_figure(200, 100)
+        axes = figure.add_axes((0.1, 0.2, 0.8, 0.6))
+        axes.plot([0.0, 1.0], [1.0, 2.0], color=Ink.TCP.sentinel, marker="o")
+        axes.fill_between([0.0, 1.0], 0.0, 1.0, facecolor="none", edgecolor=Ink.LOST.sentinel, hatch="//")
+        axes.set_title("a <script>alert(1)</script> & $x^2$")
+        return to_svg(figure, prefix=prefix, title="<b>title</b>", description="1 < 2")
+
+
+def test_two_figures_share_no_id_and_point_only_at_their_own() -> None:
+    ids = []
+    for prefix in ("one-", "two-"):
+        svg = sample(prefix)
+        own = re.findall(r'id="([^"]+)"', svg)
+        pointed = re.findall(r'href="#([^"]+)"', svg) + re.findall(r"url\(#([^)]+)\)", svg)
+        assert pointed
+        assert set(pointed) <= set(own)
+        assert all(name.startswith(prefix) for name in own)
+        ids.append(set(own))
+    assert not ids[0] & ids[1]
+
+
+def test_the_drawing_has_only_the_pages_colours_no_address_and_no_style_rule() -> None:
+    svg = sample("x-")
+    assert "http" not in svg
+    assert "<style" not in svg
+    assert "font-family" not in svg
+    assert not re.search(r"#[0-9a-f]{6}", svg)
+    assert "var(--fig-tcp)" in svg
+    assert "var(--fig-lost)" in svg
+
+
+def test_markup_and_dollars_in_a_figure_stay_the_text_that_they_are() -> None:
+    svg = sample("x-")
+    assert "<script" not in svg
+    assert "a <script>alert(1)</script> & $x^2$" in text_of(svg)
+    root = ElementTree.fromstring(svg)
+    assert root.findtext("title") == "<b>title</b>"
+    assert root.findtext("desc") == "1 < 2"
+    assert root.get("role") == "img"
+
+
+def test_the_same_figure_is_the_same_text_twice_and_settings_are_left_alone() -> None:
+    before = dict(matplotlib.rcParams)
+    with matplotlib.rc_context({"svg.fonttype": "path", "lines.linewidth": 9.0}):
+        odd = sample("x-")
+    assert odd == sample("x-")
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_every_ink_has_a_sentinel_of_its_own() -> None:
+    assert len(BY_SENTINEL) == len(Ink)
+
+
+def test_plain_text_has_no_control_characters_and_is_not_too_long() -> None:
+    assert plain("a\x00b\nc\x0bd") == "a\ufffdb\ufffdc\ufffdd"
+    assert plain("x" * 100, longest=10) == "x" * 9 + "…"
+
+
+def test_the_views_show_the_moment_of_the_worst_claim_else_the_nearest_hand() -> None:
+    run = factory.violated_run()
+    moment = shown_moment(run)
+    assert moment is not None
+    assert (moment.claim, moment.time_s) == (0, 8.6)
+    assert run.trace.time_s[moment.tick] == pytest.approx(8.6)
+    source = factory.scenario()
+    unclaimed = factory.JudgedRun(factory.trace(source), (), "again")
+    moment = shown_moment(unclaimed)
+    assert moment is not None
+    assert moment.claim is None
+    assert moment.tick == np.argmin(unclaimed.trace.ticks["hand_distance_m"][:, 0])
+    assert shown_moment(factory.no_hands_run()) is None
+
+
+def test_a_capsule_outline_keeps_its_radius_from_the_segment_everywhere() -> None:
+    start, end = np.array([0.1, -0.2]), np.array([0.4, 0.3])
+    outline = capsule_outline(start, end, 0.05)
+    along = end - start
+    share = np.clip((outline - start) @ along / (along @ along), 0.0, 1.0)
+    distance = np.linalg.norm(outline - (start + share[:, None] * along), axis=1)
+    assert distance == pytest.approx(0.05)
+
+
+def test_the_close_up_holds_the_whole_way_of_the_tcp_and_every_chosen_position() -> None:
+    trace = factory.violated_run().trace
+    low, high = close_up_mm(trace)
+    chosen = trace.decisions["chosen_position_in_base_m"]
+    for points in (trace.ticks["transform_tcp_to_base"][:, :3, 3], chosen[np.isfinite(chosen).all(axis=1)]):
+        assert np.all(points * 1e3 >= low)
+        assert np.all(points * 1e3 <= high)
+
+
+def test_the_time_series_names_its_limits_lanes_and_hands() -> None:
+    words = text_of(timeline(factory.violated_run(), prefix="t-"))
+    for expected in (
+        "critical distance: 250",
+        "claim 1: 150",
+        "speed limit and claim 2: 250",
+        "gain switch: 0.005",
+        "right hand to robot",
+        "left hand to robot",
+        "protective stop",
+        "Squared image error |f − f*|²",
+    ):
+        assert expected in words
+
+
+def test_hand_names_in_the_figures_are_text_whatever_they_hold() -> None:
+    svg = timeline(factory.hostile_run(), prefix="t-")
+    assert "<script" not in svg
+    assert any(words.startswith("_<script>") for words in text_of(svg))
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 5])
+def test_a_trace_of_hardly_any_ticks_can_be_drawn(ticks: int) -> None:
+    source = factory.scenario(claims=())
+    run = factory.JudgedRun(factory.trace(source, ticks=ticks, ended="stopped"), (), "again")
+    assert "ended: stopped" in text_of(timeline(run, prefix="t-"))
+    assert path_views(run, prefix="p-").side_close
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_trace_full_of_nothing_finite_can_be_drawn(value: float) -> None:
+    run = factory.holds_run()
+    ticks = run.trace.ticks.copy()
+    for name in ticks.dtype.names:
+        if ticks[name].dtype == np.float64 and (name != "time_s" or np.isnan(value)):
+            ticks[name] = value
+    trace = factory.Trace(
+        scenario=run.trace.scenario,
+        ticks=ticks,
+        decisions=run.trace.decisions.copy(),
+        provenance=run.trace.provenance,
+    )
+    broken = factory.JudgedRun(trace, run.evaluations, "again")
+    assert "Hand distance, mm" in text_of(timeline(broken, prefix="t-"))
+    assert path_views(broken, prefix="p-").top

@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import factory
+import numpy as np
+import pytest
+
+from safety_harness.properties.base import Unit
+from safety_harness.report.words import (
+    changed_settings,
+    claimed_hand_distance_m,
+    claimed_tcp_speed_mps,
+    failed_words,
+    flag_words,
+    margin_words,
+    point_words,
+    setting_words,
+)
+from safety_harness.settings import DEFAULTS, HandSensorKind
+from safety_harness.trace.records import Check, Limit
+
+
+def test_the_defaults_differ_from_themselves_nowhere() -> None:
+    assert changed_settings(DEFAULTS) == []
+
+
+def test_every_changed_setting_is_named_once_with_both_values() -> None:
+    settings = replace(
+        DEFAULTS,
+        avoidance=replace(DEFAULTS.avoidance, critical_distance_m=0.25),
+        camera=replace(DEFAULTS.camera, rate_hz=30.0, calibration_error_rotation_rad=(0.0, 0.0, np.pi)),
+        hand_sensor=replace(DEFAULTS.hand_sensor, kind=HandSensorKind.OVERHEAD),
+    )
+    assert sorted(changed_settings(settings)) == [
+        ("avoidance.critical_distance_m", "400 mm", "250 mm"),
+        ("camera.calibration_error_rotation_rad", "(0, 0, 0) deg", "(0, 0, 180) deg"),
+        ("camera.rate_hz", "none", "30 Hz"),
+        ("hand_sensor.kind", "ideal", "overhead"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [
+        ("speed_mps", 0.25, "250 mm/s"),
+        ("acceleration_mps2", 1.0, "1000 mm/s²"),
+        ("width_px", 640, "640 px"),
+        ("latency_s", 0.008, "0.008 s"),
+        ("gain_far", 0.4, "0.4"),
+        ("table_height_m", -0.3, "−300 mm"),
+        ("polygon_m", ((0.04, -0.03), (0.08, 0.0)), "((40, −30), (80, 0)) mm"),
+    ],
+)
+def test_a_setting_is_shown_in_the_unit_of_its_name(name: str, value: object, shown: str) -> None:
+    assert setting_words(name, value) == shown
+
+
+def test_flags_are_named_in_words() -> None:
+    assert flag_words(Limit.TCP_SPEED | Limit.BRAKING) == "TCP speed, braking"
+    assert failed_words(Check.PATH_UNREACHABLE | Check.TABLE, Check.UNREACHABLE) == (
+        "proposed: path unreachable, table; opposite: unreachable"
+    )
+    assert failed_words(Check.NONE, Check.NONE) == "none"
+
+
+def test_a_position_that_is_not_finite_is_a_dash_and_not_a_number() -> None:
+    assert point_words(np.array([0.1234, -0.35, 0.0])) == "123, −350, 0"
+    assert point_words(np.array([0.1, np.nan, 0.0])) == "–"
+
+
+def test_a_missing_margin_is_a_dash_and_a_negative_one_has_its_sign() -> None:
+    assert margin_words(factory.evaluation("x", margin=None)) == "–"
+    assert margin_words(factory.evaluation("x", margin=-0.0371)) == "−37.1 mm"
+
+
+def test_only_a_sentence_with_one_fitting_quantity_gives_a_limit_line() -> None:
+    length, speed = Unit.LENGTH, Unit.SPEED
+    assert claimed_hand_distance_m(factory.evaluation("hand distance never below 150 mm")) == 0.15
+    assert claimed_hand_distance_m(factory.evaluation("hand distance 0.2 m and 300 mm", unit=length)) is None
+    assert claimed_hand_distance_m(factory.evaluation("table distance never below 20 mm")) is None
+    assert claimed_hand_distance_m(factory.evaluation("hand distance at 250 mm/s", unit=length)) is None
+    assert claimed_tcp_speed_mps(factory.evaluation("TCP speed never above 250 mm/s", unit=speed)) == 0.25
+    assert claimed_tcp_speed_mps(factory.evaluation("TCP speed never above 250 mm", unit=speed)) is None
+    assert claimed_tcp_speed_mps(factory.evaluation("joint speed below 250 mm/s", unit=speed)) is None

@@ -1,0 +1,73 @@
+"""Data flows one way: every import in the package points leftwards, and the public names stay."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import safety_harness
+
+PACKAGE = Path(safety_harness.__file__).parent
+ORDER = [
+    {"exceptions"},
+    {"compiled", "geometry", "seeds", "settings"},
+    {"scenario"},
+    {"trace"},
+    {"robot"},
+    {"perception"},
+    {"servoing"},
+    {"avoidance"},
+    {"controller"},
+    {"simulation"},
+    {"properties"},
+    {"admission"},
+    {"report"},
+    {"cli"},
+]
+RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+
+def room_of(file: Path) -> str:
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def rooms_imported_by(file: Path) -> set[str]:
+    rooms = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module]
+            if node.module == "safety_harness":
+                names = [f"safety_harness.{alias.name}" for alias in node.names]
+        rooms |= {name.split(".")[1] for name in names if name.startswith("safety_harness.")}
+    return rooms
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_imports_point_leftwards(file: Path) -> None:
+    room = room_of(file)
+    if room == "__init__":
+        return
+    for imported in rooms_imported_by(file):
+        assert RANK[imported] <= RANK[room], f"{file.name} in {room} imports {imported}"
+
+
+def test_the_import_test_sees_a_backward_arrow(tmp_path: Path) -> None:
+    culprit = tmp_path / "culprit.py"
+    culprit.write_text("from safety_harness.report import html\nimport safety_harness.cli.main\n")
+    assert rooms_imported_by(culprit) == {"report", "cli"}
+
+
+def test_a_run_needs_no_torch() -> None:
+    for file in FILES:
+        assert "torch" not in {
+            name.split(".")[0]
+            for node in ast.walk(ast.parse(file.read_text()))
+            if isinstance(node, ast.Import | ast.ImportFrom)
+            for name in ([a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""])
+        }, file
