@@ -259,13 +259,13 @@ def count_row(
     )
 
 
-def larger_object() -> Cell:
-    """The default object at 4/3 of its size, its edges turned away from the pixels' rows and columns.
+def aligned_object() -> Cell:
+    """A smaller object (120 x 90 mm) with its edges along the pixels' rows and columns.
 
     Where an edge runs along a row, half a pixel of motion adds or drops the whole row at once.
     """
-    polygon_m = tuple((x_m * 4.0 / 3.0, y_m * 4.0 / 3.0) for x_m, y_m in DEFAULTS.cell.object_polygon_m)
-    return replace(DEFAULTS.cell, object_polygon_m=polygon_m, object_yaw_rad=np.radians(25.0))
+    polygon_m = ((-0.040, -0.030), (0.080, -0.030), (-0.040, 0.060))
+    return replace(DEFAULTS.cell, object_polygon_m=polygon_m, object_yaw_rad=0.0)
 
 
 def print_row(name: str, row: Row) -> None:
@@ -290,8 +290,8 @@ def main() -> None:
             for tilt_deg in TILTS_DEG:
                 print_row("default", count_row(source, choice, tilt_deg))
     for tilt_deg in TILTS_DEG:
-        row = count_row(ImageSource.RASTER, InteractionChoice.DESIRED, tilt_deg, cell=larger_object())
-        print_row("larger", row)
+        row = count_row(ImageSource.RASTER, InteractionChoice.DESIRED, tilt_deg, cell=aligned_object())
+        print_row("aligned", row)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,11 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import config as numba_config
+from numba.core import config
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 
 PACKAGE = Path(__file__).parent
 

@@ -63,9 +63,12 @@ class Cell:
 
     table_height_m: float = -0.300
     object_position_in_base_m: Vector3 = (0.700, 0.045, -0.300)
-    object_yaw_rad: float = 0.0
-    # Close to a 3-4-5 right triangle: the best conditioned interaction matrix of its size.
-    object_polygon_m: tuple[tuple[float, float], ...] = ((-0.040, -0.030), (0.080, -0.030), (-0.040, 0.060))
+    # No edge along the pixel rows or columns at the desired pose: a whole row of pixels would flip
+    # at once, and the pixel noise of gamma would be three times as large.
+    object_yaw_rad: float = radians(25.0)
+    # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
+    # at two thirds of the size raster images do not servo to 5 mm (docs/servoing.md).
+    object_polygon_m: tuple[tuple[float, float], ...] = ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080))
     desired_tcp_position_in_base_m: Vector3 = (0.700, 0.0, 0.350)
     preferred_joint_position_rad: tuple[float, ...] = (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79)
 
@@ -103,7 +106,7 @@ class HandSensor:
 
     kind: HandSensorKind = HandSensorKind.IDEAL
     detector: DetectorKind = DetectorKind.EXACT
-    overhead_position_in_base_m: Vector3 = (0.840, -0.350, 1.400)  # looks straight down
+    overhead_position_in_base_m: Vector3 = (0.750, -0.250, 1.800)  # looks straight down
     width_px: int = 640
     height_px: int = 480
     focal_px: float = 615.0

@@ -13,26 +13,30 @@ from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpS
 from safety_harness.properties.repulsive_pose import MovesAway, RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.scenario.model import Claim, Scenario
-from safety_harness.scenario.units import Dimension, parse_quantity
+from safety_harness.scenario.units import LENGTH, SPEED, TIME, Dimension, parse_quantity
 
 Maker = Callable[[re.Match[str], Scenario, Place], Property]
 
 
 def _quantity(text: str, dimension: Dimension, place: Place) -> float:
-    return parse_quantity(text, dimension, place)
+    """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
+    value = parse_quantity(text, dimension, place)
+    if not value > 0.0:
+        raise InadmissibleError(place=place, expected=f"{dimension.expected}, above zero", got=repr(text))
+    return value
 
 
 def _hand_distance(match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-    minimum_m = _quantity(match[1], Dimension.LENGTH, place)
+    minimum_m = _quantity(match[1], LENGTH, place)
     return HandDistance(minimum_m=minimum_m, near_m=scenario.settings.avoidance.critical_distance_m)
 
 
 def _tcp_speed(match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-    return TcpSpeedLimit(maximum_mps=_quantity(match[1], Dimension.SPEED, place))
+    return TcpSpeedLimit(maximum_mps=_quantity(match[1], SPEED, place))
 
 
 def _gain_switch(match: re.Match[str], scenario: Scenario, place: Place) -> Property:
-    return GainSwitchReached(within_s=_quantity(match[1], Dimension.TIME, place))
+    return GainSwitchReached(within_s=_quantity(match[1], TIME, place))
 
 
 CATALOGUE: tuple[tuple[str, str, Maker], ...] = (

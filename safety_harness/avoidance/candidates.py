@@ -13,7 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.exceptions import Place, SettingsError
 from safety_harness.settings import Settings
+
+NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +34,26 @@ class CandidateCap:
 
     @classmethod
     def of(cls, settings: Settings) -> CandidateCap:
-        """The cap of the settings: away from the nominal hand, towards the desired TCP."""
+        """The cap of the settings: away from the nominal hand, towards the desired TCP.
+
+        SettingsError if that is no direction, or the cone too narrow ever to draw into.
+        """
         avoidance = settings.avoidance
         axis = np.subtract(
             settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
         )
+        if not np.linalg.norm(axis) > 0.0:
+            raise SettingsError(
+                place=Place(field="nominal hand position"),
+                expected="a nominal hand position apart from the desired TCP position",
+                got="the same position",
+            )
+        if not avoidance.candidate_cone_rad >= NARROWEST_CONE_RAD:
+            raise SettingsError(
+                place=Place(field="candidate cone"),
+                expected=f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg",
+                got=f"{np.degrees(avoidance.candidate_cone_rad):g} deg",
+            )
         return cls(
             axis / np.linalg.norm(axis),
             avoidance.radius_m,
@@ -61,7 +79,9 @@ class CandidateCap:
         self, azimuth: NDArray[np.float64], elevation: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Unit vectors (n, 3); azimuth about the vertical and elevation, both from the axis."""
-        side = np.cross([0.0, 0.0, 1.0], self.axis_in_base)
+        vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any direction will do as the side
+        side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
+        side = side - (side @ self.axis_in_base) * self.axis_in_base
         side /= np.linalg.norm(side)
         up = np.cross(self.axis_in_base, side)
         local = np.stack(

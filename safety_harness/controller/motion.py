@@ -10,6 +10,9 @@ from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
 OBJECT_LOST = int(Mode.OBJECT_LOST)
+# Joint velocities stand for a tick while the arm turns under them: at its end the TCP is up to
+# 0.2 % faster than at its beginning, where the limit is applied.
+SPEED_RESERVE = 0.99
 LIMIT_TCP_SPEED = int(Limit.TCP_SPEED)
 LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
 
@@ -64,7 +67,7 @@ def approach_twist(
 ) -> None:
     """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
 
-    The speed is the least of the repulsion speed, what uniform braking at 80 % of the permitted
+    The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 % of the permitted
     acceleration can still stop within the rest of the way (the other 20 % pay for the control
     period), and what covers the rest of the way in one tick.
     """
@@ -76,7 +79,7 @@ def approach_twist(
         twist_in_base_out[3 + i] = 0.0
     distance = np.sqrt(total)
     speed = min(
-        p.repulsion_speed_mps,
+        SPEED_RESERVE * p.repulsion_speed_mps,
         np.sqrt(1.6 * p.repulsion_acceleration_mps2 * distance),
         distance / p.control_period_s,
     )
@@ -96,7 +99,7 @@ def shaped(
     """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted."""
     p = parameters[0]
     limits = 0
-    bounds = (max_speed_mps, p.max_tcp_angular_speed_radps)
+    bounds = (SPEED_RESERVE * max_speed_mps, p.max_tcp_angular_speed_radps)
     steps = (max_acceleration_mps2, p.max_tcp_angular_acceleration_radps2)
     for half in range(2):
         first = 3 * half

@@ -103,7 +103,8 @@ def see_hands(
     for i in range(MAX_TRACKS):
         if s.track_valid[i]:
             distance = hand_to_tcp(states, i)
-            if not distance >= s.predicted_distance_m:  # a NaN counts as nearest: it must not hide
+            # a NaN counts as nearest, and nothing is nearer: it must not hide
+            if not (distance >= s.predicted_distance_m or np.isnan(s.predicted_distance_m)):
                 s.predicted_distance_m = distance
                 s.nearest_track = i
         else:

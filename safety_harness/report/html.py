@@ -31,6 +31,7 @@ from safety_harness.report.view import (
     notes,
     summarise,
 )
+from safety_harness.scenario.write import write_scenario
 
 PACKAGE = "safety_harness.report"
 
@@ -92,6 +93,7 @@ def render(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        keep_trailing_newline=True,
     )
     script = _asset("report.js")
     return environment.get_template("report.html.j2").render(
@@ -127,17 +129,13 @@ def _section(run: JudgedRun, number: int) -> Section:
         modes=mode_rows(run.trace),
         notes=notes(run),
         changes=changes(run),
-        text=_scenario_text(run),
+        text=write_scenario(run.trace.scenario),
     )
 
 
 def _views(run: JudgedRun, prefix: str) -> tuple[Markup, ...]:
     views = path_views(run, prefix=prefix)
     return tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close))
-
-
-def _scenario_text(run: JudgedRun) -> str:
-    return ""
 
 
 def _date(moment: datetime) -> str:

@@ -11,7 +11,7 @@ from safety_harness.report.decimate import keep_extremes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.palette import HANDS, Ink
 from safety_harness.report.svg import plain
-from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps
+from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps, with_minus
 from safety_harness.trace.trace import Trace
 
 if TYPE_CHECKING:
@@ -152,6 +152,8 @@ def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: boo
             handles.append((handle, name))
     if axes.get_yscale() == "linear":
         axes.locator_params(axis="y", nbins=5)
+        # Each label says its whole value: a common factor in a corner is overlooked.
+        axes.yaxis.set_major_formatter(lambda value, _: with_minus(f"{value + 0.0:g}"))
     if handles:
         legend = axes.legend(
             [handle for handle, _ in handles],

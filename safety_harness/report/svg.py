@@ -51,6 +51,7 @@ def drawing() -> Iterator[None]:
         "axes.spines.right": False,
         "axes.facecolor": "none",
         "axes.unicode_minus": True,
+        "axes.formatter.useoffset": False,
         "text.color": Ink.TEXT.sentinel,
         "text.parse_math": False,
         "axes.labelcolor": Ink.MUTED.sentinel,

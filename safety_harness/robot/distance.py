@@ -67,8 +67,17 @@ def hand_distance(
     """
     best = np.inf
     nearest = -1
-    for capsule in range(radius_m.shape[0]):
+    thickest = max(hand_radius_m, forearm_radius_m)
+    forearm_half = 0.5 * _length(hand, elbow)
+    for capsule in range(radius_m.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
         start, end = placed[capsule, 0], placed[capsule, 1]
+        # No point of a segment is farther from its middle than half its length.
+        between = 0.0
+        for i in range(3):
+            between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start[i] + end[i])) ** 2
+        spread = forearm_half + 0.5 * _length(start, end) + thickest + radius_m[capsule]
+        if sqrt(between) - spread >= best:  # never true of a NaN
+            continue
         to_hand = point_segment_distance(hand, start, end) - hand_radius_m
         to_forearm = segment_segment_distance(hand, elbow, start, end) - forearm_radius_m
         distance = min(to_hand, to_forearm) - radius_m[capsule]
@@ -78,6 +87,12 @@ def hand_distance(
             best = distance
             nearest = capsule
     return best, nearest
+
+
+@compiled
+def _length(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+    x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    return sqrt(x * x + y * y + z * z)
 
 
 @compiled

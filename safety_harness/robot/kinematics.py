@@ -122,7 +122,7 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 def is_well_conditioned(jacobian: NDArray[np.float64], min_singular_value: float) -> bool:
     """Whether every singular value of ``jacobian`` (6, 6) exceeds ``min_singular_value`` > 0.
 
-    Forty times as fast as ``smallest_singular_value``: J^T J - s^2 I is positive definite, that
+    A tenth of the work of ``smallest_singular_value``: J^T J - s^2 I is positive definite, that
     is, has a Cholesky factor, exactly when all singular values exceed s.  Resolves a difference
     of about 1e-15 / s.  False if an entry is NaN.
     """

@@ -20,9 +20,16 @@ from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, 
 from safety_harness.settings import Vector3
 
 E = TypeVar("E", bound=Enum)
+D = TypeVar("D", float, None)
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
-_LONGEST_SENTENCE = 200  # characters; YAML allows a key of 1,024 bytes
+_LONGEST_SENTENCE = 200  # characters, since YAML allows a key 1,024 of them and escapes take room
+SENTENCE = f"one line of 1 to {_LONGEST_SENTENCE} printable characters"
+
+
+def is_sentence(text: str) -> bool:
+    """Whether ``text`` can be a name, or a sentence that is looked up elsewhere."""
+    return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
 @dataclass(frozen=True)
@@ -107,8 +114,8 @@ class Field:
     def sentence(self, expected: str) -> str:
         """A text that is looked up elsewhere, or a name: one line of printable characters."""
         text = self.scalar(expected)
-        if not text.strip() or not text.isprintable() or len(text) > _LONGEST_SENTENCE:
-            raise self.error(f"{expected}: one line of 1 to {_LONGEST_SENTENCE} printable characters")
+        if not is_sentence(text):
+            raise self.error(f"{expected}: {SENTENCE}")
         return text
 
     def prose(self, expected: str, *, lines: bool = False) -> str:
@@ -183,6 +190,11 @@ class Fields:
     def optional(self, key: str) -> Field | None:
         """The value of ``key``, or None."""
         return self.by_key.get(key)
+
+    def quantity(self, key: str, dimension: Dimension, default: D, **bounds: float) -> float | D:
+        """The quantity of ``key`` within bounds (as for ``Field.quantity``), or ``default``."""
+        field = self.optional(key)
+        return default if field is None else field.quantity(dimension, **bounds)
 
 
 def places(field: Field) -> dict[str, Place]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from math import pi
 from pathlib import Path
 
 from safety_harness.exceptions import RecordingError
-from safety_harness.scenario import recording as recordings
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.model import (
@@ -22,12 +22,14 @@ from safety_harness.scenario.model import (
     Wait,
     Withdraw,
 )
-from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss
+from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
+from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss, shown
 from safety_harness.settings import Settings, Vector3
 
 LARGEST_COORDINATE_M = 100.0  # a slip of the unit, not a workplace
 LARGEST_ANGLE_RAD = 2.0 * pi
 _FASTEST_MPS = 100.0
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 
 DEFAULT_LONGEST_GAP_S = 0.2
 DEFAULT_FASTEST_JUMP_MPS = 5.0
@@ -98,8 +100,8 @@ def _move(field: Field) -> HandMove:
     kinds = [key for key in given if key in _MOVES]
     if len(kinds) != 1:
         hint = near_miss(given[0], _MOVES) if given and not kinds else ""
-        got = f"the keys {', '.join(given)}" if given else "an empty mapping"
-        raise field.error(f"one move: one of the keys {names}", got=got, hint=hint.strip())
+        got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
+        raise field.error(f"one move: one of the keys {names}", got=got, hint=hint)
     further_keys, read = _MOVES[kinds[0]]
     return read(field.fields((kinds[0], *further_keys)))
 
@@ -162,7 +164,82 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
     track = _track(hand.required("track"))
     elbow_track, elbow_towards_in_base_m = _elbow(hand, recording, track)
     name = hand.optional("hand")
-    name_or_track = name.sentence("a name for the hand") if name else track.replace("_", " ")
     starts_at_in_base_m = read_position(hand.required("starts at"))
-    turn_rad = _or(hand, "turned", 0.0, ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
-    ...
+    turn_rad = hand.quantity("turned", ANGLE, 0.0, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
+    speed_factor = hand.quantity("speed factor", NUMBER, 1.0, least=0.01, most=100.0)
+    from_s = hand.quantity("from", TIME, None)
+    to_s = hand.quantity("to", TIME, None)
+    longest_gap_s = hand.quantity("longest gap", TIME, DEFAULT_LONGEST_GAP_S, above=0.0)
+    fastest_jump_mps = hand.quantity("fastest jump", SPEED, DEFAULT_FASTEST_JUMP_MPS, above=0.0)
+    return RecordedHand(
+        name=name.sentence("a name for the hand") if name else track.replace("_", " "),
+        recording=path,
+        track=track,
+        elbow_track=elbow_track,
+        elbow_towards_in_base_m=elbow_towards_in_base_m,
+        starts_at_in_base_m=starts_at_in_base_m,
+        turn_rad=turn_rad,
+        speed_factor=speed_factor,
+        from_s=from_s,
+        to_s=to_s,
+        longest_gap_s=longest_gap_s,
+        fastest_jump_mps=fastest_jump_mps,
+        motion=load_recording(
+            recording,
+            track=track,
+            elbow_track=elbow_track,
+            elbow_towards_in_base_m=elbow_towards_in_base_m,
+            forearm_length_m=settings.hand.forearm_length_m,
+            starts_at_in_base_m=starts_at_in_base_m,
+            turn_rad=turn_rad,
+            speed_factor=speed_factor,
+            from_s=from_s,
+            to_s=to_s,
+            longest_gap_s=longest_gap_s,
+            fastest_jump_mps=fastest_jump_mps,
+        ),
+    )
+
+
+def _recording(hand: Fields, path: Path, carried: Mapping[str, bytes]) -> Recording:
+    """The carried recording with the SHA-256 that is asked for, else the file beside the scenario."""
+    place = hand.required("recording").place
+    file = (place.file.parent if place.file else Path()) / path
+    pinned = hand.optional("sha256")
+    digest = pinned.scalar("a SHA-256") if pinned else ""
+    if pinned and not _SHA256.fullmatch(digest):
+        raise pinned.error("a SHA-256: 64 digits and letters from a to f")
+    if digest in carried:
+        data = carried[digest]
+    else:
+        data = read_bytes(file, most=MAX_BYTES, place=place, error=RecordingError)
+    recording = parse_recording(data, file)
+    if pinned and recording.sha256 != digest:
+        raise RecordingError(
+            place=pinned.place, expected="a recording with this SHA-256", got=f"one with {recording.sha256}"
+        )
+    return recording
+
+
+def _track(field: Field) -> str:
+    """A track as the columns spell it: ``right hand`` is ``right_hand``."""
+    return field.sentence("the name of a track").replace(" ", "_")
+
+
+def _elbow(hand: Fields, recording: Recording, track: str) -> tuple[str | None, Vector3 | None]:
+    """What the forearm points to: a recorded elbow (the same side's by default) or a fixed point."""
+    elbow_track, towards = hand.optional("elbow track"), hand.optional("elbow towards")
+    if elbow_track and towards:
+        raise towards.error("either an elbow track or a point that the elbow is towards", got="both")
+    if towards:
+        return None, read_position(towards)
+    if elbow_track:
+        return _track(elbow_track), None
+    same_side = recording.elbow_of(track)
+    if same_side is None:
+        raise hand.whole.error(
+            'the key "elbow track" or "elbow towards"',
+            got="neither, and the recording has no elbow of the same side",
+            hint=f"its tracks: {', '.join(map(shown, recording.tracks))}",
+        )
+    return same_side, None

@@ -210,7 +210,7 @@ def _track(recording: Recording, name: str, window_s: tuple[float, float]) -> Tr
             name,
             expected=f"one of the tracks {', '.join(map(shown, recording.tracks)) or '(there is none)'}",
             got=shown(name),
-            hint=near_miss(name, recording.tracks).strip(),
+            hint=near_miss(name, recording.tracks),
         )
     inside = np.flatnonzero((recording.time_s >= window_s[0]) & (recording.time_s <= window_s[1]))
     columns = [(column, recording.header.index(column)) for column in (f"{name}_{axis}_m" for axis in "xyz")]
@@ -275,4 +275,4 @@ def _error(
     file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
 ) -> RecordingError:
     place = Place(file=file, line=line, field=column)
-    return RecordingError(place=place, expected=expected, got=got, hint=hint.strip())
+    return RecordingError(place=place, expected=expected, got=got, hint=hint)

@@ -150,11 +150,13 @@ def read_group(field: Field, default: G) -> G:
         if inner is not None:
             names = {key.words[1]: key for key in keys if key.words[0] == first}
             within = inner.fields(tuple(names))
-            changes.update({names[word].name: _read(within.required(word), names[word]) for word in within})
+            for word in within:
+                key = names[word]
+                changes[key.name] = _read(within.required(word), key, getattr(default, key.name))
     for key in keys:
         value = given.optional(key.words[0])
         if value is not None and len(key.words) == 1:
-            changes[key.name] = _read(value, key)
+            changes[key.name] = _read(value, key, getattr(default, key.name))
     return replace(default, **changes)
 
 
@@ -181,13 +183,17 @@ def write_vector(values: tuple[float, ...], dimension: Dimension) -> str:
     return "[" + ", ".join(format_quantity(value, dimension) for value in values) + "]"
 
 
-def _read(field: Field, key: SettingKey) -> Any:
+def _read(field: Field, key: SettingKey, default: Any) -> Any:
     kind = key.kind
     if isinstance(kind, type) and issubclass(kind, Enum):
         return field.choice(kind)
     if kind == Vector3:
         largest = _LARGEST_COORDINATE_M if key.dimension is LENGTH else None
         return field.vector(key.dimension, largest=largest)
+    if kind == tuple[float, ...]:
+        count = len(default)
+        expected = f"a list of {count}, each {key.dimension.expected}"
+        return tuple(item.quantity(key.dimension) for item in field.items(expected, count=count))
     if kind == _Polygon:
         return _read_polygon(field, key.dimension)
     if kind is int:

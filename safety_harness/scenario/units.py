@@ -133,11 +133,11 @@ def normal_unit(unit: str) -> str:
     return unit.removeprefix("1") if unit.startswith("1/") else unit
 
 
-def near_miss(word: str, allowed: Iterable[str]) -> str:
-    """``did you mean "..."? `` when ``word`` resembles one of ``allowed``, else nothing."""
+def near_miss(word: str, allowed: Iterable[str], *, most: int = 1) -> str:
+    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing."""
     by_lower = {name.lower(): name for name in allowed}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=1, cutoff=0.5)
-    return f'did you mean "{by_lower[close[0]]}"? ' if word and close else ""
+    close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
+    return f"did you mean {' or '.join(by_lower[name] for name in close)}?" if word and close else ""
 
 
 def shown(text: str) -> str:
@@ -151,7 +151,7 @@ def shown(text: str) -> str:
 def _units_hint(unit: str, dimension: Dimension) -> str:
     if not dimension.units:
         return "a number without a unit"
-    return near_miss(unit, dimension.units) + "allowed units: " + ", ".join(dimension.units)
+    return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 
 def _si_value(number: str, factor: _Factor) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import tempfile
 from dataclasses import dataclass
@@ -38,8 +39,9 @@ class Bodies:
 
 @lru_cache
 def _urdf_file(name: str, visuals: bool) -> Path:
-    """The resolved URDF as a file that PyBullet can read, written once a process."""
+    """The resolved URDF as a file that PyBullet can read, written once a process and removed with it."""
     handle, path = tempfile.mkstemp(prefix=f"safety_harness_{name}_", suffix=".urdf")
+    atexit.register(Path(path).unlink, missing_ok=True)
     with os.fdopen(handle, "w") as file:
         file.write(resolved_urdf(name, visuals=visuals))
     return Path(path)

@@ -146,7 +146,7 @@ def advance_hands(
             continue
         left_s = dt_s
         while left_s > 0.0 and hand.current < hand.count:
-            left_s = advance_move(hands, k, moves[hand.first + hand.current], tcp_position_in_base_m, left_s)
+            left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
         point_forearm(hands, k)
 
 
@@ -154,12 +154,13 @@ def advance_hands(
 def advance_move(
     hands: NDArray[np.void],
     k: int,
-    move: np.void,
+    moves: NDArray[np.void],
     tcp_position_in_base_m: NDArray[np.float64],
     left_s: float,
 ) -> float:
     """Spend up to ``left_s`` on the current move; returns what is left when the move is over."""
     hand = hands[k]
+    move = moves[hand.first + hand.current]
     if move.kind == WAIT:
         used_s = min(left_s, move.duration_s - hand.elapsed_s)
         over = hand.elapsed_s + left_s >= move.duration_s
@@ -190,7 +191,7 @@ def advance_move(
     if over:
         hand.current += 1
         hand.elapsed_s = 0.0
-        return max(left_s - used_s, 0.0)
+        return float(max(left_s - used_s, 0.0))
     hand.elapsed_s += left_s
     return 0.0
 

@@ -123,7 +123,7 @@ def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base:
     state["pixel_noise_px"] = hand.pixel_noise_px
     state["depth_noise_per_m"] = hand.depth_noise_per_m
     state["dropout_probability"] = hand.dropout_probability
-    rng = generator(seed, Branch.HAND_SENSOR_NOISE)
+    noise, dropout = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     frames = ticks + 1 if noisy else 1
     return Sensors(
@@ -131,8 +131,8 @@ def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base:
         np.zeros(RING, OBJECT_FRAME),
         np.zeros(RING, HAND_FRAME),
         object_polygon_in_base(settings),
-        rng.standard_normal((frames, MAX_DETECTIONS, 3)),
-        rng.random((frames, MAX_DETECTIONS)),
+        noise.standard_normal((frames, MAX_DETECTIONS, 3)),
+        dropout.random((frames, MAX_DETECTIONS)),
     )
 
 

@@ -43,10 +43,11 @@ def simulate(
                 on_tick(done)
     except KeyboardInterrupt:
         ended = INTERRUPTED
+    decisions = controller.decisions
     return Trace(
         scenario=scenario,
         ticks=ticks[:done].copy(),
-        decisions=controller.decisions,
+        decisions=decisions[decisions["tick"] < done],  # not one of a tick that Ctrl-C cut short
         provenance=provenance(world.name, controller.name),
         ended=ended,
     )

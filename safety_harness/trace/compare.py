@@ -44,7 +44,7 @@ def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> Di
     index, fields = shorter, []
     for name in names:
         a, b = first[name][:shorter], second[name][:shorter]
-        same = (_bits(a) == _bits(b)).reshape(shorter, -1).all(axis=1)
+        same = (_bits(a) == _bits(b)).all(axis=tuple(range(1, a.ndim)))
         if same.all():
             continue
         at = int(np.argmin(same))

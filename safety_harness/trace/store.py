@@ -37,7 +37,7 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
     """
-    parts: dict[str, bytes] = {"scenario.yaml": write_scenario(trace.scenario).encode()}
+    parts: dict[str, bytes] = {"scenario.yaml": write_scenario(trace.scenario, all_settings=True).encode()}
     for name, array in (("ticks.npy", trace.ticks), ("decisions.npy", trace.decisions)):
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, array, allow_pickle=False)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+
 from safety_harness.geometry.linear import solve_in_place
 
 

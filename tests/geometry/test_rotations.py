@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from safety_harness.geometry.rotations import rotation_about, rotation_from_vector, vector_from_rotation
 from scipy.spatial.transform import Rotation
+
+from safety_harness.geometry.rotations import rotation_about, rotation_from_vector, vector_from_rotation
 
 ANGLES = [0.0, 1e-300, 1e-12, 1e-8, 9.9e-5, 1.01e-4, 1e-3, 1.0, 3.0, np.pi - 1e-4, np.pi - 1e-9, np.pi]
 

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
 from safety_harness.geometry.segments import (
     point_segment_distance,
     segment_segment_distance,
     segment_segment_vector,
 )
-from scipy.optimize import lsq_linear
 
 COORDINATE = st.floats(-2.0, 2.0).map(lambda x: round(x, 3)) | st.integers(-2, 2).map(float)
 POINT = st.tuples(COORDINATE, COORDINATE, COORDINATE).map(np.array)

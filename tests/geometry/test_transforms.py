@@ -1,11 +1,14 @@
 import numpy as np
+
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import compose_into, inverse_transform, transform_from
 
 
 def random_transforms(count: int) -> list[np.ndarray]:
     rng = np.random.default_rng(5)
-    return [transform_from(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)) for _ in range(count)]
+    return [
+        transform_from(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)) for _ in range(count)
+    ]
 
 
 def test_a_transform_turns_then_shifts() -> None:

@@ -156,7 +156,7 @@ def test_convergence_is_judged_by_pose_after_the_time_of_the_closed_form() -> No
 
 def test_the_closest_approach_between_ticks_counts() -> None:
     """A hand that passes the arm at 16 m/s is nearer between two ticks than at any of them."""
-    passing = hand(MoveTo(position_in_base_m=(0.9, 0.9, 0.30), speed_mps=16.0), at=(0.9, -0.9, 0.30))
+    passing = hand(MoveTo(position_in_base_m=(0.9, 0.9, 0.30), speed_mps=16.0), at=(0.9, -0.836, 0.30))
     trace = run(scenario(passing, duration_s=0.3))
     at_ticks = trace.ticks["hand_distance_m"][:, 0].min()
     distance_m, time_s, _ = closest_approach(trace)

@@ -145,7 +145,7 @@ def test_dark_paper_turns_text_and_curves_light(browser: Any, report: str) -> No
         }
     assert brightness["light"]["paper"] > 600 > 300 > brightness["light"]["text"]
     assert brightness["dark"]["paper"] < 150 < 500 < brightness["dark"]["text"]
-    assert brightness["dark"]["figure"] > brightness["light"]["figure"] + 200
+    assert brightness["dark"]["figure"] > brightness["light"]["figure"] + 150
 
 
 def test_every_small_text_has_enough_contrast_in_both_schemes(browser: Any, report: str) -> None:

@@ -20,6 +20,7 @@ from safety_harness.report.html import render, write_report
 from safety_harness.report.palette import Ink
 from safety_harness.report.view import MOST_DECISION_ROWS
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import DECISION, TICK
 
@@ -147,6 +148,11 @@ def test_limits_settings_notes_provenance_and_replay_are_there(full: Node) -> No
         assert expected in text
     assert section.all("code", "copy")[0].text == factory.violated_run().replay_command
     assert "All settings are the defaults" in full.one("run-1").text
+
+
+def test_the_scenario_is_there_as_a_file_that_can_be_saved_again(full: Node) -> None:
+    written = full.one("run-2").all("pre")[0].children[0]
+    assert written == write_scenario(factory.violated_run().trace.scenario)
 
 
 def test_the_ticks_of_each_limit_are_counted(full: Node) -> None:

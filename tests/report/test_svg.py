@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import factory
@@ -125,6 +126,23 @@ def test_the_time_series_names_its_limits_lanes_and_hands() -> None:
         "Squared image error |f − f*|²",
     ):
         assert expected in words
+
+
+@pytest.mark.parametrize("size", [1e-13, 2e-3, 1.0])
+def test_an_axis_of_tiny_errors_is_labelled_with_their_true_size(size: float) -> None:
+    run = factory.holds_run()
+    ticks = run.trace.ticks.copy()
+    ticks["feature_error"][:, 3:] = size * np.sin(run.trace.time_s)[:, None]
+    words = text_of(timeline(replace(run, trace=replace(run.trace, ticks=ticks)), prefix="t-"))
+    below = words[: words.index("Feature errors, γ and δ (no unit), α (rad)")]
+    numbers: list[float] = []
+    for word in reversed(below):
+        try:
+            numbers.append(float(word.replace("−", "-")))
+        except ValueError:
+            break
+    assert 0.5 * size <= max(numbers) <= 1.5 * size
+    assert 0.5 * size <= -min(numbers) <= 1.5 * size
 
 
 def test_hand_names_in_the_figures_are_text_whatever_they_hold() -> None:

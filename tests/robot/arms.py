@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pybullet
+
 from safety_harness.robot.description import ArmModel, load_arm, resolved_urdf
 from safety_harness.robot.kinematics import forward_kinematics
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import ARMS, transforms_of
+
 from safety_harness.exceptions import ArmModelError
 from safety_harness.robot import description
 from safety_harness.robot.description import load_arm, mesh_paths, resolved_urdf
-
-from arms import ARMS, transforms_of
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_every_link_has_a_collision_and_a_visual_mesh(name: str) -> None:
 
 
 def test_an_unknown_arm_is_refused_with_the_list_of_known_ones() -> None:
-    with pytest.raises(ArmModelError, match="ur11.*ur10, ur3, ur5"):
+    with pytest.raises(ArmModelError, match=r"ur11.*ur10, ur3, ur5"):
         load_arm("ur11")
 
 
@@ -136,5 +136,5 @@ def test_a_missing_mesh_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     text = description.urdf_file("ur10").read_text()
     (tmp_path / "damaged.urdf").write_text(text.replace("collision/base.stl", "collision/bass.stl"))
     monkeypatch.setattr(description, "urdf_file", lambda name: tmp_path / "damaged.urdf")
-    with pytest.raises(ArmModelError, match="bass.stl"):
+    with pytest.raises(ArmModelError, match=r"bass\.stl"):
         resolved_urdf("ur10", visuals=False)

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
+from arms import ARMS, random_joints, transforms_of
+
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.robot.kinematics import geometric_jacobian
-
-from arms import ARMS, random_joints, transforms_of
 
 START = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])  # TCP over the table, looking down
 LEAST = 0.02
@@ -39,7 +39,9 @@ def test_every_branch_reproduces_the_pose_and_one_is_where_it_came_from(name: st
             np.testing.assert_allclose(transforms_of(arm, branch)[7], pose, atol=1e-9)
         assert same_turn(branches, joints).min() < 1e-6
         assert ((branches > -np.pi) & (branches <= np.pi)).all()
-        assert all(same_turn(branches[:i], branch).min(initial=9.0) > 1e-6 for i, branch in enumerate(branches))
+        assert all(
+            same_turn(branches[:i], branch).min(initial=9.0) > 1e-6 for i, branch in enumerate(branches)
+        )
     assert max(counts) == 8
 
 
@@ -114,7 +116,9 @@ def test_reach_ends_where_exact_branches_say_so(ur10: InverseKinematics, directi
 
 def test_a_short_way_is_reached_to_its_end(ur10: InverseKinematics) -> None:
     for direction in DIRECTIONS:
-        assert ur10.reach_along(START, direction, 0.1, min_singular_value=LEAST) == pytest.approx(0.1, abs=1e-12)
+        assert ur10.reach_along(START, direction, 0.1, min_singular_value=LEAST) == pytest.approx(
+            0.1, abs=1e-12
+        )
 
 
 def test_the_step_does_not_change_the_answer(ur10: InverseKinematics) -> None:

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from arms import ARMS, bullet_arm, random_joints, transforms_of
+
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import (
@@ -7,8 +9,6 @@ from safety_harness.robot.kinematics import (
     is_well_conditioned,
     smallest_singular_value,
 )
-
-from arms import ARMS, bullet_arm, random_joints, transforms_of
 
 FLOAT32 = 2e-6  # PyBullet hands out link frames in single precision
 

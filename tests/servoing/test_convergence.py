@@ -34,11 +34,8 @@ def test_from_exact_moments_every_upright_start_converges(choice: InteractionCho
     assert row.succeeded == convergence.STARTS == 200
 
 
-def test_from_rasterised_moments_of_a_larger_object_nearly_every_upright_start_converges() -> None:
-    """The default object is too small, and too well aligned with the pixels, for 5 mm and 1 degree."""
-    row = convergence.count_row(
-        ImageSource.RASTER, InteractionChoice.DESIRED, 0.0, cell=convergence.larger_object()
-    )
+def test_from_rasterised_moments_nearly_every_upright_start_converges() -> None:
+    row = convergence.count_row(ImageSource.RASTER, InteractionChoice.DESIRED, 0.0)
     assert row.succeeded >= 198
 
 

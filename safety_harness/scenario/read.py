@@ -1,0 +1,178 @@
+"""Scenario files: ``read_scenario`` turns the text that a safety engineer wrote into a Scenario.
+
+docs/scenario-files.md is the reference of the language.  One function reads one object; all
+checks that need no kinematics are made here, every error has file, line and field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.fields import SENTENCE, Field, Fields, is_sentence, places
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
+from safety_harness.scenario.nodes import parse_tree
+from safety_harness.scenario.read_hands import LARGEST_ANGLE_RAD, read_hands, read_position
+from safety_harness.scenario.settings_keys import read_group, setting_keys
+from safety_harness.scenario.units import ANGLE, TIME, shown
+from safety_harness.settings import DEFAULTS, Settings
+
+MAX_BYTES = 1_000_000
+LONGEST_S = 3600.0
+MOST_TICKS = 1_000_000
+LARGEST_SEED = 2**63 - 1
+DEFAULT_AVOIDER = "opposite pose"
+
+KEYS = (
+    "scenario",
+    "about",
+    "duration",
+    "seed",
+    "tcp start",
+    "avoider",
+    "hands",
+    "hand sensor",
+    "camera",
+    "settings",
+    "claims",
+)
+# The two groups of settings that have a key of their own at the top.
+TOP_GROUPS = {"hand sensor": "hand_sensor", "camera": "camera"}
+SETTINGS_KEYS = {
+    field.name.replace("_", " "): field.name
+    for field in fields(Settings)
+    if field.name not in TOP_GROUPS.values()
+}
+
+
+def read_scenario(path: Path) -> Scenario:
+    """The scenario in a file; ScenarioError or RecordingError when it cannot be used as it stands."""
+    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=ScenarioError)
+    return parse_scenario(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+
+
+def parse_scenario(
+    text: str, file: Path | None = None, recordings: Mapping[str, bytes] | None = None
+) -> Scenario:
+    """The scenario that ``text`` describes; ``file`` names it and is where recordings are sought from.
+
+    ``recordings`` are bytes of recordings by their SHA-256, for a text that says ``sha256`` beside
+    ``recording``: they are used in place of files.  ScenarioError or RecordingError otherwise.
+    """
+    root = Field(parse_tree(text, file), file, path="", line=1)
+    given = root.fields(KEYS)
+    settings = _settings(given)
+    return Scenario(
+        name=file.stem if file else "unnamed",
+        title=_title(given.required("scenario")),
+        about=_about(given.optional("about")),
+        duration_s=_duration(given.required("duration"), settings),
+        seed=_seed(given.optional("seed")),
+        start=_tcp_start(given.required("tcp start")),
+        hands=read_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
+        avoider=_avoider(given.optional("avoider")),
+        claims=_claims(given.required("claims")),
+        settings=settings,
+        file=file,
+        places=places(root),
+    )
+
+
+def _title(field: Field) -> str:
+    title = field.prose("a title on one line")
+    if not title.strip():
+        raise field.error("a title on one line")
+    return title
+
+
+def _about(field: Field | None) -> str:
+    return field.prose("why one would try this", lines=True) if field else ""
+
+
+def _duration(field: Field, settings: Settings) -> float:
+    duration_s = field.quantity(TIME, above=0.0, most=LONGEST_S)
+    if duration_s > MOST_TICKS * settings.clock.control_period_s:
+        raise field.error(f"at most {MOST_TICKS:,} control periods")
+    return duration_s
+
+
+def _seed(field: Field | None) -> int:
+    return field.integer(least=0, most=LARGEST_SEED) if field else 0
+
+
+def _tcp_start(field: Field) -> TcpStart:
+    given = field.fields(("offset", "tilt", "joints"))
+    if "joints" in given:
+        for other in ("offset", "tilt"):
+            if other in given:
+                raise given.required(other).error("either joints or an offset with a tilt", got="both")
+        return _joint_start(given.required("joints"))
+    return _offset_start(given)
+
+
+def _joint_start(field: Field) -> JointStart:
+    a, b, c, d, e, f = (
+        item.quantity(ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
+        for item in field.items("a list of six joint angles such as -90 deg", count=6)
+    )
+    return JointStart(joint_position_rad=(a, b, c, d, e, f))
+
+
+def _offset_start(given: Fields) -> OffsetStart:
+    offset_in_base_m = read_position(given.required("offset"))
+    tilt = given.optional("tilt")
+    if tilt is None:
+        return OffsetStart(offset_in_base_m=offset_in_base_m)
+    return OffsetStart(
+        offset_in_base_m=offset_in_base_m, tilt_in_tcp_rad=tilt.vector(ANGLE, largest=LARGEST_ANGLE_RAD)
+    )
+
+
+def _avoider(field: Field | None) -> str:
+    return field.sentence("the name of an avoider") if field else DEFAULT_AVOIDER
+
+
+def _settings(given: Fields) -> Settings:
+    """The defaults with the values that the file changes."""
+    changes: dict[str, Any] = {}
+    for key, name in TOP_GROUPS.items():
+        group = given.optional(key)
+        if group is not None:
+            changes[name] = read_group(group, getattr(DEFAULTS, name))
+    whole = given.optional("settings")
+    if whole is not None:
+        groups = whole.fields(tuple(SETTINGS_KEYS), hints=_misplaced())
+        for key in groups:
+            name = SETTINGS_KEYS[key]
+            changes[name] = read_group(groups.required(key), getattr(DEFAULTS, name))
+    return replace(DEFAULTS, **changes)
+
+
+def _misplaced() -> dict[str, str]:
+    """What to write instead of a key that stands one level too high, or too low, in ``settings``."""
+    hints = {key: f'"{key}:" stands at the top of the file' for key in TOP_GROUPS}
+    for group, name in SETTINGS_KEYS.items():
+        for key in setting_keys(type(getattr(DEFAULTS, name))):
+            hint = f"{group}: {{{key.words[0]}: ...}}"
+            before = hints.get(key.words[0])
+            hints[key.words[0]] = f"{before}, or {hint}" if before else f"write {hint}"
+    return hints
+
+
+def _claims(field: Field) -> tuple[Claim, ...]:
+    """Claims are looked up later; here they only have to be sentences with a verdict."""
+    expected = "a mapping of claims, such as hand distance never below 50 mm: holds"
+    entries = field.entries(expected)
+    if not entries:
+        raise field.error(expected)
+    return tuple(_claim(sentence, verdict) for sentence, verdict in entries)
+
+
+def _claim(sentence: str, verdict: Field) -> Claim:
+    if not is_sentence(sentence):
+        raise verdict.error(SENTENCE, got=shown(sentence))
+    return Claim(sentence=sentence, expected=verdict.choice(Verdict), place=verdict.place)

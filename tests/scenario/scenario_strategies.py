@@ -1,0 +1,186 @@
+"""Scenarios at random: every kind of start, hand, move and setting that a file can give."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from safety_harness.scenario.model import (
+    Claim,
+    FollowTcp,
+    JointStart,
+    MoveTo,
+    MovingHand,
+    OffsetStart,
+    ReachForTcp,
+    RecordedHand,
+    Scenario,
+    Verdict,
+    Wait,
+    Withdraw,
+)
+from safety_harness.scenario.read import MOST_TICKS
+from safety_harness.scenario.recording import load_recording, parse_recording
+from safety_harness.scenario.settings_keys import MAY_BE_NEGATIVE, MAY_BE_ZERO, SettingKey, setting_keys
+from safety_harness.scenario.units import FRACTION, LENGTH
+from safety_harness.settings import DEFAULTS, Settings, Vector3
+
+
+def csv_of(
+    time_s: np.ndarray, tracks: dict[str, np.ndarray], *, empty: dict[str, set[int]] | None = None
+) -> bytes:
+    """A recording: tracks (n, 3) over time (n,); rows in ``empty[track]`` have empty cells."""
+    header = ["time_s", *(f"{name}_{axis}_m" for name in tracks for axis in "xyz")]
+    lines = [",".join(header)]
+    for row, time in enumerate(time_s):
+        cells = [repr(float(time))]
+        for name, positions in tracks.items():
+            gap = row in (empty or {}).get(name, set())
+            cells += ["" if gap else repr(float(value)) for value in positions[row]]
+        lines.append(",".join(cells))
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _walk() -> bytes:
+    """Two seconds of a hand with an elbow, and of another without; a few gaps."""
+    time_s = np.arange(201) / 100
+    hand = np.stack([0.3 * time_s, np.sin(time_s), 0.1 * np.cos(2 * time_s)], axis=1)
+    tracks = {"right_hand": hand, "right_elbow": hand + [0.2, 0.1, 0.1], "left_hand": hand - [0.5, 0, 0]}
+    return csv_of(time_s, tracks, empty={"right_hand": {20, 21, 50}, "right_elbow": {50, 100}})
+
+
+RECORDING = _walk()
+RECORDINGS = {hashlib.sha256(RECORDING).hexdigest(): RECORDING}
+
+positive = st.floats(min_value=0.0, max_value=1e6, exclude_min=True, allow_subnormal=True)
+speeds = st.floats(min_value=0.0, max_value=100.0, exclude_min=True)
+distances = st.floats(min_value=0.0, max_value=100.0)
+angles = st.floats(min_value=-6.28, max_value=6.28)
+
+
+def vectors(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Vector3]:
+    return st.tuples(numbers, numbers, numbers)
+
+
+points = vectors(st.floats(min_value=-100.0, max_value=100.0))
+sentences = st.text(min_size=1, max_size=40).filter(lambda text: text.strip() and text.isprintable())
+titles = st.text(st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1).filter(str.strip)
+prose = st.text(
+    st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp"), include_characters="\n"), max_size=200
+)
+
+moves = st.one_of(
+    st.builds(MoveTo, position_in_base_m=points, speed_mps=speeds),
+    st.builds(Wait, duration_s=positive),
+    st.builds(ReachForTcp, speed_mps=speeds, until_distance_m=distances, at_most_s=positive),
+    st.builds(FollowTcp, speed_mps=speeds, distance_m=distances, duration_s=positive),
+    st.builds(Withdraw, speed_mps=speeds),
+)
+starts = st.one_of(
+    st.builds(OffsetStart, offset_in_base_m=points, tilt_in_tcp_rad=vectors(angles)),
+    st.builds(JointStart, joint_position_rad=st.tuples(*[angles] * 6)),
+)
+
+
+def setting_values(key: SettingKey, default: Any) -> st.SearchStrategy[Any]:
+    """Values that a file may give for one field of the settings."""
+    if isinstance(key.kind, type) and issubclass(key.kind, Enum):
+        return st.sampled_from(list(key.kind))
+    if key.kind is int:
+        return st.integers(min_value=1, max_value=100)
+    if isinstance(default, tuple) and isinstance(default[0], tuple):
+        return st.lists(st.tuples(distances, angles), min_size=3, max_size=6).map(tuple)
+    if isinstance(default, tuple):
+        return st.tuples(*[angles if key.dimension is not LENGTH else distances] * len(default))
+    if key.dimension is FRACTION:
+        return st.floats(min_value=0.0, max_value=1.0)
+    if key.name in MAY_BE_NEGATIVE:
+        return st.floats(allow_nan=False, allow_infinity=False)
+    number = st.floats(
+        min_value=0.0, exclude_min=key.name not in MAY_BE_ZERO, allow_nan=False, allow_infinity=False
+    )
+    return st.none() | number if default is None else number
+
+
+def _groups() -> dict[str, st.SearchStrategy[Any]]:
+    strategies = {}
+    for name in vars(DEFAULTS):
+        group = getattr(DEFAULTS, name)
+        values = {
+            key.name: setting_values(key, getattr(group, key.name)) for key in setting_keys(type(group))
+        }
+        strategies[name] = st.fixed_dictionaries({}, optional=values).map(
+            lambda changes, group=group: replace(group, **changes)
+        )
+    return strategies
+
+
+settings = st.fixed_dictionaries({}, optional=_groups()).map(lambda groups: replace(DEFAULTS, **groups))
+
+
+@st.composite
+def moving_hands(draw: st.DrawFn) -> MovingHand:
+    start, elbow = draw(points), draw(points)
+    if start == elbow:
+        elbow = (start[0] / 2 + 1.0, start[1], start[2])
+    return MovingHand(
+        name=draw(sentences),
+        starts_at_in_base_m=start,
+        elbow_towards_in_base_m=elbow,
+        moves=tuple(draw(st.lists(moves, max_size=4))),
+    )
+
+
+@st.composite
+def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
+    recording = parse_recording(RECORDING, Path("walk.csv"))
+    track, elbow_track = draw(
+        st.sampled_from([("right_hand", "right_elbow"), ("right_hand", None), ("left_hand", "right_elbow")])
+    )
+    begin = draw(st.none() | st.floats(min_value=0.0, max_value=0.9))
+    usage: dict[str, Any] = {
+        "track": track,
+        "elbow_track": elbow_track,
+        "elbow_towards_in_base_m": (500.0, 0.0, 0.0) if elbow_track is None else None,
+        "starts_at_in_base_m": draw(points),
+        "turn_rad": draw(angles),
+        "speed_factor": draw(st.floats(min_value=0.01, max_value=100.0)),
+        "from_s": begin,
+        "to_s": draw(st.none() | st.floats(min_value=1.0, max_value=2.0)),
+        "longest_gap_s": draw(st.floats(min_value=0.1, max_value=10.0)),
+        "fastest_jump_mps": draw(st.floats(min_value=2.0, max_value=10.0)),
+    }
+    if elbow_track is None:
+        usage["elbow_towards_in_base_m"] = draw(st.sampled_from([(-100.0, 100.0, 50.0), (0.1, 0.2, 99.0)]))
+        usage["starts_at_in_base_m"] = draw(vectors(st.floats(min_value=-5.0, max_value=5.0)))
+    motion = load_recording(recording, forearm_length_m=forearm_length_m, **usage)
+    return RecordedHand(name=draw(sentences), recording=Path("walks/walk.csv"), motion=motion, **usage)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    chosen: Settings = draw(settings)
+    hand = moving_hands() | recorded_hands(min(chosen.hand.forearm_length_m, 1.0))
+    if chosen.hand.forearm_length_m > 1.0:
+        chosen = replace(chosen, hand=replace(chosen.hand, forearm_length_m=1.0))
+    hands = draw(st.lists(hand, max_size=2, unique_by=lambda one: one.name))
+    claims = draw(st.dictionaries(sentences, st.sampled_from(Verdict), min_size=1, max_size=4))
+    longest_s = min(3600.0, MOST_TICKS * chosen.clock.control_period_s)
+    return Scenario(
+        name="example",
+        title=draw(titles),
+        about=draw(prose),
+        duration_s=min(draw(positive), longest_s),
+        seed=draw(st.integers(min_value=0, max_value=2**63 - 1)),
+        start=draw(starts),
+        hands=tuple(hands),
+        avoider=draw(sentences),
+        claims=tuple(Claim(sentence=sentence, expected=verdict) for sentence, verdict in claims.items()),
+        settings=chosen,
+    )
