@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
     AliasEvent,
     CollectionStartEvent,
@@ -156,7 +156,7 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
     except ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise _syntax_error(file, line, f"the character U+{error.character:04X}") from error
-    except (YAMLError, ValueError) as error:  # ValueError: an escape beyond the last code point
+    except Exception as error:  # an escape beyond the last code point, whatever else trips the parser
         raise _syntax_error(file, None, str(error)) from error
 
 
