@@ -43,7 +43,7 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
 
 @compiled
 def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
-    """Gauss-Jordan inverse of a square matrix with partial pivoting; False if a pivot is zero.
+    """Gauss-Jordan inverse of a square matrix with partial pivoting; False if a pivot is 0 or not finite.
 
     An exactly singular matrix (a straight elbow gives one) is an answer here, not an exception.
     """
@@ -57,7 +57,8 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
         for row in range(column + 1, n):
             if abs(work[row, column]) > abs(work[pivot, column]):
                 pivot = row
-        if not abs(work[pivot, column]) > 0.0:
+        largest = abs(work[pivot, column])
+        if not (largest > 0.0 and largest < np.inf):  # also catches NaN
             return False
         for j in range(n):
             work[column, j], work[pivot, j] = work[pivot, j], work[column, j]

@@ -60,7 +60,8 @@ class Evaluation:
         """The margin with its sign and unit, or a dash."""
         if self.margin is None:
             return "-"
-        return f"{self.margin * self.unit.per_si:+.1f} {self.unit.symbol}"
+        shown = self.margin * self.unit.per_si
+        return f"{shown:+.1f} {self.unit.symbol}" if abs(shown) >= 1.0 else f"{shown:+.3g} {self.unit.symbol}"
 
 
 class Property(Protocol):

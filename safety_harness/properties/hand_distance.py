@@ -59,15 +59,21 @@ class HandDistance:
             trace,
             margin=distance_m - self.minimum_m,
             worst_time_s=time_s,
-            reason=f"{name} hand, {distance_m * 1e3:.1f} mm from the {link}",
+            reason=f"{name}: {_words(distance_m)} {link}",
             exercised=int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1)),
         )
+
+
+def _words(distance_m: float) -> str:
+    if distance_m < 0.0:
+        return f"{-distance_m * 1e3:.1f} mm inside"
+    return f"{distance_m * 1e3:.1f} mm from"
 
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
     names = _capsules(load_arm(), trace.scenario.settings)[0]
-    return names[int(trace.ticks["hand_distance_capsule"][tick, hand])]
+    return names[int(trace.ticks["hand_distance_capsule"][tick, hand])].replace("_", " ")
 
 
 def closest_approach(trace: Trace) -> tuple[float, float, int]:

@@ -72,7 +72,7 @@ class RepulsivePosesReachable:
             trace,
             margin=worst,
             worst_time_s=worst_time_s,
-            reason=f"worst of {count} positions",
+            reason=f"worst of {count}" if count > 1 else "one position",
             exercised=count,
         )
 
@@ -133,7 +133,7 @@ class MovesAway:
                     margin, kind = planned, "planned"
                 if not margin >= worst:
                     worst, worst_time_s = margin, float(decision["time_s"])
-                    what = f"{kind} way, {trace.scenario.hands[hand].name} hand"
+                    what = f"{kind} way, {trace.scenario.hands[hand].name}"
         if count == 0:
             return inconclusive(self, "never exercised: the arm never gave way")
         return judged(
@@ -141,7 +141,7 @@ class MovesAway:
             trace,
             margin=worst,
             worst_time_s=worst_time_s,
-            reason=f"worst of {count} decisions: {what}",
+            reason=f"{what}, worst of {count}" if count > 1 else what,
             exercised=count,
         )
 

@@ -51,7 +51,8 @@ class GainSwitchReached:
     """Eq. 15 falls below the switch within the allowed time after the last hand has left.
 
     Margin: time left when it does, or minus the time that had been overrun at the end of the run.
-    Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.
+    Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An
+    object that is not seen is not below the switch.
     """
 
     within_s: float | None = None
@@ -72,18 +73,17 @@ class GainSwitchReached:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
         servo = trace.scenario.settings.servo
         sse = trace.ticks["sse"][first:]
-        seen = np.flatnonzero(np.isfinite(sse))
-        if len(seen) == 0:
-            return inconclusive(self, "the object is not seen after the hands have left")
         allowed_s = self.within_s
         if allowed_s is None:
-            ratio = max(float(sse[seen[0]]) / servo.gain_switch_sse, 1.0)
+            ratio = max(self._error_at(trace, first) / servo.gain_switch_sse, 1.0)
             allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
         start_s = float(trace.time_s[first])
         below = np.flatnonzero(sse < servo.gain_switch_sse)  # a NaN is not below
         if len(below):
             took_s = float(trace.time_s[first + below[0]]) - start_s
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
+            if below[0] == 0:
+                reason = "below the switch already when the hands had left"
         else:
             took_s = float(trace.time_s[-1]) - start_s
             if took_s <= allowed_s:
@@ -99,6 +99,16 @@ class GainSwitchReached:
             reason=reason,
             exercised=1,
         )
+
+
+    def _error_at(self, trace: Trace, tick: int) -> float:
+        """Eq. 15 at a tick; while the object is not seen, what it would be upright: the distance squared."""
+        sse = float(trace.ticks["sse"][tick])
+        if np.isfinite(sse):
+            return sse
+        desired = desired_transform_tcp_to_base(trace.scenario.settings)
+        way = trace.ticks["transform_tcp_to_base"][tick, :3, 3] - desired[:3, 3]
+        return float(way @ way)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,7 +29,7 @@ def joint_velocity(
         for j in range(6):
             norm2 += inverse[i, j] * inverse[i, j]
     if regular and not norm2 * min_singular_value * min_singular_value <= 1.0:
-        regular = smallest_singular_value(jacobian) > min_singular_value
+        regular = np.isfinite(norm2) and smallest_singular_value(jacobian) > min_singular_value
     for i in range(6):
         total = 0.0
         for j in range(6):

@@ -137,7 +137,8 @@ def near_miss(word: str, allowed: Iterable[str], *, most: int = 1) -> str:
     """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing."""
     by_lower = {name.lower(): name for name in allowed}
     close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
-    return f"did you mean {' or '.join(by_lower[name] for name in close)}?" if word and close else ""
+    names = " or ".join(f'"{by_lower[name]}"' for name in close)
+    return f"did you mean {names}?" if word and close else ""
 
 
 def shown(text: str) -> str:

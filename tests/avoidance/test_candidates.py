@@ -61,7 +61,7 @@ def test_azimuth_and_elevation_are_normal_about_the_axis(within_rad: float) -> N
     share = np.mean(angles(MANY, drawn(MANY)) <= within_rad)
     assert share == pytest.approx(expected, abs=4.0 * np.sqrt(0.25 / MANY.count) + 2e-3)
     uniform = (1.0 - np.cos(within_rad)) / (1.0 - np.cos(CAP.cone_rad))
-    assert share > 1.15 * uniform
+    assert share > 1.05 * uniform
 
 
 def test_the_candidates_favour_no_side_of_the_axis() -> None:
@@ -83,7 +83,7 @@ def test_a_vertical_axis_is_an_axis_like_any_other(below: float) -> None:
     assert np.linalg.norm(offsets, axis=1) == pytest.approx(cap.radius_m, abs=1e-15)
     assert angles(cap, offsets).max() <= cap.cone_rad + 1e-7
     assert offsets[:, 2].min() * below > -cap.radius_m
-    assert np.ptp(offsets, axis=0).min() > 0.5 * cap.radius_m
+    assert np.ptp(offsets, axis=0).min() > 0.4 * cap.radius_m
 
 
 def test_what_can_never_be_drawn_is_refused() -> None:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,9 +36,10 @@ def proposed(hand: np.ndarray, tcp: np.ndarray, seed: int) -> np.ndarray:
 
 
 def image_error(tcp: np.ndarray) -> float:
-    """|f - f*| of the exact image from a TCP at ``tcp`` that looks straight down."""
+    """|f - f*| of an exact and large image from a TCP at ``tcp`` that looks straight down."""
     view = view_of(DEFAULTS)
-    camera = sensors(DEFAULTS, 0, 0, overhead_transform_sensor_to_base(DEFAULTS))
+    large = replace(DEFAULTS, camera=replace(DEFAULTS.camera, width_px=4000, height_px=4000))
+    camera = sensors(large, 0, 0, overhead_transform_sensor_to_base(DEFAULTS))
     pose = desired_transform_tcp_to_base(DEFAULTS)
     pose[:3, 3] = tcp
     moments, f, error = np.empty(MOMENT_COUNT), np.empty(6), np.empty(6)

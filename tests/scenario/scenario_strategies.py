@@ -51,7 +51,7 @@ def _walk() -> bytes:
     """Two seconds of a hand with an elbow, and of another without; a few gaps."""
     time_s = np.arange(201) / 100
     hand = np.stack([0.3 * time_s, np.sin(time_s), 0.1 * np.cos(2 * time_s)], axis=1)
-    tracks = {"right_hand": hand, "right_elbow": hand + [0.2, 0.1, 0.1], "left_hand": hand - [0.5, 0, 0]}
+    tracks = {"right_hand": hand, "right_elbow": hand + np.array([0.2, 0.1, 0.1]), "left_hand": hand - 0.5}
     return csv_of(time_s, tracks, empty={"right_hand": {20, 21, 50}, "right_elbow": {50, 100}})
 
 

@@ -53,7 +53,9 @@ def test_a_missing_value_stands_on_its_keys_line() -> None:
     assert tree.entries[0][1] == Scalar("", 1)
 
 
-@pytest.mark.parametrize(("style", "text"), [("|", "one\ntwo"), (">", "one two"), (">+", "one two"), ("|-", "one\ntwo")])
+@pytest.mark.parametrize(
+    ("style", "text"), [("|", "one\ntwo"), (">", "one two"), (">+", "one two"), ("|-", "one\ntwo")]
+)
 def test_a_block_text_ends_without_a_line_break(style: str, text: str) -> None:
     assert plain(parse_tree(f"a: {style}\n  one\n  two\n\n", FILE)) == {"a": text}
 
@@ -66,7 +68,13 @@ def test_a_block_text_ends_without_a_line_break(style: str, text: str) -> None:
         ("a: 1\nb: &x 2\n", 2, "b", "a value without an anchor", "the anchor &x"),
         ("a: 1\nb: *x\n", 2, "b", "the value itself", "the alias *x"),
         ("a: &x [1]\nb: [*x, *x]\n", 1, "a", "a value without an anchor", "the anchor &x"),
-        ("a: 1\nb: !!python/object:os.system x\n", 2, "b", "a value without a tag", "the tag tag:yaml.org,2002:python/"),
+        (
+            "a: 1\nb: !!python/object:os.system x\n",
+            2,
+            "b",
+            "a value without a tag",
+            "the tag tag:yaml.org,2002:python/",
+        ),
         ("a: !here {b: 1}\n", 1, "a", "a value without a tag", "the tag !here"),
         ("? [1, 2]\n: 3\n", 1, None, "a key of plain words", "a list or a mapping as a key"),
         ("a: 1\n---\nb: 2\n", 2, None, "one document", "a second one"),
@@ -98,7 +106,9 @@ def test_deep_nesting_is_refused_before_it_costs_anything(opening: str) -> None:
 
 
 def test_an_alias_bomb_is_refused_at_its_first_anchor() -> None:
-    bomb = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdef", "bcdefg", strict=True))
+    bomb = "a: &a [x, x]\n" + "".join(
+        f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdef", "bcdefg", strict=True)
+    )
     assert refusal(bomb).place.line == 1
 
 

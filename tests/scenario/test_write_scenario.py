@@ -24,7 +24,7 @@ PLAIN = Scenario(
     avoider="opposite pose",
     claims=(Claim(sentence="gain switch reached", expected=Verdict.HOLDS),),
 )
-quick = hypothesis_settings(deadline=None, max_examples=100, suppress_health_check=[HealthCheck.too_slow])
+quick = hypothesis_settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.too_slow])
 
 
 @quick

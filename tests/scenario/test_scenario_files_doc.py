@@ -1,0 +1,148 @@
+"""docs/scenario-files.md: its examples run, its tables name every key, its defaults are the defaults."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario import read, read_hands, units
+from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
+from safety_harness.scenario.settings_keys import setting_keys
+from safety_harness.scenario.units import Dimension
+from safety_harness.settings import DEFAULTS
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs/scenario-files.md").read_text()
+FILE = ROOT / "scenarios/example.yaml"  # examples stand where the recordings are
+BASE = {
+    "scenario": "scenario: an example",
+    "duration": "duration: 1 s",
+    "tcp start": "tcp start: {offset: [0 mm, 0 mm, 0 mm]}",
+    "claims": "claims: {gain switch reached: holds}",
+}
+
+
+def blocks(kind: str) -> list[str]:
+    return re.findall(rf"^```{kind}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+
+
+def completed(example: str) -> str:
+    """An example with the required keys that it leaves out, at its end so that lines stay."""
+    return example + "".join(
+        f"{line}\n" for key, line in BASE.items() if not re.search(f"^{key}:", example, re.M)
+    )
+
+
+@dataclass(frozen=True)
+class Row:
+    keys: tuple[str, ...]
+    value: str
+    default: str
+
+
+def rows(heading: str) -> list[Row]:
+    """The rows of the first table below a heading."""
+    section = TEXT.split(f"{heading}\n", 1)[1].split("\n#", 1)[0]
+    table = section.split("|---", 1)[1].split("\n\n", 1)[0].splitlines()[1:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
+    return [Row(tuple(re.findall("`(.*?)`", first)), value, default) for first, value, default, *_ in cells]
+
+
+def defaults_of(heading: str, indent: str) -> str:
+    """The defaults of a table of settings, as they would stand in a file."""
+    lines: list[str] = []
+    for row in rows(heading):
+        key = row.keys[-1]
+        if row.default == "none":
+            lines.append(f"{indent}{key}:")
+        else:
+            lines.append(f"{indent}{'  ' if len(row.keys) == 2 else ''}{key}: {row.default}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("example", blocks("yaml"))
+def test_every_example_can_be_read(example: str) -> None:
+    assert isinstance(parse_scenario(completed(example), FILE), Scenario)
+
+
+def test_there_are_examples() -> None:
+    assert len(blocks("yaml")) == 6
+
+
+def test_the_first_example_is_complete() -> None:
+    assert completed(blocks("yaml")[0]) == blocks("yaml")[0]
+
+
+def test_the_refused_example_is_refused_in_the_words_of_the_page() -> None:
+    (example,), (message,) = blocks("yaml refused"), blocks("text")
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(completed(example), Path("example.yaml"))
+    assert str(caught.value) == message.strip()
+
+
+def test_the_note_about_a_recording_is_what_the_example_gives() -> None:
+    (example,) = (example for example in blocks("yaml") if "recording:" in example)
+    hand = parse_scenario(completed(example), FILE).hands[0]
+    assert isinstance(hand, RecordedHand)
+    assert f"`{hand.motion.notes[0]}`" in " ".join(TEXT.split())
+
+
+@pytest.mark.parametrize(
+    ("heading", "keys"),
+    [
+        ("## Top of the file", KEYS),
+        ("## A hand that moves", read_hands._MOVING_KEYS),
+        ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
+        ("## `tcp start`", ("offset", "tilt", "joints")),
+        ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
+        ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
+    ],
+)
+def test_the_tables_name_every_key_and_no_other(heading: str, keys: tuple[str, ...]) -> None:
+    assert {key for row in rows(heading) for key in row.keys} == set(keys)
+
+
+def test_the_page_names_every_move() -> None:
+    for move, (further, _) in read_hands._MOVES.items():
+        (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
+        assert tuple(re.findall("`(.*?)`", line)) == further
+
+
+@pytest.mark.parametrize("group", SETTINGS_KEYS)
+def test_the_tables_of_settings_name_every_key_with_its_default(group: str) -> None:
+    keys = setting_keys(type(getattr(DEFAULTS, SETTINGS_KEYS[group])))
+    assert [row.keys for row in rows(f"### `{group}`")] == [key.words for key in keys]
+    text = completed("") + f"settings:\n  {group}:\n" + defaults_of(f"### `{group}`", "    ")
+    assert parse_scenario(text, FILE).settings == DEFAULTS
+
+
+@pytest.mark.parametrize("group", ["camera", "hand sensor"])
+def test_the_defaults_of_the_cameras_are_the_defaults(group: str) -> None:
+    text = completed("") + f"{group}:\n" + defaults_of(f"## `{group}`", "  ")
+    assert parse_scenario(text, FILE).settings == DEFAULTS
+
+
+def test_the_other_defaults_are_the_defaults() -> None:
+    default = {key: row.default for row in rows("## A hand that repeats a recording") for key in row.keys}
+    longest_gap_s = units.parse_quantity(default["longest gap"], units.TIME, Place())
+    fastest_jump_mps = units.parse_quantity(default["fastest jump"], units.SPEED, Place())
+    assert longest_gap_s == read_hands.DEFAULT_LONGEST_GAP_S
+    assert fastest_jump_mps == read_hands.DEFAULT_FASTEST_JUMP_MPS
+    top = {key: row.default for row in rows("## Top of the file") for key in row.keys}
+    assert top["avoider"] == read.DEFAULT_AVOIDER
+    assert {key for key in top if top[key] == "required"} == set(BASE)
+
+
+def test_the_table_of_units_is_complete() -> None:
+    section = TEXT.split("## Values", 1)[1].split("\n## ", 1)[0]
+    table = {cells[1].strip(): cells for line in section.splitlines() if len(cells := line.split("|")) == 5}
+    for dimension in (value for value in vars(units).values() if isinstance(value, Dimension)):
+        _, _, allowed, example, _ = table[dimension.name]
+        found = re.findall(r"[^\s,]+", allowed.replace("or no unit", "").replace("no unit", ""))
+        assert found == list(dimension.units)
+        assert units.parse_quantity(example, dimension, Place()) > 0.0
