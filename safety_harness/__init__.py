@@ -1,1 +1,83 @@
+"""Verify a learned hand-avoidance controller of a visually servoed robot, in simulation.
 
+    from pathlib import Path
+    from safety_harness import admit, judge, read_scenario, run_trial
+
+    trace = run_trial(admit(read_scenario(Path("scenarios/hand-visits-and-leaves.yaml"))))
+    for evaluation in judge(trace):
+        print(evaluation.sentence, evaluation.verdict.value, evaluation.margin_text())
+
+The names below are public; a test holds them.  They are imported when they are first used, so that
+``safety-harness --help`` does not wait for a physics engine.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from safety_harness.admission.admit import Admitted, admit
+    from safety_harness.admission.trial import judge, run_trial
+    from safety_harness.avoidance.avoider import Avoider, Proposal
+    from safety_harness.exceptions import InputError, SafetyHarnessError
+    from safety_harness.properties.base import Evaluation, Property
+    from safety_harness.report.evidence import JudgedRun
+    from safety_harness.report.html import write_report
+    from safety_harness.scenario.model import Scenario, Verdict
+    from safety_harness.scenario.read import parse_scenario, read_scenario
+    from safety_harness.scenario.write import write_scenario
+    from safety_harness.settings import DEFAULTS, Settings
+    from safety_harness.trace.compare import first_difference
+    from safety_harness.trace.store import load_trace, save_trace
+    from safety_harness.trace.trace import Trace
+
+__all__ = [
+    "DEFAULTS",
+    "Admitted",
+    "Avoider",
+    "Evaluation",
+    "InputError",
+    "JudgedRun",
+    "Property",
+    "Proposal",
+    "SafetyHarnessError",
+    "Scenario",
+    "Settings",
+    "Trace",
+    "Verdict",
+    "admit",
+    "first_difference",
+    "judge",
+    "load_trace",
+    "parse_scenario",
+    "read_scenario",
+    "run_trial",
+    "save_trace",
+    "write_report",
+    "write_scenario",
+]
+
+_HOMES = {
+    "admission.admit": ("Admitted", "admit"),
+    "admission.trial": ("judge", "run_trial"),
+    "avoidance.avoider": ("Avoider", "Proposal"),
+    "exceptions": ("InputError", "SafetyHarnessError"),
+    "properties.base": ("Evaluation", "Property"),
+    "report.evidence": ("JudgedRun",),
+    "report.html": ("write_report",),
+    "scenario.model": ("Scenario", "Verdict"),
+    "scenario.read": ("parse_scenario", "read_scenario"),
+    "scenario.write": ("write_scenario",),
+    "settings": ("DEFAULTS", "Settings"),
+    "trace.compare": ("first_difference",),
+    "trace.store": ("load_trace", "save_trace"),
+    "trace.trace": ("Trace",),
+}
+
+
+def __getattr__(name: str) -> object:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,9 +63,7 @@ def scenario(
 def run(
     what: Scenario, *, avoider: Avoider | None = None, controller: Controller | None = None, gate: Gate | None = None
 ) -> Trace:
-    admitted = admit(what)
-    if avoider is not None:
-        admitted = replace(admitted, avoider=avoider)
+    admitted = admit(what, avoider=avoider)
     if controller is None:
         controller = admitted.controller() if gate is None else ungated(admitted, gate)
     with PyBulletWorld(what, admitted.arm, admitted.joint_position_rad) as world:

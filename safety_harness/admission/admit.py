@@ -57,8 +57,11 @@ class Admitted:
         return AvoidingServo(settings, self.arm, self.view, self.avoider, gate, self.scenario.seed)
 
 
-def admit(scenario: Scenario) -> Admitted:
-    """Resolve and check; InadmissibleError names the place, what was expected and what came."""
+def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
+    """Resolve and check; InadmissibleError names the place, what was expected and what came.
+
+    ``avoider`` takes the place of the one that the scenario names.
+    """
     arm = load_arm(ARM_NAME)
     try:
         view = view_of(scenario.settings)
@@ -74,7 +77,7 @@ def admit(scenario: Scenario) -> Admitted:
     check_hands(scenario)
     check_hand_sensor(scenario)
     properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
-    return Admitted(scenario, arm, view, start, avoider_of(scenario), properties)
+    return Admitted(scenario, arm, view, start, avoider or avoider_of(scenario), properties)
 
 
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:

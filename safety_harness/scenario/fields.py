@@ -11,6 +11,7 @@ import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
+from math import pi
 from pathlib import Path
 from typing import TypeVar
 
@@ -18,6 +19,9 @@ from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
 from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
 from safety_harness.settings import Vector3
+
+LARGEST_COORDINATE_M = 100.0  # beyond it: a slip of the unit, not a workplace
+LARGEST_ANGLE_RAD = 2.0 * pi
 
 E = TypeVar("E", bound=Enum)
 D = TypeVar("D", float, None)

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario.fields import SENTENCE, Field, Fields, is_sentence, places
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import parse_tree
-from safety_harness.scenario.read_hands import LARGEST_ANGLE_RAD, read_hands, read_position
+from safety_harness.scenario.read_hands import read_hands, read_position
 from safety_harness.scenario.settings_keys import read_group, setting_keys
 from safety_harness.scenario.units import ANGLE, TIME, shown
 from safety_harness.settings import DEFAULTS, Settings

@@ -5,11 +5,10 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Mapping
-from math import pi
 from pathlib import Path
 
 from safety_harness.exceptions import RecordingError
-from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.model import (
     MAX_HANDS,
@@ -27,8 +26,6 @@ from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recordi
 from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss, shown
 from safety_harness.settings import Settings, Vector3
 
-LARGEST_COORDINATE_M = 100.0  # a slip of the unit, not a workplace
-LARGEST_ANGLE_RAD = 2.0 * pi
 _FASTEST_MPS = 100.0
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 

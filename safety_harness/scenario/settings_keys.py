@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Any, TypeVar
 
-from safety_harness.scenario.fields import Field
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.units import (
     ACCELERATION,
     ANGLE,
@@ -106,7 +106,7 @@ _MOST: Mapping[str, int] = {
     "candidate_count": 100_000,
     "physics_substeps": 100,
 }
-_LARGEST_COORDINATE_M = 100.0
+_LARGEST: Mapping[str, float] = {LENGTH.name: LARGEST_COORDINATE_M, ANGLE.name: LARGEST_ANGLE_RAD}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,8 +188,7 @@ def _read(field: Field, key: SettingKey, default: Any) -> Any:
     if isinstance(kind, type) and issubclass(kind, Enum):
         return field.choice(kind)
     if kind == Vector3:
-        largest = _LARGEST_COORDINATE_M if key.dimension is LENGTH else None
-        return field.vector(key.dimension, largest=largest)
+        return field.vector(key.dimension, largest=_LARGEST[key.dimension.name])
     if kind == tuple[float, ...]:
         count = len(default)
         expected = f"a list of {count}, each {key.dimension.expected}"

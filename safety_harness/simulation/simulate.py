@@ -46,7 +46,7 @@ def simulate(
     decisions = controller.decisions
     return Trace(
         scenario=scenario,
-        ticks=ticks[:done].copy(),
+        ticks=ticks[:done],  # no copy: that would fill the padding between fields with anything
         decisions=decisions[decisions["tick"] < done],  # not one of a tick that Ctrl-C cut short
         provenance=provenance(world.name, controller.name),
         ended=ended,

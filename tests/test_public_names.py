@@ -1,0 +1,38 @@
+"""The public names are there, all of them, and no others; and importing the package is quick work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import safety_harness
+
+
+def test_every_public_name_can_be_imported() -> None:
+    for name in safety_harness.__all__:
+        assert getattr(safety_harness, name) is not None
+
+
+def test_the_lazy_homes_and_the_public_names_agree() -> None:
+    homes = [name for names in safety_harness._HOMES.values() for name in names]
+    assert sorted(homes) == sorted(safety_harness.__all__)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'amdit'"):
+        safety_harness.amdit  # noqa: B018
+
+
+def test_importing_the_package_loads_neither_numba_nor_pybullet() -> None:
+    code = "import sys, safety_harness; print([m for m in ('numba', 'pybullet', 'cv2') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
+
+
+def test_the_example_of_the_package_docstring_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    doc = safety_harness.__doc__ or ""
+    code = "\n".join(line.removeprefix("    ") for line in doc.splitlines() if line.startswith("    "))
+    exec(compile(code, "docstring", "exec"), {})
+    assert "hand distance never below 50 mm holds" in capsys.readouterr().out

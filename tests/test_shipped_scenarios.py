@@ -1,0 +1,83 @@
+"""Every shipped scenario comes out as its file expects, and together they walk the whole state table."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safety_harness import admit, judge, read_scenario, run_trial
+from safety_harness.scenario.model import RecordedHand, Verdict
+from safety_harness.trace.records import Mode, Trigger
+from safety_harness.trace.trace import Trace
+
+FOLDER = Path(__file__).parents[1] / "scenarios"
+FILES = sorted(FOLDER.glob("*.yaml"))
+S, R, P, L = Mode.SERVOING, Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST
+
+
+@lru_cache
+def trace_of(name: str) -> Trace:
+    return run_trial(admit(read_scenario(FOLDER / f"{name}.yaml")))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_every_verdict_is_the_expected_one(file: Path) -> None:
+    trace = trace_of(file.stem)
+    assert trace.complete
+    for claim, evaluation in zip(trace.scenario.claims, judge(trace), strict=True):
+        assert evaluation.verdict is claim.expected, evaluation
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("hand-visits-and-leaves", S, R),
+        ("nothing-reachable", S, P),
+        ("hand-visits-and-leaves", R, S),
+        ("object-stays-lost", R, L),
+        ("cornered", R, P),
+        ("camera-30-hz", L, S),
+        ("object-lost-and-found", L, R),
+        ("nothing-reachable", P, S),
+        ("cornered", P, S),
+    ],
+)
+def test_a_row_of_the_state_table_happens_in_its_scenario(name: str, before: Mode, after: Mode) -> None:
+    modes = trace_of(name).ticks["mode"]
+    assert np.any((modes[:-1] == before) & (modes[1:] == after))
+
+
+@pytest.mark.parametrize(
+    ("name", "trigger"), [("hand-stays", Trigger.HAND_STILL_THERE), ("second-hand", Trigger.ANOTHER_HAND)]
+)
+def test_a_repulsion_follows_a_repulsion_for_the_stated_reason(name: str, trigger: Trigger) -> None:
+    trace = trace_of(name)
+    again = trace.decisions[trace.decisions["trigger"] == trigger]
+    assert len(again) > 0
+    assert np.all(trace.ticks["mode"][again["tick"] - 1] == R)
+    assert np.all(trace.ticks["mode"][again["tick"]] == R)
+
+
+def test_a_hand_that_returns_triggers_twice_from_servoing() -> None:
+    assert np.sum(trace_of("hand-returns").decisions["trigger"] == Trigger.HAND_ENTERED) >= 2
+
+
+def test_there_are_honest_violations_and_recorded_hands_among_them() -> None:
+    scenarios = [read_scenario(file) for file in FILES]
+    assert len(scenarios) >= 12
+    expected_violated = [s for s in scenarios if any(c.expected is Verdict.VIOLATED for c in s.claims)]
+    assert len(expected_violated) >= 3
+    recorded = [s for s in scenarios if any(isinstance(hand, RecordedHand) for hand in s.hands)]
+    assert len({hand.recording for s in recorded for hand in s.hands if isinstance(hand, RecordedHand)}) == 6
+
+
+def test_the_files_that_expect_a_violation_would_fail_if_they_expected_none() -> None:
+    """The runs are judged, not believed: a wrong expectation is noticed."""
+    trace = trace_of("fast-reach")
+    claim, evaluation = trace.scenario.claims[0], judge(trace)[0]
+    assert claim.expected is evaluation.verdict is Verdict.VIOLATED
+    assert evaluation.margin is not None
+    assert evaluation.margin < -0.05
