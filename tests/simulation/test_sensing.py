@@ -220,16 +220,16 @@ def seen(
     return boxes[:count]
 
 
-BESIDE = (0.84, -0.35, 0.1)
+OVERHEAD = DEFAULTS.hand_sensor.overhead_position_in_base_m
+BESIDE = (OVERHEAD[0], OVERHEAD[1], 0.1)  # right below the overhead camera, beside the arm
 UNDER_THE_WRIST = (0.70, 0.02, 0.05)  # 300 mm below the flange
 FAR = (1.6, -1.2, 0.1)  # outside the overhead camera's image
 
 
 def test_the_overhead_camera_sees_a_hand_beside_the_arm_where_it_is() -> None:
     ((u_px, v_px, z_m, area_px2, aspect),) = seen(HandSensorKind.OVERHEAD, BESIDE)
-    sensor = DEFAULTS.hand_sensor
-    assert (u_px, v_px) == pytest.approx(sensor_principal_point_px(sensor), abs=1e-6)  # right below it
-    height_m = sensor.overhead_position_in_base_m[2] - BESIDE[2]
+    assert (u_px, v_px) == pytest.approx(sensor_principal_point_px(DEFAULTS.hand_sensor), abs=1e-6)
+    height_m = OVERHEAD[2] - BESIDE[2]
     assert z_m == pytest.approx(height_m - DEFAULTS.hand.radius_m)
     assert np.sqrt(area_px2) == pytest.approx(2 * 615 * DEFAULTS.hand.radius_m / height_m, rel=0.01)
     assert aspect == pytest.approx(1.0)
@@ -256,13 +256,13 @@ def test_where_the_overhead_camera_sees_it_agrees_with_the_ideal_one() -> None:
 
 
 def test_no_sensor_sees_behind_itself() -> None:
-    above = (0.84, -0.35, 1.6)
+    above = (*BESIDE[:2], OVERHEAD[2] + 0.2)
     for kind in (HandSensorKind.OVERHEAD, HandSensorKind.IDEAL):
         assert len(seen(kind, above)) == 0
 
 
 @pytest.mark.parametrize(
-    ("sideways_m", "visible"), [((0.0, 0.0), True), ((0.0, -0.20), True), ((0.0, -0.35), False), ((0.25, 0.0), False)]
+    ("sideways_m", "visible"), [((0.0, 0.0), True), ((0.0, -0.15), True), ((0.0, -0.35), False), ((0.25, 0.0), False)]
 )
 def test_the_hand_eye_camera_sees_only_what_is_in_front_of_its_lens(
     sideways_m: tuple[float, float], visible: bool

@@ -1,0 +1,252 @@
+"""What does a control tick cost, next to its physics and next to a naive loop?  Run: python benchmarks/loop.py.
+
+Three loops take turns on the same scenarios in one process (A B C A B C ...), so that a busy machine
+slows all of them; a ratio is formed within each turn and printed as median (least to greatest).
+"""
+
+from __future__ import annotations
+
+import one_thread  # isort: split
+
+import importlib.util
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.controller import controller
+from safety_harness.scenario.read import read_scenario
+from safety_harness.simulation import pybullet_world
+from safety_harness.simulation.cell import build_cell
+from safety_harness.simulation.engine import pybullet
+from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.simulate import simulate
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+NAMES = ("hand-visits-and-leaves", "hand-stays")
+TURNS = 7
+NAIVE_TICKS = 24  # a turn, evenly spread over the scenario
+LARGEST_OVERHEAD = 1.5  # of everything around stepSimulation, times the physics
+AIMED_SPEEDUP = 400.0
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A scenario and its run, which all loops repeat."""
+
+    admitted: Admitted
+    trace: Trace
+
+    @property
+    def critical(self) -> NDArray[np.bool_]:
+        """(n,) the ticks in which a predicted hand is within the critical distance."""
+        within: NDArray[np.bool_] = (
+            self.trace.ticks["predicted_distance_m"]
+            < self.admitted.scenario.settings.avoidance.critical_distance_m
+        )
+        return within
+
+
+def whole_loop(admitted: Admitted) -> tuple[float, Trace]:
+    """(seconds a tick, trace) of the product's loop; building the world is not counted."""
+    with PyBulletWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad) as world:
+        pilot = admitted.controller()
+        start = time.perf_counter()
+        trace = simulate(world, pilot, admitted.scenario)
+        return (time.perf_counter() - start) / admitted.scenario.ticks, trace
+
+
+def physics_alone(recorded: Recorded) -> float:
+    """Seconds of stepSimulation a tick, with the motor targets of the recorded run."""
+    admitted, ticks = recorded.admitted, recorded.trace.ticks
+    if (ticks["mode"] == int(Mode.PROTECTIVE_STOP)).any():
+        raise ValueError("in a protective stop the motor targets are not the demanded velocities")
+    settings = admitted.scenario.settings
+    client = int(pybullet.connect(pybullet.DIRECT))
+    try:
+        bodies = build_cell(client, settings, admitted.arm, admitted.joint_position_rad, rendered=False)
+        joints, efforts = list(bodies.joints), admitted.arm.effort_limit.tolist()
+        total_s = 0.0
+        for targets in ticks["demanded_joint_velocity_radps"][:-1].tolist():
+            pybullet.setJointMotorControlArray(
+                bodies.robot,
+                joints,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=targets,
+                forces=efforts,
+                physicsClientId=client,
+            )
+            start = time.perf_counter()
+            for _ in range(settings.clock.physics_substeps):
+                pybullet.stepSimulation(physicsClientId=client)
+            total_s += time.perf_counter() - start
+        states = pybullet.getJointStates(bodies.robot, joints, physicsClientId=client)
+    finally:
+        pybullet.disconnect(physicsClientId=client)
+    if [state[0] for state in states] != ticks["joint_position_rad"][-1].tolist():
+        raise RuntimeError("the replayed physics did not end where the recorded run did")
+    return total_s / admitted.scenario.ticks
+
+
+def naive_sample(recorded: Recorded) -> NDArray[np.int64]:
+    """(NAIVE_TICKS,) evenly spread ticks."""
+    return np.linspace(0, len(recorded.trace.ticks) - 1, NAIVE_TICKS).round().astype(np.int64)
+
+
+def naive_time(loop: Any, recorded: Recorded) -> float:
+    """Seconds a tick of the naive loop."""
+    total_s = 0.0
+    for k in naive_sample(recorded):
+        loop.place(recorded.trace.ticks[k])
+        start = time.perf_counter()
+        loop.tick(critical=bool(recorded.critical[k]))
+        total_s += time.perf_counter() - start
+    return total_s / NAIVE_TICKS
+
+
+@contextmanager
+def naive_loop(admitted: Admitted) -> Iterator[Any]:
+    """The naive loop, or None without torch."""
+    if importlib.util.find_spec("torch") is None:
+        yield None
+        return
+    from naive_loop import NaiveLoop
+
+    with NaiveLoop(admitted) as loop:
+        yield loop
+
+
+def compare(recorded: Recorded) -> None:
+    """Let the loops take turns; print their times and ratios."""
+    loops: list[float] = []
+    physics: list[float] = []
+    naive: list[float] = []
+    with naive_loop(recorded.admitted) as loop:
+        for _ in range(TURNS):
+            loops.append(whole_loop(recorded.admitted)[0])
+            physics.append(physics_alone(recorded))
+            if loop is not None:
+                naive.append(naive_time(loop, recorded))
+    around = [(a - b) / b for a, b in zip(loops, physics, strict=True)]
+    say("whole loop", [1e6 * a for a in loops], "us a tick")
+    say("stepSimulation alone", [1e6 * b for b in physics], "us a tick")
+    met = "met" if median(around) <= LARGEST_OVERHEAD else "NOT MET"
+    say("around stepSimulation", around, f"x the physics (at most {LARGEST_OVERHEAD:g}: {met})")
+    if not naive:
+        print("  naive loop              skipped: torch is not installed (pip install -e '.[benchmarks]')")
+        return
+    say("naive loop", [1e6 * c for c in naive], "us a tick")
+    ratios = [c / a for a, c in zip(loops, naive, strict=True)]
+    say("naive loop", ratios, f"x the whole loop (aim: {AIMED_SPEEDUP:g})")
+
+
+def say(name: str, values: list[float], unit: str) -> None:
+    """A line: median (least to greatest)."""
+    print(f"  {name:24}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
+
+
+class Stopwatch:
+    """Adds up the time spent in the functions that it wraps."""
+
+    def __init__(self) -> None:
+        self.total_s: dict[str, float] = {}
+
+    def timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """``function`` with its time added to ``part``."""
+        self.total_s.setdefault(part, 0.0)
+
+        def wrapped(*args: Any, **kwargs: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                self.total_s[part] += time.perf_counter() - start
+
+        return wrapped
+
+    def on(self, part: str, owner: Any, name: str) -> Any:
+        """A patch that times ``owner.name`` while it lasts."""
+        return patch.object(owner, name, self.timed(part, getattr(owner, name)))
+
+
+def where_the_time_goes(admitted: Admitted) -> dict[str, float]:
+    """Microseconds a tick of each part, from one run with a stopwatch on every part."""
+    watch = Stopwatch()
+    engine = SimpleNamespace(**vars(pybullet))
+    engine.stepSimulation = watch.timed("stepSimulation", pybullet.stepSimulation)
+    engine.setJointMotorControlArray = watch.timed("motor command", pybullet.setJointMotorControlArray)
+    engine.getJointStates = watch.timed("joint states", pybullet.getJointStates)
+    with (
+        patch.object(pybullet_world, "pybullet", engine),
+        watch.on("drives", pybullet_world, "drive_tick"),
+        watch.on("hands", pybullet_world, "advance_hands"),
+        watch.on("fill_truth", pybullet_world, "fill_truth"),
+        watch.on("observe", PyBulletWorld, "observe"),
+        watch.on("begin_tick", controller, "begin_tick"),
+        watch.on("decide", controller.AvoidingServo, "_decide"),
+        watch.on("finish_tick", controller, "finish_tick"),
+        watch.on("report, recording", controller.AvoidingServo, "report"),
+        watch.on("report, recording", PyBulletWorld, "true_state"),
+    ):
+        tick_s, _ = whole_loop(admitted)
+    parts = {part: 1e6 * total_s / admitted.scenario.ticks for part, total_s in watch.total_s.items()}
+    parts["rest (Python between them)"] = 1e6 * tick_s - sum(parts.values())
+    return parts
+
+
+def print_parts(admitted: Admitted) -> None:
+    """Medians over the turns, the largest first."""
+    turns = [where_the_time_goes(admitted) for _ in range(TURNS)]
+    rows = {part: [turn[part] for turn in turns] for part in turns[0]}
+    shares = {part: median(turn[part] / turn["stepSimulation"] for turn in turns) for part in rows}
+    print("  where the time goes           us a tick (least to greatest)   x stepSimulation")
+    for part in sorted(rows, key=lambda part: -median(rows[part])):
+        values = rows[part]
+        spread = f"({min(values):.2f} to {max(values):.2f})"
+        print(f"    {part:28}{median(values):9.2f}  {spread:20}{shares[part]:10.3f}")
+
+
+def main() -> None:
+    """Print everything."""
+    cv2.setNumThreads(1)
+    print(
+        f"Method: {TURNS} turns of whole loop, physics alone, naive loop, one after the other; one thread each"
+    )
+    print(f"({', '.join(one_thread.VARIABLES)} = 1).  Physics alone: the same cell and motor")
+    print("targets, only stepSimulation timed; it must end at the same joint angles.  Exact camera.")
+    print(
+        f"Naive loop: {NAIVE_TICKS} ticks a turn, evenly spread: a 640x480 image by PyBullet's software renderer"
+    )
+    print(
+        "with the arm's visual meshes loaded, OpenCV threshold, moments, interaction matrix and pinv in numpy,"
+    )
+    print("physics, getClosestPoints; in critical ticks ten eager passes of a regression ResNet (width 32,")
+    print("dropout, untrained weights).  Critical: a predicted hand is within the critical distance.")
+    for name in NAMES:
+        admitted = admit(read_scenario(SCENARIOS / f"{name}.yaml"))
+        recorded = Recorded(admitted, whole_loop(admitted)[1])
+        clock, critical = admitted.scenario.settings.clock, recorded.critical
+        sampled = critical[naive_sample(recorded)]
+        print(
+            f"\n{name}: {admitted.scenario.ticks} ticks, {clock.physics_substeps} sub-steps each, "
+            f"{critical.mean():.1%} critical ({sampled.mean():.1%} of the naive sample), "
+            f"{len(recorded.trace.decisions)} decisions"
+        )
+        compare(recorded)
+        print_parts(admitted)
+
+
+if __name__ == "__main__":
+    main()
