@@ -1,7 +1,7 @@
-"""What does a control tick cost, next to its physics and next to a naive loop?  Run: python benchmarks/loop.py.
+"""What does a control tick cost, next to its physics and a naive loop?  Run: python benchmarks/loop.py.
 
-Three loops take turns on the same scenarios in one process (A B C A B C ...), so that a busy machine
-slows all of them; a ratio is formed within each turn and printed as median (least to greatest).
+Loops take turns on the same scenarios in one process, so that a busy machine slows all of them; a
+ratio is formed within each turn and printed as median (least to greatest).
 """
 
 from __future__ import annotations
@@ -37,9 +37,21 @@ from safety_harness.trace.trace import Trace
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 NAMES = ("hand-visits-and-leaves", "hand-stays")
 TURNS = 7
+CHUNK = 25  # ticks of the whole loop between two turns of the physics alone
 NAIVE_TICKS = 24  # a turn, evenly spread over the scenario
 LARGEST_OVERHEAD = 1.5  # of everything around stepSimulation, times the physics
 AIMED_SPEEDUP = 400.0
+
+
+METHOD = f"""\
+Method: every library on one thread ({len(one_thread.VARIABLES)} variables of one_thread.py), {TURNS} turns, the exact camera.
+A turn is a run of the whole loop; after every {CHUNK} of its ticks the physics alone repeats them (the
+same cell and motor targets, only stepSimulation timed; it has to end at the same joint angles, bit for
+bit), and after the run the naive loop does {NAIVE_TICKS} ticks, evenly spread over the scenario.
+Naive tick: a 640x480 image by PyBullet's software renderer, with the arm's visual meshes loaded, OpenCV
+threshold, moments, interaction matrix and pinv in numpy, the same sub-steps, getClosestPoints; if critical,
+ten eager passes of a regression ResNet with dropout (width 32, 7 to 3; untrained weights) in torch.
+Critical ticks: a predicted hand is within the critical distance.  Values: median (least to greatest)."""
 
 
 @dataclass(frozen=True)
@@ -59,45 +71,69 @@ class Recorded:
         return within
 
 
-def whole_loop(admitted: Admitted) -> tuple[float, Trace]:
-    """(seconds a tick, trace) of the product's loop; building the world is not counted."""
+class PhysicsAlone:
+    """The same cell and motor targets as in a recorded run, with only stepSimulation timed."""
+
+    def __init__(self, recorded: Recorded) -> None:
+        admitted, ticks = recorded.admitted, recorded.trace.ticks
+        if (ticks["mode"] == int(Mode.PROTECTIVE_STOP)).any():
+            raise ValueError("in a protective stop the motor targets are not the demanded velocities")
+        settings = admitted.scenario.settings
+        self.total_s = 0.0
+        self._substeps = settings.clock.physics_substeps
+        self._targets = ticks["demanded_joint_velocity_radps"][:-1].tolist()
+        self._end = ticks["joint_position_rad"][-1].tolist()
+        self._done = 0
+        self._efforts = admitted.arm.effort_limit.tolist()
+        self._client = int(pybullet.connect(pybullet.DIRECT))
+        bodies = build_cell(self._client, settings, admitted.arm, admitted.joint_position_rad, rendered=False)
+        self._robot, self._joints = bodies.robot, list(bodies.joints)
+
+    def advance(self, done: int) -> None:
+        """Repeat the ticks up to ``done``."""
+        for targets in self._targets[self._done : done]:
+            pybullet.setJointMotorControlArray(
+                self._robot,
+                self._joints,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=targets,
+                forces=self._efforts,
+                physicsClientId=self._client,
+            )
+            start = time.perf_counter()
+            for _ in range(self._substeps):
+                pybullet.stepSimulation(physicsClientId=self._client)
+            self.total_s += time.perf_counter() - start
+        self._done = min(done, len(self._targets))
+
+    def close(self) -> None:
+        """Give the client back; RuntimeError if the physics did not end where the recorded run did."""
+        states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
+        pybullet.disconnect(physicsClientId=self._client)
+        if [state[0] for state in states] != self._end:
+            raise RuntimeError("the replayed physics did not end where the recorded run did")
+
+
+def whole_loop(admitted: Admitted, physics: PhysicsAlone | None = None) -> tuple[float, Trace]:
+    """(seconds a tick, trace) of the product's loop; building the world is not counted.
+
+    Given ``physics``, it catches up every CHUNK ticks, and its time is not counted either.
+    """
+    elsewhere_s = 0.0
+
+    def take_turns(done: int) -> None:
+        nonlocal elsewhere_s
+        if physics is not None and (done % CHUNK == 0 or done > admitted.scenario.ticks):
+            start = time.perf_counter()
+            physics.advance(done)
+            elsewhere_s += time.perf_counter() - start
+
     with PyBulletWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad) as world:
         pilot = admitted.controller()
         start = time.perf_counter()
-        trace = simulate(world, pilot, admitted.scenario)
-        return (time.perf_counter() - start) / admitted.scenario.ticks, trace
-
-
-def physics_alone(recorded: Recorded) -> float:
-    """Seconds of stepSimulation a tick, with the motor targets of the recorded run."""
-    admitted, ticks = recorded.admitted, recorded.trace.ticks
-    if (ticks["mode"] == int(Mode.PROTECTIVE_STOP)).any():
-        raise ValueError("in a protective stop the motor targets are not the demanded velocities")
-    settings = admitted.scenario.settings
-    client = int(pybullet.connect(pybullet.DIRECT))
-    try:
-        bodies = build_cell(client, settings, admitted.arm, admitted.joint_position_rad, rendered=False)
-        joints, efforts = list(bodies.joints), admitted.arm.effort_limit.tolist()
-        total_s = 0.0
-        for targets in ticks["demanded_joint_velocity_radps"][:-1].tolist():
-            pybullet.setJointMotorControlArray(
-                bodies.robot,
-                joints,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocities=targets,
-                forces=efforts,
-                physicsClientId=client,
-            )
-            start = time.perf_counter()
-            for _ in range(settings.clock.physics_substeps):
-                pybullet.stepSimulation(physicsClientId=client)
-            total_s += time.perf_counter() - start
-        states = pybullet.getJointStates(bodies.robot, joints, physicsClientId=client)
-    finally:
-        pybullet.disconnect(physicsClientId=client)
-    if [state[0] for state in states] != ticks["joint_position_rad"][-1].tolist():
-        raise RuntimeError("the replayed physics did not end where the recorded run did")
-    return total_s / admitted.scenario.ticks
+        trace = simulate(world, pilot, admitted.scenario, on_tick=take_turns)
+        total_s = time.perf_counter() - start - elsewhere_s
+    return total_s / admitted.scenario.ticks, trace
 
 
 def naive_sample(recorded: Recorded) -> NDArray[np.int64]:
@@ -135,8 +171,10 @@ def compare(recorded: Recorded) -> None:
     naive: list[float] = []
     with naive_loop(recorded.admitted) as loop:
         for _ in range(TURNS):
-            loops.append(whole_loop(recorded.admitted)[0])
-            physics.append(physics_alone(recorded))
+            alone = PhysicsAlone(recorded)
+            loops.append(whole_loop(recorded.admitted, alone)[0])
+            alone.close()
+            physics.append(alone.total_s / recorded.admitted.scenario.ticks)
             if loop is not None:
                 naive.append(naive_time(loop, recorded))
     around = [(a - b) / b for a, b in zip(loops, physics, strict=True)]
@@ -221,19 +259,7 @@ def print_parts(admitted: Admitted) -> None:
 def main() -> None:
     """Print everything."""
     cv2.setNumThreads(1)
-    print(
-        f"Method: {TURNS} turns of whole loop, physics alone, naive loop, one after the other; one thread each"
-    )
-    print(f"({', '.join(one_thread.VARIABLES)} = 1).  Physics alone: the same cell and motor")
-    print("targets, only stepSimulation timed; it must end at the same joint angles.  Exact camera.")
-    print(
-        f"Naive loop: {NAIVE_TICKS} ticks a turn, evenly spread: a 640x480 image by PyBullet's software renderer"
-    )
-    print(
-        "with the arm's visual meshes loaded, OpenCV threshold, moments, interaction matrix and pinv in numpy,"
-    )
-    print("physics, getClosestPoints; in critical ticks ten eager passes of a regression ResNet (width 32,")
-    print("dropout, untrained weights).  Critical: a predicted hand is within the critical distance.")
+    print(METHOD)
     for name in NAMES:
         admitted = admit(read_scenario(SCENARIOS / f"{name}.yaml"))
         recorded = Recorded(admitted, whole_loop(admitted)[1])

@@ -140,7 +140,7 @@ def servo_twist(colour: NDArray[np.uint8], focal_px: float, view: Any, gain: flo
 def features_and_interaction(
     mu: dict[tuple[int, int], float], x_g: float, y_g: float, a_n: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """f (6,) and L (6, 6) of a dense object in a plane parallel to the image at depth ``a_n``."""
+    """Features (6,) and L (6, 6) of a dense object in a plane parallel to the image at depth ``a_n``."""
     n20, n11, n02 = mu[2, 0] / mu[0, 0], mu[1, 1] / mu[0, 0], mu[0, 2] / mu[0, 0]
 
     def row(i: int, j: int) -> NDArray[np.float64]:

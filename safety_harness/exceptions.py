@@ -68,6 +68,10 @@ class TraceError(InputError):
     """A stored trace is missing, truncated, of another version or not a trace at all."""
 
 
+class OutputError(InputError):
+    """A folder or file that results should go to cannot be written."""
+
+
 class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 

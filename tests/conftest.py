@@ -9,9 +9,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from examples import VISIT, run, scenario  # noqa: E402
+from examples import VISIT, run, scenario
 
-from safety_harness.trace.trace import Trace  # noqa: E402
+from safety_harness.trace.trace import Trace
 
 
 @pytest.fixture(scope="session")

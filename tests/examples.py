@@ -28,13 +28,19 @@ from safety_harness.trace.records import DECISION, Check
 from safety_harness.trace.trace import Trace
 
 
-def hand(*moves: HandMove, at: tuple[float, float, float] = (1.1, -0.75, 0.2), name: str = "right") -> MovingHand:
+def hand(
+    *moves: HandMove, at: tuple[float, float, float] = (1.1, -0.75, 0.2), name: str = "right"
+) -> MovingHand:
     return MovingHand(
         name=name, starts_at_in_base_m=at, elbow_towards_in_base_m=(1.6, -1.2, 0.3), moves=tuple(moves)
     )
 
 
-VISIT = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=0.4), Withdraw(speed_mps=1.0))
+VISIT = hand(
+    MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0),
+    Wait(duration_s=0.4),
+    Withdraw(speed_mps=1.0),
+)
 
 
 def scenario(
@@ -61,7 +67,11 @@ def scenario(
 
 
 def run(
-    what: Scenario, *, avoider: Avoider | None = None, controller: Controller | None = None, gate: Gate | None = None
+    what: Scenario,
+    *,
+    avoider: Avoider | None = None,
+    controller: Controller | None = None,
+    gate: Gate | None = None,
 ) -> Trace:
     admitted = admit(what, avoider=avoider)
     if controller is None:
@@ -72,7 +82,12 @@ def run(
 
 def ungated(admitted: Admitted, gate: Gate) -> AvoidingServo:
     return AvoidingServo(
-        admitted.scenario.settings, admitted.arm, admitted.view, admitted.avoider, gate, admitted.scenario.seed
+        admitted.scenario.settings,
+        admitted.arm,
+        admitted.view,
+        admitted.avoider,
+        gate,
+        admitted.scenario.seed,
     )
 
 

@@ -69,5 +69,7 @@ def test_a_run_needs_no_torch() -> None:
             name.split(".")[0]
             for node in ast.walk(ast.parse(file.read_text()))
             if isinstance(node, ast.Import | ast.ImportFrom)
-            for name in ([a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""])
+            for name in (
+                [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
+            )
         }, file

@@ -88,6 +88,6 @@ def test_the_environment_says_where_machine_code_is_kept(
 def test_compiling_leaves_numbas_own_settings_alone() -> None:
     before = module.numba_config.CACHE_DIR
     quotient = compiled(lambda a, b: a / b)
-    assert module.numba_config.CACHE_DIR == before
+    assert before == module.numba_config.CACHE_DIR
     assert np.isnan(quotient(0.0, 0.0))  # like numpy: every caller looks for NaN
     assert quotient(1.0, 0.0) == np.inf

@@ -22,7 +22,9 @@ def test_the_scenario_of_the_readme_comes_out_as_it_expects() -> None:
     assert [e.verdict for e in judge(trace)] == [c.expected for c in trace.scenario.claims]
 
 
-def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_python_of_the_readme_runs(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     (code,) = blocks("python")
     monkeypatch.chdir(README.parent)
     exec(compile(code, "README", "exec"), {"__name__": "readme"})

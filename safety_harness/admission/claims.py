@@ -41,7 +41,11 @@ def _gain_switch(match: re.Match[str], scenario: Scenario, place: Place) -> Prop
 
 CATALOGUE: tuple[tuple[str, str, Maker], ...] = (
     ("hand distance never below 50 mm", r"hand distance never below (.+)", _hand_distance),
-    ("repulsive poses reachable", r"repulsive poses reachable", lambda *_: RepulsivePosesReachable(proposed=False)),
+    (
+        "repulsive poses reachable",
+        r"repulsive poses reachable",
+        lambda *_: RepulsivePosesReachable(proposed=False),
+    ),
     (
         "proposed repulsive poses reachable",
         r"proposed repulsive poses reachable",

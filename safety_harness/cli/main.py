@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from safety_harness.exceptions import SafetyHarnessError
+
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -17,9 +19,7 @@ app = typer.Typer(
 Files = Annotated[list[Path], typer.Argument(help="Scenario files, or folders of *.yaml.", metavar="FILE...")]
 Out = Annotated[Path, typer.Option(help="Folder for report.html and traces/.")]
 TraceFile = Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")]
-TraceFiles = Annotated[
-    list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")
-]
+TraceFiles = Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")]
 
 
 @app.command()
@@ -58,11 +58,16 @@ def judge(traces: TraceFiles) -> None:
 
 
 def main() -> None:
-    """Entry point; a Ctrl-C outside a run ends with exit code 130 and no traceback."""
+    """Entry point; neither a Ctrl-C outside a run nor one of our own errors ends in a traceback."""
     try:
         app()
     except KeyboardInterrupt:
         raise SystemExit(130) from None
+    except SafetyHarnessError as error:
+        from safety_harness.cli.console import BAD_INPUT, explain
+
+        explain(error)
+        raise SystemExit(BAD_INPUT) from None
 
 
 if __name__ == "__main__":

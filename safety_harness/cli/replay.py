@@ -39,7 +39,9 @@ def replay(path: Path) -> int:
         fresh = run_trial(admitted, on_tick=progress.tick)
     difference = first_difference(stored, fresh)
     if difference is None:
-        result(f"identical: {stored.scenario.name}, {len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions")
+        result(
+            f"identical: {stored.scenario.name}, {len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
+        )
         return AS_EXPECTED
     result(f"{stored.scenario.name}: {difference}")
     for line in changes(stored.provenance, provenance(fresh.provenance.world, fresh.provenance.avoider)):
@@ -73,6 +75,8 @@ def judge_again(paths: Sequence[Path]) -> int:
             return BAD_INPUT
         for line in result_lines(run):
             result(line)
-        if any(e.verdict is not c.expected for e, c in zip(run.evaluations, trace.scenario.claims, strict=True)):
+        if any(
+            e.verdict is not c.expected for e, c in zip(run.evaluations, trace.scenario.claims, strict=True)
+        ):
             code = DIFFERS
     return code

@@ -21,7 +21,7 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.compiled import cache_folder
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import read_scenario
@@ -93,8 +93,13 @@ def run(paths: Sequence[Path], out: Path) -> int:
     if not cache_folder().exists():
         say("compiling the control stack; this takes a minute, once")
     traces = out / TRACES
-    traces.mkdir(parents=True, exist_ok=True)
+    try:
+        traces.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        explain(_unwritable(traces, error))
+        return BAD_INPUT
     runs: list[JudgedRun] = []
+    stopped: OutputError | None = None
     interrupted = False
     progress = ScenarioProgress([a.scenario for a in admitted])
     with progress.running():
@@ -105,20 +110,33 @@ def run(paths: Sequence[Path], out: Path) -> int:
             except KeyboardInterrupt:
                 interrupted = True
                 break
+            except OutputError as error:
+                stopped = error
+                break
             runs.append(judged)
             for line in result_lines(judged):
                 result(line)
             if not judged.trace.complete:
                 interrupted = True
                 break
-    return _finish(runs, len(admitted), out, paths, interrupted=interrupted)
+    if stopped is not None:
+        explain(stopped)
+    code = _finish(runs, len(admitted), out, paths, interrupted=interrupted or stopped is not None)
+    return code if stopped is None else BAD_INPUT
+
+
+def _unwritable(path: Path, error: OSError) -> OutputError:
+    return OutputError(place=Place(file=path), expected="a place that can be written", got=str(error))
 
 
 def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> JudgedRun:
     """Simulate, save, judge."""
     trace = run_trial(admitted, on_tick=progress.tick)
     file = traces / f"{admitted.scenario.name}.trace"
-    save_trace(trace, file)
+    try:
+        save_trace(trace, file)
+    except OSError as error:
+        raise _unwritable(file, error) from error
     return JudgedRun(
         trace=trace,
         evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
@@ -127,21 +145,27 @@ def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> Ju
     )
 
 
-def _finish(runs: list[JudgedRun], planned: int, out: Path, paths: Sequence[Path], *, interrupted: bool) -> int:
+def _finish(
+    runs: list[JudgedRun], planned: int, out: Path, paths: Sequence[Path], *, interrupted: bool
+) -> int:
     """Write the report, sum up, choose the exit code."""
     if interrupted:
-        say(f"interrupted: the results of {len(runs)} of {planned} scenarios are kept")
+        say(f"stopped before the end: the results of {len(runs)} of {planned} scenarios are kept")
     if runs:
         from safety_harness.report.html import write_report  # matplotlib is slow to import
 
-        write_report(
-            out / REPORT,
-            runs,
-            title="Safety verification of a hand-avoiding UR10",
-            command=shlex.join(["safety-harness", "run", *map(str, paths), "--out", str(out)]),
-            generated_at=datetime.now(UTC),
-            interrupted=interrupted,
-        )
+        try:
+            write_report(
+                out / REPORT,
+                runs,
+                title="Safety verification of a hand-avoiding UR10",
+                command=shlex.join(["safety-harness", "run", *map(str, paths), "--out", str(out)]),
+                generated_at=datetime.now(UTC),
+                interrupted=interrupted,
+            )
+        except OSError as error:
+            explain(_unwritable(out / REPORT, error))
+            return BAD_INPUT
     claims = [
         evaluation.verdict is claim.expected
         for run in runs

@@ -28,7 +28,9 @@ def left_at(trace: Trace) -> int | None:
     ticks = trace.ticks
     tcp = ticks["transform_tcp_to_base"][:, None, :3, 3]  # (n, 1, 3)
     apart = np.linalg.norm(ticks["hand_position_in_base_m"] - tcp, axis=2)  # (n, hands)
-    near = (ticks["hand_present"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)).any(axis=1)
+    near = (ticks["hand_present"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)).any(
+        axis=1
+    )
     busy = np.flatnonzero(near | (ticks["mode"] == Mode.REPULSING) | (ticks["mode"] == Mode.PROTECTIVE_STOP))
     if len(busy) == 0:
         return 0
@@ -88,7 +90,8 @@ class GainSwitchReached:
             took_s = float(trace.time_s[-1]) - start_s
             if took_s <= allowed_s:
                 return inconclusive(
-                    self, f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
+                    self,
+                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed",
                 )
             reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
         return judged(
@@ -99,7 +102,6 @@ class GainSwitchReached:
             reason=reason,
             exercised=1,
         )
-
 
     def _error_at(self, trace: Trace, tick: int) -> float:
         """Eq. 15 at a tick; while the object is not seen, what it would be upright: the distance squared."""

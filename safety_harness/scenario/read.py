@@ -56,12 +56,17 @@ def read_scenario(path: Path) -> Scenario:
 
 
 def parse_scenario(
-    text: str, file: Path | None = None, recordings: Mapping[str, bytes] | None = None
+    text: str,
+    file: Path | None = None,
+    recordings: Mapping[str, bytes] | None = None,
+    *,
+    claims_required: bool = True,
 ) -> Scenario:
     """The scenario that ``text`` describes; ``file`` names it and is where recordings are sought from.
 
     ``recordings`` are bytes of recordings by their SHA-256, for a text that says ``sha256`` beside
-    ``recording``: they are used in place of files.  ScenarioError or RecordingError otherwise.
+    ``recording``: they are used in place of files.  A scenario without claims says nothing and is
+    refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
     root = Field(parse_tree(text, file), file, path="", line=1)
     given = root.fields(KEYS)
@@ -75,7 +80,7 @@ def parse_scenario(
         start=_tcp_start(given.required("tcp start")),
         hands=read_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
         avoider=_avoider(given.optional("avoider")),
-        claims=_claims(given.required("claims")),
+        claims=_claims(given.required("claims"), required=claims_required),
         settings=settings,
         file=file,
         places=places(root),
@@ -163,11 +168,11 @@ def _misplaced() -> dict[str, str]:
     return hints
 
 
-def _claims(field: Field) -> tuple[Claim, ...]:
+def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
     """Claims are looked up later; here they only have to be sentences with a verdict."""
     expected = "a mapping of claims, such as hand distance never below 50 mm: holds"
     entries = field.entries(expected)
-    if not entries:
+    if required and not entries:
         raise field.error(expected)
     return tuple(_claim(sentence, verdict) for sentence, verdict in entries)
 

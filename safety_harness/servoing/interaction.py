@@ -108,10 +108,10 @@ def interaction_matrix(
     out: NDArray[np.float64],  # (6, 6)
 ) -> bool:
     """L_f of the features of eqs. 3 to 5 over a general plane; False if an entry is not finite."""
-    mu20_row, mu11_row, mu02_row = np.empty(6), np.empty(6), np.empty(6)
-    centred_moment_interaction(moments, plane, dense, 2, 0, mu20_row)
-    centred_moment_interaction(moments, plane, dense, 1, 1, mu11_row)
-    centred_moment_interaction(moments, plane, dense, 0, 2, mu02_row)
+    second_order = np.empty((3, 6))
+    for j in range(3):  # in a loop: numba compiles a copy for every pair of literal numbers
+        centred_moment_interaction(moments, plane, dense, 2 - j, j, second_order[j])
+    mu20_row, mu11_row, mu02_row = second_order[0], second_order[1], second_order[2]
     _position_rows(moments, plane, desired_area, desired_depth_m, dense, mu20_row, mu02_row, out)
     _invariant_rows(moments, plane, dense, out)
 

@@ -95,8 +95,13 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
     )
     visual = -1
     if rendered:
+        # as thin as the object is, it lies above what is painted of the table
         visual = pybullet.createVisualShape(
-            pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, rgbaColor=TABLE_COLOUR_RGBA, physicsClientId=client
+            pybullet.GEOM_BOX,
+            halfExtents=TABLE_HALF_M,
+            rgbaColor=TABLE_COLOUR_RGBA,
+            visualFramePosition=(0.0, 0.0, -OBJECT_THICKNESS_M),
+            physicsClientId=client,
         )
     pybullet.createMultiBody(
         0.0,
@@ -114,7 +119,7 @@ def _paint_object(client: int, settings: Settings) -> None:
     if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
         top = top[::-1]
     vertices = np.concatenate([top, top])
-    vertices[:n, 2] += OBJECT_THICKNESS_M
+    vertices[n:, 2] -= OBJECT_THICKNESS_M
     faces = [i for k in range(1, n - 1) for i in (0, k, k + 1)]
     shape = pybullet.createVisualShape(
         pybullet.GEOM_MESH,

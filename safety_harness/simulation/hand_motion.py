@@ -212,9 +212,7 @@ def point_forearm(hands: NDArray[np.void], k: int) -> None:
 
 
 @compiled
-def follow_recording(
-    hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float
-) -> None:
+def follow_recording(hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float) -> None:
     """Put hand and elbow where the recording has them; straight between samples, at rest after it."""
     hand = hands[k]
     last = hand.first + hand.count - 1

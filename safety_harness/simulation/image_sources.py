@@ -52,9 +52,7 @@ def render(
     return np.ascontiguousarray(pixels[:, :, :3]), depth_m
 
 
-def rendered_object(
-    colour: NDArray[np.uint8], focal_px: float
-) -> tuple[bool, NDArray[np.float64]]:
+def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
     """(visible, moments (31,)) of the thresholded object in a rendered image."""
     moments = np.full(MOMENT_COUNT, np.nan)
     mask = object_mask(colour)

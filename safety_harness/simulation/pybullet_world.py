@@ -77,7 +77,11 @@ class PyBulletWorld:
             raise SimulationError("PyBullet gave no client")
         try:
             self._bodies = build_cell(
-                self._client, settings, arm, joint_position_rad, rendered=self._render_object or self._render_hands
+                self._client,
+                settings,
+                arm,
+                joint_position_rad,
+                rendered=self._render_object or self._render_hands,
             )
             self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
             self._efforts = [float(effort) for effort in arm.effort_limit]

@@ -100,7 +100,9 @@ def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
     return np.column_stack([flat, np.zeros(len(flat))]) + cell.object_position_in_base_m
 
 
-def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]) -> Sensors:
+def sensors(
+    settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]
+) -> Sensors:
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
@@ -109,7 +111,9 @@ def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base:
     state["object_width_px"], state["object_height_px"] = camera.width_px, camera.height_px
     state["object_raster"] = camera.source is ImageSource.RASTER
     state["object_dense"] = settings.servo.object_kind is ObjectKind.DENSE
-    state["object_period_s"], state["object_latency_s"] = _timing("camera", camera.rate_hz, camera.latency_s, settings)
+    state["object_period_s"], state["object_latency_s"] = _timing(
+        "camera", camera.rate_hz, camera.latency_s, settings
+    )
     state["ideal"] = hand.kind is HandSensorKind.IDEAL
     state["eye_in_hand"] = hand.kind is HandSensorKind.EYE_IN_HAND
     state["transform_sensor_to_base"] = transform_sensor_to_base
@@ -258,7 +262,9 @@ def exact_object(
 
 @compiled
 def sensor_pose(
-    sensors: NDArray[np.void], transform_tcp_to_base: NDArray[np.float64], sensor_to_base_out: NDArray[np.float64]
+    sensors: NDArray[np.void],
+    transform_tcp_to_base: NDArray[np.float64],
+    sensor_to_base_out: NDArray[np.float64],
 ) -> None:
     """The hand sensor's true pose: fixed, or carried by the hand-eye camera."""
     s = sensors[0]

@@ -82,9 +82,7 @@ def fill_truth(
             rate += jacobian[i, j] * joint_velocity_radps[j]
         squared += rate * rate
     tick.tcp_speed_mps = np.sqrt(squared)
-    place_capsules(
-        arm.link_transforms, capsule_link, capsule_start_in_link, capsule_end_in_link, placed
-    )
+    place_capsules(arm.link_transforms, capsule_link, capsule_start_in_link, capsule_end_in_link, placed)
     for k in range(hands.shape[0]):
         hand = hands[k]
         tick.hand_present[k] = hand.present

@@ -28,7 +28,6 @@ from safety_harness.trace.trace import Provenance, Trace
 
 FORMAT = "safety-harness trace 1"
 LARGEST_BYTES = 4 * 2**30  # unpacked; a trace of an hour is some 0.6 GB
-ARRAYS = {"ticks.npy": TICK, "decisions.npy": DECISION}
 
 
 def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -46,13 +45,18 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
         if isinstance(hand, RecordedHand):
             digest = hand.motion.sha256
             known = (recordings or {}).get(digest)
-            parts[f"recordings/{digest}.csv"] = known if known is not None else _recording(trace.scenario, hand)
-    header = {
-        "format": FORMAT,
+            parts[f"recordings/{digest}.csv"] = (
+                known if known is not None else _recording(trace.scenario, hand)
+            )
+    run = {
         "scenario_name": trace.scenario.name,
         "scenario_file": str(trace.scenario.file) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
+    }
+    parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
+    header = {
+        "format": FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(parts.items())},
     }
     parts["trace.json"] = json.dumps(header, indent=1, sort_keys=True).encode()
@@ -89,14 +93,14 @@ class _Reader:
         self._parts = self._unpack()
 
     def trace(self) -> Trace:
-        header = self._header()
-        scenario = self._scenario(header)
+        self._check_hashes()
+        run = self._json("run.json", {"scenario_name", "scenario_file", "ended", "provenance"})
         return Trace(
-            scenario=scenario,
+            scenario=self._scenario(run),
             ticks=self._array("ticks.npy", TICK),
             decisions=self._array("decisions.npy", DECISION),
-            provenance=self._provenance(header),
-            ended=str(header["ended"]),
+            provenance=self._provenance(run),
+            ended=str(run["ended"]),
         )
 
     def _error(self, expected: str, got: str, field: str | None = None) -> TraceError:
@@ -111,32 +115,45 @@ class _Reader:
                 return {info.filename: archive.read(info) for info in archive.infolist()}
         except FileNotFoundError:
             raise self._error("a trace file", "no such file") from None
-        except (OSError, zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+        except (
+            OSError,
+            zipfile.BadZipFile,
+            EOFError,
+            NotImplementedError,
+            RuntimeError,
+            ValueError,
+        ) as error:
             raise self._error("a trace file, whole", str(error) or type(error).__name__) from error
         except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
             raise self._error("a trace file, whole", f"{type(error).__name__}: {error}") from error
 
-    def _header(self) -> dict[str, Any]:
+    def _json(self, name: str, keys: set[str]) -> dict[str, Any]:
+        """A part that is a JSON object with at least these keys."""
         try:
-            header = json.loads(self._parts["trace.json"])
-            found = header["format"]
-            hashes = header["sha256"]
-            complete = {"ended", "provenance", "scenario_name"} <= header.keys()
-        except (KeyError, ValueError, TypeError, AttributeError) as error:
-            raise self._error("a trace file with a header", f"none that can be read ({error!r})") from error
-        if found != FORMAT or not complete or not isinstance(hashes, dict):
-            raise self._error(f"the format {FORMAT!r}", repr(found), "format")
+            found = json.loads(self._parts[name])
+        except (KeyError, ValueError, RecursionError) as error:
+            raise self._error("a JSON object", f"none that can be read ({error!r})", name) from error
+        if not isinstance(found, dict) or not keys <= found.keys():
+            raise self._error(f"an object with {', '.join(sorted(keys))}", "something else", name)
+        return found
+
+    def _check_hashes(self) -> None:
+        header = self._json("trace.json", {"format", "sha256"})
+        hashes = header["sha256"]
+        if header["format"] != FORMAT or not isinstance(hashes, dict):
+            raise self._error(f"the format {FORMAT!r}", repr(header["format"]), "format")
         actual = {
-            name: hashlib.sha256(data).hexdigest() for name, data in self._parts.items() if name != "trace.json"
+            name: hashlib.sha256(data).hexdigest()
+            for name, data in self._parts.items()
+            if name != "trace.json"
         }
         for name in sorted(hashes.keys() | actual.keys()):
             if hashes.get(name) != actual.get(name):
                 raise self._error(
                     f"contents with sha256 {hashes.get(name)}", f"sha256 {actual.get(name)}", name
                 )
-        return dict(header)
 
-    def _scenario(self, header: dict[str, Any]) -> Scenario:
+    def _scenario(self, run: dict[str, Any]) -> Scenario:
         recordings = {
             name.removeprefix("recordings/").removesuffix(".csv"): data
             for name, data in self._parts.items()
@@ -144,8 +161,8 @@ class _Reader:
         }
         try:
             text = self._parts["scenario.yaml"].decode()
-            file = Path(header["scenario_file"] or f"{header['scenario_name']}.yaml")
-            return parse_scenario(text, file, recordings)
+            file = Path(run["scenario_file"] or f"{run['scenario_name']}.yaml")
+            return parse_scenario(text, file, recordings, claims_required=False)
         except (KeyError, UnicodeDecodeError, TypeError) as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:
@@ -160,9 +177,9 @@ class _Reader:
             raise self._error("records as this version writes them", f"{array.dtype}", name)
         return array
 
-    def _provenance(self, header: dict[str, Any]) -> Provenance:
+    def _provenance(self, run: dict[str, Any]) -> Provenance:
         try:
-            fields = dict(header["provenance"])
+            fields = dict(run["provenance"])
             fields["libraries"] = tuple((str(a), str(b)) for a, b in fields["libraries"])
             return Provenance(**fields)
         except (KeyError, TypeError, ValueError) as error:

@@ -24,7 +24,9 @@ def test_opposite_pose_moves_away_from_the_hand_by_exactly_the_radius() -> None:
         position = proposed(hand, tcp)
         before, after = np.linalg.norm(tcp - hand), np.linalg.norm(position - hand)
         assert np.linalg.norm(position - tcp) == pytest.approx(RADIUS_M, abs=1e-14)
-        assert after - before == pytest.approx(RADIUS_M, abs=1e-14)  # so it lies on their line, beyond the TCP
+        assert after - before == pytest.approx(
+            RADIUS_M, abs=1e-14
+        )  # so it lies on their line, beyond the TCP
 
 
 def test_opposite_pose_asks_for_the_direction_only() -> None:

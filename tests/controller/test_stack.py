@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench import AWAY, Bench, with_avoidance, with_motion
 from examples import VISIT, hand, run, scenario
 
-from bench import AWAY, Bench, with_avoidance, with_motion
 from safety_harness.admission.admit import kinematics
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.kinematics import geometric_jacobian
@@ -89,9 +89,7 @@ def test_the_gain_is_the_near_one_exactly_where_the_error_is_small(visit: Trace)
     servoing = visit.ticks[visit.ticks["mode"] == Mode.SERVOING]
     near = servoing["sse"] < DEFAULTS.servo.gain_switch_sse
     assert 0 < near.sum() < len(near)
-    assert np.array_equal(
-        servoing["gain"], np.where(near, DEFAULTS.servo.gain_near, DEFAULTS.servo.gain_far)
-    )
+    assert np.array_equal(servoing["gain"], np.where(near, DEFAULTS.servo.gain_near, DEFAULTS.servo.gain_far))
     assert not visit.ticks["gain"][visit.ticks["mode"] != Mode.SERVOING].any()
 
 

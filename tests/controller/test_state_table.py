@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench import AWAY, Bench, with_avoidance
 from examples import Displaced, hand, run, scenario
 
-from bench import AWAY, Bench, with_avoidance
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.avoidance.opposite import OppositePose

@@ -36,7 +36,9 @@ TRACE_LENGTH_CLAIMS = (Converged,)
 
 def truncated(trace: Trace, ticks: int) -> Trace:
     kept = trace.decisions[trace.decisions["tick"] < ticks]
-    return replace(trace, ticks=trace.ticks[:ticks].copy(), decisions=kept.copy(), ended="interrupted by the user")
+    return replace(
+        trace, ticks=trace.ticks[:ticks].copy(), decisions=kept.copy(), ended="interrupted by the user"
+    )
 
 
 def with_nan(trace: Trace, field: str) -> Trace:

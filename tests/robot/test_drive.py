@@ -147,15 +147,15 @@ def test_the_engine_stops_as_late_and_as_far_as_the_model(rate_radps: float) -> 
     asked = 40
     trace = run(scenario(duration_s=1.2), controller=StopsAfter(rate_radps, asked))
     speed_mps = trace.ticks["tcp_speed_mps"][asked + 12]
-    assert speed_mps == pytest.approx(abs(rate_radps) * np.hypot(*trace.ticks[0]["transform_tcp_to_base"][:2, 3]))
+    assert speed_mps == pytest.approx(
+        abs(rate_radps) * np.hypot(*trace.ticks[0]["transform_tcp_to_base"][:2, 3])
+    )
     stop_s = stop_time_s(speed_mps)
     reaction_s = np.ceil(REACTION_S / PERIOD_S - 1e-9) * PERIOD_S
     way = np.ptp(trace.ticks["joint_position_rad"][asked:, 0])
     assert way == pytest.approx(abs(rate_radps) * (reaction_s + 0.5 * stop_s), rel=1e-4)
     moving = np.abs(trace.ticks["joint_velocity_radps"][:, 0]) > 1e-6
-    assert trace.time_s[moving][-1] - trace.time_s[asked] == pytest.approx(
-        reaction_s + stop_s, abs=PERIOD_S
-    )
+    assert trace.time_s[moving][-1] - trace.time_s[asked] == pytest.approx(reaction_s + stop_s, abs=PERIOD_S)
     braking = (trace.ticks["limits"] & Limit.BRAKING) > 0
     assert not braking[:asked].any()
     assert braking[asked:-1].all()

@@ -39,9 +39,7 @@ class Play:
 
     def advance(self, ticks: int, tcp: np.ndarray = TCP, dt_s: float = DT_S) -> np.ndarray:
         for _ in range(ticks):
-            advance_hands(
-                self.hands.state, self.hands.moves, self.hands.samples, tcp, self.tick * dt_s, dt_s
-            )
+            advance_hands(self.hands.state, self.hands.moves, self.hands.samples, tcp, self.tick * dt_s, dt_s)
             self.tick += 1
             self.positions.append(self.hands.state["position_in_base_m"].copy())
             self.elbows.append(self.hands.state["elbow_in_base_m"].copy())
@@ -162,7 +160,9 @@ def test_after_its_last_move_a_hand_rests() -> None:
 
 
 def test_the_forearm_has_its_length_and_points_to_the_person() -> None:
-    moving = hand(MoveTo(position_in_base_m=(0.6, 0.2, 0.4), speed_mps=1.6), Withdraw(speed_mps=1.0), at=START)
+    moving = hand(
+        MoveTo(position_in_base_m=(0.6, 0.2, 0.4), speed_mps=1.6), Withdraw(speed_mps=1.0), at=START
+    )
     play = Play(moving)
     play.advance(250)
     forearm = np.array(play.elbows)[:, 0] - play.path()
@@ -219,7 +219,11 @@ def test_a_recorded_hand_is_straight_between_samples_and_rests_after_them(count:
 
 
 def test_two_hands_do_not_disturb_each_other() -> None:
-    moves = (MoveTo(position_in_base_m=(0.9, -0.3, 0.2), speed_mps=1.0), Wait(duration_s=0.1), Withdraw(speed_mps=2.0))
+    moves = (
+        MoveTo(position_in_base_m=(0.9, -0.3, 0.2), speed_mps=1.0),
+        Wait(duration_s=0.1),
+        Withdraw(speed_mps=2.0),
+    )
     single, other = hand(*moves, at=START), recording(3, 30)
     both = Play(single, other)
     both.advance(150)

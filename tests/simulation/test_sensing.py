@@ -138,7 +138,9 @@ def test_the_object_camera_has_a_clock_of_its_own() -> None:
 def test_more_frames_under_way_than_there_is_room_for_are_refused(field: str) -> None:
     longest = replace(DEFAULTS, **{field: replace(getattr(DEFAULTS, field), latency_s=(RING - 2) * PERIOD_S)})
     sensors(longest, 1, 10, np.eye(4))
-    too_long = replace(DEFAULTS, **{field: replace(getattr(DEFAULTS, field), latency_s=(RING - 1) * PERIOD_S)})
+    too_long = replace(
+        DEFAULTS, **{field: replace(getattr(DEFAULTS, field), latency_s=(RING - 1) * PERIOD_S)}
+    )
     with pytest.raises(SettingsError, match="latency"):
         sensors(too_long, 1, 10, np.eye(4))
 
@@ -204,7 +206,9 @@ def test_a_perfect_sensor_adds_nothing() -> None:
 
 
 def seen(
-    kind: HandSensorKind, *hands: tuple[float, float, float] | np.ndarray, offset: tuple[float, float, float] = (0, 0, 0)
+    kind: HandSensorKind,
+    *hands: tuple[float, float, float] | np.ndarray,
+    offset: tuple[float, float, float] = (0, 0, 0),
 ) -> np.ndarray:
     """(k, 5) boxes of the hands, the arm standing at an offset from the desired pose."""
     settings = with_sensor(kind=kind)
@@ -262,15 +266,15 @@ def test_no_sensor_sees_behind_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sideways_m", "visible"), [((0.0, 0.0), True), ((0.0, -0.15), True), ((0.0, -0.35), False), ((0.25, 0.0), False)]
+    ("sideways_m", "visible"),
+    [((0.0, 0.0), True), ((0.0, -0.15), True), ((0.0, -0.35), False), ((0.25, 0.0), False)],
 )
 def test_the_hand_eye_camera_sees_only_what_is_in_front_of_its_lens(
     sideways_m: tuple[float, float], visible: bool
 ) -> None:
     """At 0.45 m its field is 468 mm along y and 351 mm along x."""
     desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
-    camera = desired + (0.0, 0.045, 0.0)
-    at = camera + (*sideways_m, -0.45)
+    at = desired + (0.0, 0.045, 0.0) + (*sideways_m, -0.45)
     boxes = seen(HandSensorKind.EYE_IN_HAND, at)
     assert len(boxes) == visible
     if visible:

@@ -1,0 +1,182 @@
+"""The command line as its user meets it: exit codes, output, mistakes, interruption."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.replay import judge_again, replay
+from safety_harness.cli.run import run, scenario_files
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+GOOD = """\
+scenario: a short run
+duration: 300 ms
+tcp start:
+  offset: [0 mm, -60 mm, 20 mm]
+claims:
+  joint speeds within limits: holds
+"""
+
+
+@pytest.fixture
+def good(tmp_path: Path) -> Path:
+    file = tmp_path / "good.yaml"
+    file.write_text(GOOD)
+    return file
+
+
+def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "safety_harness.cli.main", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_a_run_as_expected_ends_with_0_and_leaves_report_and_trace(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([good], tmp_path / "out") == AS_EXPECTED
+    out, err = capsys.readouterr()
+    (line,) = out.splitlines()
+    assert line.startswith("ok   holds")
+    assert "deg/s at" in line
+    assert line.endswith("good: joint speeds within limits")
+    assert "1 of 1 verdicts as expected" in err
+    assert (tmp_path / "out" / "report.html").read_text().startswith("<!")
+    assert (tmp_path / "out" / "traces" / "good.trace").is_file()
+
+
+def test_a_verdict_that_differs_ends_with_1(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good.write_text(GOOD.replace("limits: holds", "limits: violated"))
+    assert run([good], tmp_path / "out") == DIFFERS
+    assert "DIFF holds" in capsys.readouterr().out
+
+
+def test_bad_input_ends_with_2_names_every_mistake_and_runs_nothing(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unit = tmp_path / "unit.yaml"
+    unit.write_text(GOOD.replace("-60 mm", "-60"))
+    claim = tmp_path / "claim.yaml"
+    claim.write_text(GOOD.replace("joint speeds", "joint speed"))
+    reach = tmp_path / "reach.yaml"
+    reach.write_text(GOOD.replace("20 mm", "3 m"))
+    assert run([good, unit, claim, reach, tmp_path / "missing.yaml"], tmp_path / "out") == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert f"{unit}:4: tcp start.offset[1]" in err
+    assert f"{claim}:6: " in err
+    assert f"{reach}:4: tcp start" in err or f"{reach}:3: tcp start" in err
+    assert str(tmp_path / "missing.yaml") in err
+    assert "4 of the inputs cannot be used; nothing was run" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_files_of_one_name_are_refused(good: Path, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    twin = tmp_path / "other" / "good.yaml"
+    twin.write_text(GOOD)
+    assert run([good, twin], tmp_path / "out") == BAD_INPUT
+
+
+def test_a_folder_means_its_yaml_files_in_order() -> None:
+    files = scenario_files([SCENARIOS])
+    assert files == sorted(SCENARIOS.glob("*.yaml"))
+
+
+def test_an_empty_folder_is_bad_input(tmp_path: Path) -> None:
+    assert run([tmp_path], tmp_path / "out") == BAD_INPUT
+
+
+def test_a_replay_is_identical_and_a_changed_trace_is_not(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run([good], tmp_path / "out")
+    file = tmp_path / "out" / "traces" / "good.trace"
+    capsys.readouterr()
+    assert replay(file) == AS_EXPECTED
+    assert capsys.readouterr().out.startswith("identical: good, 39 ticks")
+
+    from dataclasses import replace
+
+    from safety_harness import load_trace, save_trace
+
+    trace = load_trace(file)
+    ticks = trace.ticks.copy()
+    ticks["joint_position_rad"][20, 3] += 1e-15
+    save_trace(replace(trace, ticks=ticks), file)
+    assert replay(file) == DIFFERS
+    assert "first difference at tick 20 (t = 0.160 s) in joint_position_rad" in capsys.readouterr().out
+
+
+def test_judging_again_gives_the_same_lines_without_simulating(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run([good], tmp_path / "out")
+    first = capsys.readouterr().out
+    assert judge_again([tmp_path / "out" / "traces" / "good.trace"]) == AS_EXPECTED
+    assert capsys.readouterr().out == first
+
+
+def test_what_is_no_trace_ends_with_2(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(good) == BAD_INPUT
+    assert judge_again([good]) == BAD_INPUT
+    assert "expected a trace file" in capsys.readouterr().err
+
+
+def test_an_unwritable_folder_is_a_clear_error(good: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file stands where the folder should be")
+    done = command("run", good, "--out", tmp_path / "out")
+    assert done.returncode == BAD_INPUT
+    assert "Traceback" not in done.stderr
+    assert str(tmp_path / "out") in done.stderr
+
+
+def test_help_teaches_and_no_arguments_are_no_traceback() -> None:
+    assert "Exit code 0" in command("run", "--help").stdout
+    assert "Traceback" not in command().stderr
+    assert command("run").returncode == BAD_INPUT
+
+
+def test_ctrl_c_keeps_what_was_finished(good: Path, tmp_path: Path) -> None:
+    long = tmp_path / "long.yaml"
+    long.write_text(GOOD.replace("300 ms", "1000 s"))
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-m",
+            "safety_harness.cli.main",
+            "run",
+            str(good),
+            str(long),
+            "--out",
+            str(tmp_path / "o"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    finished = tmp_path / "o" / "traces" / "good.trace"
+    deadline = time.monotonic() + 300.0
+    while not finished.exists() and time.monotonic() < deadline and process.poll() is None:
+        time.sleep(0.1)
+    time.sleep(1.0)  # into the long run
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == INTERRUPTED, err
+    assert "stopped before the end" in err
+    assert "Traceback" not in err
+    assert "good: joint speeds within limits" in out
+    assert (tmp_path / "o" / "report.html").is_file()
