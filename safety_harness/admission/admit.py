@@ -127,7 +127,8 @@ def check_start(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[n
     if transforms[7, 2, 3] < lowest_m:
         raise InadmissibleError(
             place=scenario.place("tcp start"),
-            expected=f"a TCP start at least {settings.avoidance.table_clearance_m * 1e3:.0f} mm above the table",
+            expected="a TCP start at least "
+            f"{settings.avoidance.table_clearance_m * 1e3:.0f} mm above the table",
             got=f"the position {_millimetres(transforms[7, :3, 3])}",
         )
     cameras = sensors(settings, scenario.seed, 0, overhead_transform_sensor_to_base(settings))

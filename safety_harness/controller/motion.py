@@ -67,9 +67,9 @@ def approach_twist(
 ) -> None:
     """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
 
-    The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 % of the permitted
-    acceleration can still stop within the rest of the way (the other 20 % pay for the control
-    period), and what covers the rest of the way in one tick.
+    The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 %
+    of the permitted acceleration can still stop within the rest of the way (the other 20 % pay
+    for the control period), and what covers the rest of the way in one tick.
     """
     p, s = parameters[0], states[0]
     total = 0.0

@@ -68,12 +68,18 @@ class Property(Protocol):
     """A safety property.  ``sentence`` is how the catalogue and the reports write it."""
 
     @property
-    def sentence(self) -> str: ...
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        ...
 
     @property
-    def unit(self) -> Unit: ...
+    def unit(self) -> Unit:
+        """What its margins are shown in."""
+        ...
 
-    def evaluate(self, trace: Trace) -> Evaluation: ...
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge one trace."""
+        ...
 
 
 def inconclusive(prop: Property, reason: str, *, exercised: int = 0) -> Evaluation:

@@ -78,7 +78,7 @@ def test_a_proposal_that_can_be_reached_is_taken_as_it_is() -> None:
     ruling = GATE.rule(Displaced((0.01, 0.05, 0.04)), query())
     assert ruling.outcome is Outcome.PROPOSED
     assert ruling.proposed_failed is Check.NONE
-    expected = query().tcp_position_in_base_m + (0.01, 0.05, 0.04)
+    expected = np.add(query().tcp_position_in_base_m, (0.01, 0.05, 0.04))
     assert ruling.chosen_position_in_base_m == pytest.approx(expected, abs=1e-15)
 
 
@@ -136,7 +136,7 @@ def test_a_proposal_below_the_table_clearance_is_refused(above_m: float, failed:
 
 def test_an_opposite_pose_below_the_table_clearance_is_refused_too() -> None:
     low = query(offset=(0.02, 0.0, -0.55))
-    above = replace(low, hand_position_in_base_m=low.tcp_position_in_base_m + (0.0, 0.0, 0.2))
+    above = replace(low, hand_position_in_base_m=np.add(low.tcp_position_in_base_m, (0.0, 0.0, 0.2)))
     ruling = GATE.rule(Displaced((0.0, 0.0, -0.2)), above)
     assert ruling.outcome is Outcome.STOP
     assert Check.TABLE in ruling.opposite_failed

@@ -212,7 +212,7 @@ def calibrated(rotation_rad: Vector3 = (0.0, 0.0, 0.0), offset_m: Vector3 = (0.0
 
 
 def test_a_wrong_hand_eye_calibration_bends_the_way_of_the_servo() -> None:
-    """A camera believed turned by 0.15 rad about its axis: 7 mm off the line, which a true one keeps to 20 um."""
+    """A camera believed turned by 0.15 rad about its axis: 7 mm off the line instead of 20 um."""
     true, wrong = (
         run(scenario(duration_s=8.0, settings=settings))
         for settings in (DEFAULTS, calibrated(rotation_rad=(0.0, 0.0, 0.15)))
@@ -238,7 +238,7 @@ def test_a_wrong_calibration_displaces_what_the_hand_eye_camera_sees(offset_m: V
     settings = calibrated(offset_m=offset_m)
     sensor = replace(DEFAULTS.hand_sensor, kind=HandSensorKind.EYE_IN_HAND)
     bench = Bench(settings=replace(settings, hand_sensor=sensor))
-    seen = bench.tcp + (0.03, 0.02, -0.45)
+    seen = np.add(bench.tcp, (0.03, 0.02, -0.45))
     row = bench.tick(seen)
     assert row["track_valid"][0]
     displaced = row["predicted_hand_in_base_m"][0] - seen

@@ -107,9 +107,9 @@ def test_repulsing_servoes_again_on_arrival() -> None:
     bench = Bench()
     target = repulsing(bench)
     assert mode(bench.tick(AWAY, count=150)) is Mode.REPULSING  # the hand has gone: the way is finished first
-    bench.place(target + (0.0, 0.0, 2e-3))
+    bench.place(np.add(target, (0.0, 0.0, 2e-3)))
     assert mode(bench.tick(AWAY)) is Mode.REPULSING  # 2 mm before the end
-    bench.place(target + (0.0, 0.0, 0.5e-3))
+    bench.place(np.add(target, (0.0, 0.0, 0.5e-3)))
     row = bench.tick(AWAY)
     assert mode(row) is Mode.SERVOING
     assert row["gain"] > 0.0
@@ -138,7 +138,7 @@ def test_the_same_hand_is_not_asked_about_on_the_way() -> None:
 
 def test_another_hand_on_the_way_is_a_new_decision() -> None:
     bench = Bench()
-    first, second = bench.beside(0.35), bench.tcp + (0.0, 0.25, 0.0)
+    first, second = bench.beside(0.35), np.add(bench.tcp, (0.0, 0.25, 0.0))
     repulsing(bench, first, np.array(AWAY))
     row = bench.tick(first, second)
     assert mode(row) is Mode.REPULSING
@@ -166,7 +166,7 @@ def test_repulsing_stops_where_the_next_pose_cannot_be_reached(trigger: Trigger)
         bench.place(target)
         row = bench.tick(first)
     else:
-        row = bench.tick(first, bench.tcp + (0.0, 0.25, 0.0))
+        row = bench.tick(first, np.add(bench.tcp, (0.0, 0.25, 0.0)))
     assert mode(row) is Mode.PROTECTIVE_STOP
     assert Trigger(last(bench)["trigger"]) is trigger
 

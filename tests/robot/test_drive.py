@@ -91,7 +91,7 @@ def test_a_stop_is_carried_through_although_it_is_released() -> None:
     kept.run(75, stop=True)
     released.run(1, stop=True)
     released.run(74, -DEMAND)
-    standstill = [k for k, row in enumerate(kept.history) if not row.any()][0]
+    standstill = next(k for k, row in enumerate(kept.history) if not row.any())
     assert np.array_equal(kept.history[: standstill + 1], released.history[: standstill + 1])
     assert np.array_equal(released.history[standstill + 1], -DEMAND)  # and then it is free again
 

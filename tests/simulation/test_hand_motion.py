@@ -111,7 +111,7 @@ def test_a_reach_gives_up_after_its_time() -> None:
 def test_a_reach_heads_for_where_the_tcp_is_now() -> None:
     play = Play(hand(ReachForTcp(speed_mps=1.0, until_distance_m=0.1, at_most_s=9.0), at=START))
     for k in range(40):
-        tcp = TCP + (0.0, 0.002 * k, 0.0)
+        tcp = np.add(TCP, (0.0, 0.002 * k, 0.0))
         before = play.positions[-1][0]
         step = play.advance(1, tcp)[-1] - before
         assert step == pytest.approx(DT_S * (tcp - before) / np.linalg.norm(tcp - before), abs=1e-12)
@@ -180,7 +180,7 @@ def test_a_hand_where_the_person_stands_still_has_a_forearm() -> None:
 
 
 def recorded(time_s: np.ndarray, positions: np.ndarray) -> RecordedHand:
-    motion = RecordedMotion(time_s, positions, positions + (0.1, -0.2, 0.2), (), "0" * 64)
+    motion = RecordedMotion(time_s, positions, np.add(positions, (0.1, -0.2, 0.2)), (), "0" * 64)
     return RecordedHand(
         name="right",
         recording=Path("nowhere.csv"),

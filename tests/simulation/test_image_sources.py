@@ -197,7 +197,7 @@ def boxes_in(settings: Settings, *hands: Vector, source: ImageSource = ImageSour
 
 @pytest.mark.parametrize("position", HANDS)
 def test_a_rendered_hand_has_the_box_of_the_exact_one(position: Vector) -> None:
-    """Centre within 1 px, depth within 3 mm, sides within 2 px; the images differ by half a pixel in c_u, c_v."""
+    """Centre within 1 px (after half a pixel in c_u and c_v), depth within 3 mm, sides within 2 px."""
     rendered = boxes_in(rendered_detector(HandSensorKind.OVERHEAD), position)
     overhead = replace(DEFAULTS, hand_sensor=replace(DEFAULTS.hand_sensor, kind=HandSensorKind.OVERHEAD))
     exact = boxes_in(overhead, position)
@@ -228,7 +228,7 @@ def test_of_a_rendered_hand_under_the_wrist_only_a_part_is_seen() -> None:
 
 
 def test_a_run_in_which_all_images_are_rendered_perceives_what_the_exact_one_does() -> None:
-    """Some ticks of camera at 30 Hz and detector on the renderer; the hand within 10 mm of the exact one's."""
+    """Some ticks of camera and detector on the renderer at 30 Hz; the hand within 10 mm of the exact one."""
     sensor = replace(
         DEFAULTS.hand_sensor, kind=HandSensorKind.OVERHEAD, detector=DetectorKind.RENDERED, rate_hz=30.0
     )

@@ -274,7 +274,7 @@ def test_the_hand_eye_camera_sees_only_what_is_in_front_of_its_lens(
 ) -> None:
     """At 0.45 m its field is 468 mm along y and 351 mm along x."""
     desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
-    at = desired + (0.0, 0.045, 0.0) + (*sideways_m, -0.45)
+    at = np.add(desired, (sideways_m[0], sideways_m[1] + 0.045, -0.45))
     boxes = seen(HandSensorKind.EYE_IN_HAND, at)
     assert len(boxes) == visible
     if visible:
