@@ -6,7 +6,7 @@ ratio is formed within each turn and printed as median (least to greatest).
 
 from __future__ import annotations
 
-import one_thread  # isort: split
+import one_thread  # noqa: F401 - before any library that reads its variables  # isort: split
 
 import importlib.util
 import time
@@ -44,13 +44,13 @@ AIMED_SPEEDUP = 400.0
 
 
 METHOD = f"""\
-Method: every library on one thread ({len(one_thread.VARIABLES)} variables of one_thread.py), {TURNS} turns, the exact camera.
+Method: every maths library on one thread, {TURNS} turns, the exact camera.
 A turn is a run of the whole loop; after every {CHUNK} of its ticks the physics alone repeats them (the
 same cell and motor targets, only stepSimulation timed; it has to end at the same joint angles, bit for
 bit), and after the run the naive loop does {NAIVE_TICKS} ticks, evenly spread over the scenario.
 Naive tick: a 640x480 image by PyBullet's software renderer, with the arm's visual meshes loaded, OpenCV
-threshold, moments, interaction matrix and pinv in numpy, the same sub-steps, getClosestPoints; if critical,
-ten eager passes of a regression ResNet with dropout (width 32, 7 to 3; untrained weights) in torch.
+threshold, moments, interaction matrix and pinv in numpy, the same sub-steps, getClosestPoints to the hand; if
+critical, ten eager passes of a regression ResNet with dropout (width 32, 7 to 3; untrained weights) in torch.
 Critical ticks: a predicted hand is within the critical distance.  Values: median (least to greatest)."""
 
 

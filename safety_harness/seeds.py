@@ -16,7 +16,6 @@ class Branch(IntEnum):
 
     HAND_SENSOR_NOISE = 1
     DECISION = 2
-    OBJECT_CAMERA_NOISE = 3
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

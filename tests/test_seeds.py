@@ -54,5 +54,4 @@ def test_branches_keep_their_numbers() -> None:
     assert {branch.name: branch.value for branch in Branch} == {
         "HAND_SENSOR_NOISE": 1,
         "DECISION": 2,
-        "OBJECT_CAMERA_NOISE": 3,
     }

@@ -5,15 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.simulate import simulate
 from safety_harness.trace.trace import Trace
 
 
-def run_trial(admitted: Admitted, *, on_tick: Callable[[int], None] | None = None) -> Trace:
-    """Simulate; the world is closed on every path."""
-    with PyBulletWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad) as world:
+def run_trial(
+    admitted: Admitted,
+    *,
+    detector: BoundingBoxDetector | None = None,
+    on_tick: Callable[[int], None] | None = None,
+) -> Trace:
+    """Simulate; the world is closed on every path.
+
+    ``detector`` takes the place of our own in a scenario whose hand sensor has rendered images;
+    ``on_tick`` is told the number of ticks done.
+    """
+    with PyBulletWorld(
+        admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
+    ) as world:
         return simulate(world, admitted.controller(), admitted.scenario, on_tick=on_tick)
 
 
