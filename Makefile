@@ -11,7 +11,7 @@ demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
 test: $(VENV)/tested check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 check: $(VENV)/tested
 	$(BIN)/ruff check .

@@ -59,7 +59,8 @@ def main() -> None:
                 worst_m, worst_rad = max(worst_m, position_m[-1]), max(worst_rad, angle_rad[-1])
         print(
             f"{tilt_deg:4.0f} {counts[Verdict.HOLDS]:10d} {counts[Verdict.VIOLATED]:9d} "
-            f"{counts[Verdict.INCONCLUSIVE]:13d} {switched:12d} {worst_m * 1e3:9.3f} {np.degrees(worst_rad):10.4f}",
+            f"{counts[Verdict.INCONCLUSIVE]:13d} {switched:12d} {worst_m * 1e3:9.3f} "
+            f"{np.degrees(worst_rad):10.4f}",
             flush=True,
         )
 

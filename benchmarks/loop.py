@@ -6,7 +6,9 @@ ratio is formed within each turn and printed as median (least to greatest).
 
 from __future__ import annotations
 
-import one_thread  # noqa: F401 - before any library that reads its variables  # isort: split
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
 
 import importlib.util
 import time

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -41,6 +43,14 @@ def cache_folder() -> Path:
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
     base = Path(root) if root else Path.home() / ".cache"
     return base / "safety_harness" / source_hash()
+
+
+def forget_old_machine_code(days: float = 30.0) -> None:
+    """Remove what was compiled from other sources and has not been touched for ``days``."""
+    oldest = time.time() - days * 86400.0
+    for folder in cache_folder().parent.glob("*"):
+        if folder.is_dir() and folder.name != source_hash() and folder.stat().st_mtime < oldest:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def compiled(function: F) -> F:

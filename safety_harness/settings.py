@@ -23,7 +23,7 @@ class ImageSource(Enum):
 
 
 class ObjectKind(Enum):
-    """What the moments are sums over (FACTS 1): a region, or a set of points."""
+    """What the moments are sums over: a region, or a set of points."""
 
     DENSE = "dense"
     DISCRETE = "discrete"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -91,3 +92,19 @@ def test_compiling_leaves_numbas_own_settings_alone() -> None:
     assert before == module.numba_config.CACHE_DIR
     assert np.isnan(quotient(0.0, 0.0))  # like numpy: every caller looks for NaN
     assert quotient(1.0, 0.0) == np.inf
+
+
+def test_only_old_machine_code_of_other_sources_is_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / module.source_hash())
+    ours, old, fresh = (tmp_path / name for name in (module.source_hash(), "old", "fresh"))
+    for folder in (ours, old, fresh):
+        folder.mkdir()
+        (folder / "code").write_text("x")
+    for folder in (ours, old):
+        os.utime(folder, (0, 0))
+    module.forget_old_machine_code()
+    assert ours.exists()
+    assert fresh.exists()
+    assert not old.exists()

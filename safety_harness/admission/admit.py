@@ -17,6 +17,7 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base, vie
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import InadmissibleError, SettingsError
 from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.inverse import InverseKinematics
@@ -28,7 +29,8 @@ from safety_harness.robot.kinematics import (
 from safety_harness.scenario.model import JointStart, MovingHand, Scenario
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import HandSensorKind
-from safety_harness.simulation.sensing import exact_object, sensors
+from safety_harness.simulation.cameras import sensors
+from safety_harness.simulation.exact_views import exact_object
 
 ARM_NAME = "ur10"
 
@@ -75,6 +77,7 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
             hint=error.hint,
         ) from error
     check_hands(scenario)
+    check_restart_delay(scenario)
     check_hand_sensor(scenario)
     properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
     return Admitted(scenario, arm, view, start, avoider or avoider_of(scenario), properties)
@@ -132,7 +135,7 @@ def check_start(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[n
             got=f"the position {_millimetres(transforms[7, :3, 3])}",
         )
     cameras = sensors(settings, scenario.seed, 0, overhead_transform_sensor_to_base(settings))
-    moments = np.empty(31)
+    moments = np.empty(MOMENT_COUNT)
     if not exact_object(cameras.state, cameras.polygon_in_base_m, transforms[7], moments):
         raise InadmissibleError(
             place=scenario.place("tcp start"),
@@ -153,6 +156,20 @@ def check_hands(scenario: Scenario) -> None:
                     expected=f"a start above the table (z = {settings.cell.table_height_m * 1e3:.0f} mm)",
                     got=f"z = {height_m * 1e3:.0f} mm",
                 )
+
+
+def check_restart_delay(scenario: Scenario) -> None:
+    """Refuse a restart before the longest stop is over: the drives would take up a command in one jump."""
+    settings = scenario.settings
+    braking = settings.braking
+    speed_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+    stop_s = braking.reaction_time_s + braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    if settings.avoidance.restart_delay_s < stop_s:
+        raise InadmissibleError(
+            place=scenario.place("settings.avoidance.restart delay"),
+            expected=f"a restart delay of at least {stop_s:.3f} s, which a stop from full speed takes",
+            got=f"{settings.avoidance.restart_delay_s:g} s",
+        )
 
 
 def check_hand_sensor(scenario: Scenario) -> None:

@@ -55,9 +55,12 @@ def checked(proposal: object) -> Proposal:
     cleaned = []
     for name, value in (("position", proposal.position_in_base_m), ("spread", proposal.spread_m)):
         try:
-            array = np.array(value, dtype=np.float64)
+            given = np.asarray(value)
         except (TypeError, ValueError) as error:
             raise AvoiderError(f"the proposed {name} is no array of numbers: {error}") from error
+        if given.dtype.kind not in "fiu":  # complex numbers would lose a part, texts be parsed
+            raise AvoiderError(f"the proposed {name} must be real numbers; got {given.dtype}")
+        array = given.astype(np.float64)
         if array.shape != (3,):
             raise AvoiderError(f"the proposed {name} must have shape (3,); got {array.shape}")
         if not np.all(np.isfinite(array)):

@@ -20,7 +20,7 @@ from safety_harness.cli.console import (
     result_lines,
     say,
 )
-from safety_harness.compiled import cache_folder
+from safety_harness.compiled import cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import RecordedHand, Scenario
@@ -92,6 +92,7 @@ def run(paths: Sequence[Path], out: Path) -> int:
         return BAD_INPUT
     if not cache_folder().exists():
         say("compiling the control stack; this takes a minute, once")
+        forget_old_machine_code()
     traces = out / TRACES
     try:
         traces.mkdir(parents=True, exist_ok=True)

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.description import ArmModel
 from safety_harness.servoing.control import DesiredView, choice_code
 from safety_harness.settings import HandSensorKind, ObjectKind, Settings
 from safety_harness.trace.records import MAX_TRACKS
-
-MOMENTS = 31
 
 PARAMETERS = np.dtype(
     [
@@ -61,7 +60,7 @@ STATE = np.dtype(
         ("link_transforms", np.float64, (8, 4, 4)),
         # the image of the object, as last delivered
         ("object_visible", np.bool_),
-        ("moments", np.float64, (MOMENTS,)),
+        ("moments", np.float64, (MOMENT_COUNT,)),
         ("features", np.float64, (6,)),
         ("feature_error", np.float64, (6,)),
         ("sse", np.float64),
@@ -91,7 +90,7 @@ OBSERVATION = np.dtype(
         ("joint_velocity_radps", np.float64, (6,)),
         ("image_new", np.bool_),
         ("object_visible", np.bool_),
-        ("moments", np.float64, (MOMENTS,)),
+        ("moments", np.float64, (MOMENT_COUNT,)),
         ("boxes_new", np.bool_),
         ("boxes_time_s", np.float64),
         ("box_count", np.int64),

@@ -229,6 +229,8 @@ def finish_tick(
     s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed, acceleration, twist)
     if not joint_velocity(jacobian, twist, p.min_singular_value, command.joint_velocity_radps):
         s.limits |= LIMIT_SINGULARITY
+        if s.mode != PROTECTIVE_STOP and not np.isnan(s.clear_since_s):
+            s.clear_since_s = o.time_s  # the restart delay counts from this stop
         s.mode = PROTECTIVE_STOP
     scale = 1.0
     for i in range(6):

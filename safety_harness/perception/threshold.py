@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 # The cell's colours, R G B; a simulated world paints with them.
 OBJECT_RGB = (20, 20, 20)
 TABLE_RGB = (225, 220, 210)
-ROBOT_RGB = (170, 175, 180)
-SKIN_RGB = (224, 172, 138)
-SLEEVE_RGB = (60, 100, 200)
 
 # Three times the object's own brightness, and what is left of the sleeve's blue in 30 % of the light.
 OBJECT_BRIGHTEST = 60

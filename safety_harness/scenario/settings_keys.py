@@ -90,10 +90,8 @@ MAY_BE_ZERO = frozenset(
         "dropout_probability",
         "prediction_horizon_s",
         "gain_switch_sse",
-        "min_singular_value",
         "critical_distance_m",  # zero: no avoidance at all
         "hand_pull",
-        "restart_delay_s",
         "reaction_time_s",
         "stop_time_base_s",
         "stop_time_per_speed_s2pm",

@@ -18,8 +18,8 @@ from safety_harness.perception.threshold import OBJECT_RGB, TABLE_RGB
 from safety_harness.robot.description import ArmModel, resolved_urdf
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.settings import Settings
+from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.simulation.engine import pybullet
-from safety_harness.simulation.sensing import object_polygon_in_base
 
 TABLE_HALF_M = (1.5, 1.5, 0.02)
 OBJECT_THICKNESS_M = 0.0005

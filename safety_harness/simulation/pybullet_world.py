@@ -18,20 +18,18 @@ from safety_harness.robot.description import ArmModel
 from safety_harness.robot.drive import drive, drive_tick
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
+from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.cell import build_cell, place_hands
 from safety_harness.simulation.engine import pybullet
+from safety_harness.simulation.exact_views import exact_boxes, exact_object, sensor_pose
 from safety_harness.simulation.hand_motion import advance_hands, hands_at_start
 from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.sensing import (
     deliver,
-    exact_boxes,
-    exact_object,
     hand_frame_due,
     object_frame_due,
     push_hand_frame,
     push_object_frame,
-    sensor_pose,
-    sensors,
 )
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.records import TICK, TICK_COMPILED

@@ -17,7 +17,7 @@ from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, Verdict
-from safety_harness.settings import DEFAULTS, Camera, Cell, HandSensor, HandSensorKind
+from safety_harness.settings import DEFAULTS, Avoidance, Camera, Cell, HandSensor, HandSensorKind
 
 DOWNWARD = DEFAULTS.cell.preferred_joint_position_rad
 
@@ -95,6 +95,11 @@ def test_an_eye_in_hand_sensor_with_other_optics_is_refused() -> None:
 def test_more_frames_under_way_than_can_be_kept_are_refused() -> None:
     slow = replace(DEFAULTS, camera=Camera(latency_s=2.0))
     assert "under way" in refusal(scenario(settings=slow)).expected
+
+
+def test_a_restart_before_the_longest_stop_is_over_is_refused() -> None:
+    hasty = replace(DEFAULTS, avoidance=Avoidance(restart_delay_s=0.3))
+    assert "at least 0.475 s" in refusal(scenario(settings=hasty)).expected
 
 
 def test_an_unknown_avoider_gets_the_list_and_a_suggestion() -> None:

@@ -12,7 +12,8 @@ from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.settings import DEFAULTS
-from safety_harness.simulation.sensing import exact_object, sensors
+from safety_harness.simulation.cameras import sensors
+from safety_harness.simulation.exact_views import exact_object
 
 ORACLE = NearestCandidate.of(DEFAULTS)
 CAP = CandidateCap.of(DEFAULTS)

@@ -19,7 +19,8 @@ from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings
-from safety_harness.simulation.sensing import exact_object, sensors
+from safety_harness.simulation.cameras import sensors
+from safety_harness.simulation.exact_views import exact_object
 from safety_harness.trace.records import TICK
 
 Position = tuple[float, float, float] | np.ndarray

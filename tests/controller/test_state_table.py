@@ -175,7 +175,7 @@ def stopped(bench: Bench) -> None:
     assert mode(bench.tick(bench.beside(0.3))) is Mode.PROTECTIVE_STOP
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.2, 0.5])
+@pytest.mark.parametrize("delay_s", [0.475, 0.5, 0.9])
 def test_a_stop_ends_when_the_hands_have_been_away_for_the_restart_delay(delay_s: float) -> None:
     bench = Bench(avoider=UNREACHABLE, gate=NO_FALLBACK, settings=with_avoidance(restart_delay_s=delay_s))
     stopped(bench)

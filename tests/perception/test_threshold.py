@@ -4,17 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
+from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
 from safety_harness.perception.threshold import (
     OBJECT_RGB,
     OBJECT_SMALLEST_PX,
-    ROBOT_RGB,
-    SKIN_RGB,
-    SLEEVE_RGB,
     TABLE_RGB,
     object_mask,
 )
 
 TRIANGLE = np.array([[200, 150], [320, 150], [200, 240]])
+
+ROBOT_RGB = (170, 175, 180)  # about the grey of the arm's meshes
+SKIN_RGB = tuple(round(255 * value) for value in HAND_COLOUR_RGBA[:3])
+SLEEVE_RGB = tuple(round(255 * value) for value in SLEEVE_COLOUR_RGBA[:3])
 
 
 def table() -> np.ndarray:

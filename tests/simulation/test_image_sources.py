@@ -21,12 +21,13 @@ from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.kinematics import TCP
 from safety_harness.servoing.features import features
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, Settings
+from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.cell import Bodies, build_cell, place_hands
 from safety_harness.simulation.engine import pybullet
+from safety_harness.simulation.exact_views import exact_object
 from safety_harness.simulation.hand_motion import hands_at_start
 from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.sensing import exact_object, sensors
 
 Vector = tuple[float, float, float]
 CAMERA = DEFAULTS.camera

@@ -19,18 +19,15 @@ from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, ObjectKind, Settings
+from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
+from safety_harness.simulation.exact_views import exact_boxes, exact_object
 from safety_harness.simulation.hand_motion import hands_at_start
 from safety_harness.simulation.sensing import (
-    RING,
     deliver,
-    exact_boxes,
-    exact_object,
     hand_frame_due,
     object_frame_due,
-    object_polygon_in_base,
     push_hand_frame,
     push_object_frame,
-    sensors,
 )
 from safety_harness.simulation.truth import cell_capsules
 

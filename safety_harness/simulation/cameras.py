@@ -1,0 +1,137 @@
+"""The cameras of one episode: their records, their noise and the frames that are under way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import Place, SettingsError
+from safety_harness.perception.camera import (
+    transform_camera_to_tcp,
+)
+from safety_harness.perception.hand_boxes import (
+    sensor_principal_point_px,
+)
+from safety_harness.perception.moments import MOMENT_COUNT
+from safety_harness.perception.tracking import MAX_DETECTIONS
+from safety_harness.seeds import Branch, generator
+from safety_harness.settings import HandSensorKind, ImageSource, ObjectKind, Settings
+
+RING = 64  # frames under way at a time
+
+SENSORS = np.dtype(
+    [
+        ("transform_camera_to_tcp", np.float64, (4, 4)),  # the true mount
+        ("object_focal_px", np.float64),
+        ("object_width_px", np.int64),
+        ("object_height_px", np.int64),
+        ("object_raster", np.bool_),
+        ("object_dense", np.bool_),
+        ("object_period_s", np.float64),  # 0: every tick
+        ("object_latency_s", np.float64),
+        ("object_frames", np.int64),  # taken so far
+        ("object_delivered", np.int64),
+        ("object_due_s", np.float64),
+        ("ideal", np.bool_),
+        ("eye_in_hand", np.bool_),
+        ("transform_sensor_to_base", np.float64, (4, 4)),
+        ("hand_focal_px", np.float64),
+        ("hand_width_px", np.float64),
+        ("hand_height_px", np.float64),
+        ("hand_c_u", np.float64),
+        ("hand_c_v", np.float64),
+        ("hand_radius_m", np.float64),
+        ("hand_period_s", np.float64),
+        ("hand_latency_s", np.float64),
+        ("hand_frames", np.int64),
+        ("hand_delivered", np.int64),
+        ("hand_due_s", np.float64),
+        ("pixel_noise_px", np.float64),
+        ("depth_noise_per_m", np.float64),
+        ("dropout_probability", np.float64),
+    ],
+    align=True,
+)
+
+OBJECT_FRAME = np.dtype(
+    [("time_s", np.float64), ("visible", np.bool_), ("moments", np.float64, (MOMENT_COUNT,))], align=True
+)
+HAND_FRAME = np.dtype(
+    [("time_s", np.float64), ("count", np.int64), ("boxes", np.float64, (MAX_DETECTIONS, 5))], align=True
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """One episode's cameras: ``state`` (1,) SENSORS and the frames that are under way."""
+
+    state: NDArray[np.void]
+    object_frames: NDArray[np.void]  # (RING,)
+    hand_frames: NDArray[np.void]  # (RING,)
+    polygon_in_base_m: NDArray[np.float64]  # (n, 3)
+    normals: NDArray[np.float64]  # (frames, MAX_DETECTIONS, 3): u, v, depth
+    uniforms: NDArray[np.float64]  # (frames, MAX_DETECTIONS): dropout
+
+
+def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
+    """(n, 3) vertices of the object on its plane."""
+    cell = settings.cell
+    c, s = np.cos(cell.object_yaw_rad), np.sin(cell.object_yaw_rad)
+    polygon = np.array(cell.object_polygon_m)
+    flat = polygon @ np.array([[c, s], [-s, c]])
+    return np.column_stack([flat, np.zeros(len(flat))]) + cell.object_position_in_base_m
+
+
+def sensors(
+    settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]
+) -> Sensors:
+    """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
+    state = np.zeros(1, SENSORS)
+    camera, hand = settings.camera, settings.hand_sensor
+    state["transform_camera_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
+    state["object_focal_px"] = camera.focal_px
+    state["object_width_px"], state["object_height_px"] = camera.width_px, camera.height_px
+    state["object_raster"] = camera.source is ImageSource.RASTER
+    state["object_dense"] = settings.servo.object_kind is ObjectKind.DENSE
+    state["object_period_s"], state["object_latency_s"] = _timing(
+        "camera", camera.rate_hz, camera.latency_s, settings
+    )
+    state["ideal"] = hand.kind is HandSensorKind.IDEAL
+    state["eye_in_hand"] = hand.kind is HandSensorKind.EYE_IN_HAND
+    state["transform_sensor_to_base"] = transform_sensor_to_base
+    state["hand_focal_px"] = hand.focal_px
+    state["hand_width_px"], state["hand_height_px"] = hand.width_px, hand.height_px
+    state["hand_c_u"], state["hand_c_v"] = sensor_principal_point_px(hand)
+    state["hand_radius_m"] = settings.hand.radius_m
+    state["hand_period_s"], state["hand_latency_s"] = _timing(
+        "hand sensor", hand.rate_hz, hand.latency_s, settings
+    )
+    state["pixel_noise_px"] = hand.pixel_noise_px
+    state["depth_noise_per_m"] = hand.depth_noise_per_m
+    state["dropout_probability"] = hand.dropout_probability
+    noise, dropout = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
+    noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
+    frames = ticks + 1 if noisy else 1
+    return Sensors(
+        state,
+        np.zeros(RING, OBJECT_FRAME),
+        np.zeros(RING, HAND_FRAME),
+        object_polygon_in_base(settings),
+        noise.standard_normal((frames, MAX_DETECTIONS, 3)),
+        dropout.random((frames, MAX_DETECTIONS)),
+    )
+
+
+def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:
+    """(period, latency) in seconds; refuses more frames under way than the ring holds."""
+    period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
+    under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
+    if under_way > RING:
+        raise SettingsError(
+            place=Place(field=f"{field}: latency"),
+            expected=f"at most {RING - 2} frames under way at a time",
+            got=f"{latency_s:g} s, which is {under_way - 2.0:.0f} frames",
+        )
+    return period_s, latency_s
