@@ -2,17 +2,19 @@
 
 Numba's own file cache notices a change of the file that *defines* a function, not of the files
 whose functions it calls: after an edit in ``geometry`` an old ``controller`` would go on running.
-For a tool that gives evidence that is not acceptable, so our cache folder is named by a hash over
-every source file of the package (and numba's version): a change anywhere compiles afresh.
+For a tool that gives evidence that is not acceptable, so the machine code of a file lies in a
+folder named by a hash over that file and every file of the package that it imports, directly or
+not (and numba's version): a change in any of them compiles afresh, a change elsewhere does not.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -25,31 +27,69 @@ F = TypeVar("F", bound=Callable[..., Any])
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 
 PACKAGE = Path(__file__).parent
+# A test holds the package to this one form of import, so that none is overlooked.
+_IMPORT = re.compile(r"^\s*from safety_harness\.([\w.]+) import ", re.MULTILINE)
 
 
-@lru_cache(maxsize=1)
-def source_hash() -> str:
-    """Sixteen hex digits over the names and contents of every Python file of the package."""
+def _hash(files: Iterable[Path]) -> str:
+    """Sixteen hex digits over numba's version and the names and contents of files of the package."""
     digest = hashlib.sha256(f"numba {numba.__version__}".encode())
-    for path in sorted(PACKAGE.rglob("*.py")):
+    for path in sorted(files):
         digest.update(path.relative_to(PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
 @lru_cache(maxsize=1)
-def cache_folder() -> Path:
-    """Where machine code is kept: ``$SAFETY_HARNESS_CACHE``, else the user's cache folder."""
+def source_hash() -> str:
+    """The hash over every Python file of the package: what a trace's provenance names."""
+    return _hash(PACKAGE.rglob("*.py"))
+
+
+@lru_cache
+def _imports(file: Path) -> tuple[Path, ...]:
+    """The files of the package that a file imports directly."""
+    modules = _IMPORT.findall(file.read_text(encoding="utf-8"))
+    return tuple(PACKAGE / (module.replace(".", "/") + ".py") for module in modules)
+
+
+def sources_of(file: Path) -> frozenset[Path]:
+    """A file of the package and every other that it imports, directly or not.
+
+    A file outside the package (a benchmark, say) may use anything: all of it.
+    """
+    if PACKAGE not in file.parents:
+        return frozenset(PACKAGE.rglob("*.py"))
+    found: set[Path] = set()
+    waiting = [file]
+    while waiting:
+        one = waiting.pop()
+        if one not in found:
+            found.add(one)
+            waiting.extend(_imports(one))
+    return frozenset(found)
+
+
+def cache_root() -> Path:
+    """Where machine code is kept: below ``$SAFETY_HARNESS_CACHE``, else the user's cache folder."""
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
-    base = Path(root) if root else Path.home() / ".cache"
-    return base / "safety_harness" / source_hash()
+    return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
+
+
+@lru_cache
+def cache_folder(file: Path) -> Path:
+    """The folder for the machine code of ``file``; marked as used today if it is there."""
+    folder = cache_root() / _hash(sources_of(file))
+    if folder.is_dir():
+        os.utime(folder)
+    return folder
 
 
 def forget_old_machine_code(days: float = 30.0) -> None:
-    """Remove what was compiled from other sources and has not been touched for ``days``."""
+    """Remove the machine code that no process has used for ``days``."""
     oldest = time.time() - days * 86400.0
-    for folder in cache_folder().parent.glob("*"):
-        if folder.is_dir() and folder.name != source_hash() and folder.stat().st_mtime < oldest:
+    for folder in cache_root().glob("*"):
+        if folder.is_dir() and folder.stat().st_mtime < oldest:
             shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -60,7 +100,7 @@ def compiled(function: F) -> F:
     numpy, 0/0 is NaN, which every caller that decides something has to look for.
     """
     before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder())
+    numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
         return cast(F, numba.njit(cache=True, error_model="numpy")(function))
     finally:

@@ -73,3 +73,19 @@ def test_a_run_needs_no_torch() -> None:
                 [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
             )
         }, file
+
+
+def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_reads() -> None:
+    """``from safety_harness.room.file import name``: the cache follows these to know what to recompile."""
+    for file in FILES:
+        if file.name == "__init__.py" and file.parent == PACKAGE:
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                assert not any(alias.name.startswith("safety_harness") for alias in node.names), file
+            elif isinstance(node, ast.ImportFrom) and (
+                node.level or (node.module or "").startswith("safety_harness")
+            ):
+                module = PACKAGE.parent / (node.module or "").replace(".", "/")
+                assert node.level == 0, file
+                assert module.with_suffix(".py").is_file(), f"{file}: {node.module} is no file"

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,19 +10,21 @@ import pytest
 
 from safety_harness import compiled as module
 from safety_harness.compiled import cache_folder, compiled, source_hash
+from safety_harness.controller import stack
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A small package in place of ours."""
-    (tmp_path / "inner").mkdir()
-    (tmp_path / "a.py").write_text("x = 1\n")
-    (tmp_path / "inner" / "b.py").write_text("y = 2\n")
-    monkeypatch.setattr(module, "PACKAGE", tmp_path)
-    return tmp_path
+    root = tmp_path / "safety_harness"
+    (root / "inner").mkdir(parents=True)
+    (root / "a.py").write_text("x = 1\n")
+    (root / "inner" / "b.py").write_text("y = 2\n")
+    monkeypatch.setattr(module, "PACKAGE", root)
+    return root
 
 
-def fresh_hash() -> str:
+def package_hash() -> str:
     return source_hash.__wrapped__()
 
 
@@ -37,35 +38,63 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES.keys())
-def test_the_cache_folder_moves_with_every_source_file(
+def test_the_source_hash_changes_with_every_source_file(
     change: Callable[[Path], object], package: Path
 ) -> None:
-    before = fresh_hash()
+    before = package_hash()
     change(package)
-    assert fresh_hash() != before
+    assert package_hash() != before
 
 
-def test_the_cache_folder_stays_where_only_other_files_change(package: Path) -> None:
-    before = fresh_hash()
+def test_the_source_hash_stays_where_only_other_files_change(package: Path) -> None:
+    before = package_hash()
     (package / "notes.txt").write_text("no code")
     (package / "a.py").touch()
-    assert fresh_hash() == before
+    assert package_hash() == before
 
 
-def test_another_numba_is_another_folder(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = fresh_hash()
+def test_another_numba_is_another_hash(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = package_hash()
     monkeypatch.setattr(numba, "__version__", "0.0.0")
-    assert fresh_hash() != before
+    assert package_hash() != before
 
 
-def test_the_hash_covers_this_package_wherever_it_stands(tmp_path: Path) -> None:
-    copy = shutil.copytree(module.PACKAGE, tmp_path / "copy", ignore=shutil.ignore_patterns("__pycache__"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "PACKAGE", copy)
-        assert fresh_hash() == source_hash()
-        with (copy / "seeds.py").open("a") as file:
-            file.write("# one more line\n")
-        assert fresh_hash() != source_hash()
+def folder_name(file: Path) -> str:
+    module._imports.cache_clear()
+    return cache_folder.__wrapped__(file).name
+
+
+def test_machine_code_moves_with_every_file_that_it_may_call_and_with_no_other(package: Path) -> None:
+    (package / "a.py").write_text("from safety_harness.inner.b import y\n")
+    (package / "inner" / "b.py").write_text("def y():\n    from safety_harness.c import z\n")
+    (package / "c.py").write_text("z = 1\n")
+    (package / "d.py").write_text("from safety_harness.a import y\n")
+    before = {name: folder_name(package / f"{name}.py") for name in ("a", "c", "d")}
+    (package / "c.py").write_text("z = 2\n")
+    after = {name: folder_name(package / f"{name}.py") for name in ("a", "c", "d")}
+    assert all(before[name] != after[name] for name in before)
+    (package / "d.py").write_text("# another caller\n")
+    assert folder_name(package / "a.py") == after["a"]
+    assert folder_name(package / "d.py") != after["d"]
+
+
+def test_files_that_import_one_another_have_one_fate(package: Path) -> None:
+    (package / "a.py").write_text("from safety_harness.inner.b import y\n")
+    (package / "inner" / "b.py").write_text("from safety_harness.a import x\n")
+    assert module.sources_of(package / "a.py") == module.sources_of(package / "inner" / "b.py")
+
+
+def test_code_outside_the_package_depends_on_all_of_it(package: Path) -> None:
+    outside = package.parent / "outside.py"
+    before = folder_name(outside)
+    (package / "inner" / "b.py").write_text("y = 4\n")
+    assert folder_name(outside) != before
+
+
+def test_the_control_stack_depends_on_geometry_and_not_on_the_report() -> None:
+    sources = {path.relative_to(module.PACKAGE).parts[0] for path in module.sources_of(Path(stack.__file__))}
+    assert {"controller", "geometry", "perception", "servoing", "robot"} <= sources
+    assert not {"report", "cli", "simulation", "properties"} & sources
 
 
 @pytest.mark.parametrize(
@@ -83,7 +112,7 @@ def test_the_environment_says_where_machine_code_is_kept(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert cache_folder.__wrapped__() == Path(expected) / "safety_harness" / source_hash()
+    assert module.cache_root() == Path(expected) / "safety_harness"
 
 
 def test_compiling_leaves_numbas_own_settings_alone() -> None:
@@ -94,17 +123,22 @@ def test_compiling_leaves_numbas_own_settings_alone() -> None:
     assert quotient(1.0, 0.0) == np.inf
 
 
-def test_only_old_machine_code_of_other_sources_is_forgotten(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(module, "cache_folder", lambda: tmp_path / module.source_hash())
-    ours, old, fresh = (tmp_path / name for name in (module.source_hash(), "old", "fresh"))
-    for folder in (ours, old, fresh):
+def test_only_old_machine_code_is_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "cache_root", lambda: tmp_path)
+    old, fresh = tmp_path / "old", tmp_path / "fresh"
+    for folder in (old, fresh):
         folder.mkdir()
         (folder / "code").write_text("x")
-    for folder in (ours, old):
-        os.utime(folder, (0, 0))
+    os.utime(old, (0, 0))
     module.forget_old_machine_code()
-    assert ours.exists()
     assert fresh.exists()
     assert not old.exists()
+
+
+def test_using_machine_code_keeps_it_fresh(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "cache_root", lambda: package.parent / "cache")
+    folder = cache_folder.__wrapped__(package / "a.py")
+    folder.mkdir(parents=True)
+    os.utime(folder, (0, 0))
+    assert cache_folder.__wrapped__(package / "a.py") == folder
+    assert folder.stat().st_mtime > 1e9

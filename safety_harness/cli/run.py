@@ -20,7 +20,7 @@ from safety_harness.cli.console import (
     result_lines,
     say,
 )
-from safety_harness.compiled import cache_folder, forget_old_machine_code
+from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import RecordedHand, Scenario
@@ -90,7 +90,7 @@ def run(paths: Sequence[Path], out: Path) -> int:
             explain(error)
         say(f"{len(errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
-    if not cache_folder().exists():
+    if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
         say("compiling the control stack; this takes a minute, once")
         forget_old_machine_code()
     traces = out / TRACES
