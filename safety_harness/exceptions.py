@@ -72,6 +72,10 @@ class OutputError(InputError):
     """A folder or file that results should go to cannot be written."""
 
 
+class ModelError(InputError):
+    """A model file is missing, damaged, incomplete or of a kind that this version does not run."""
+
+
 class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 

@@ -20,6 +20,7 @@ ORDER = [
     {"servoing"},
     {"avoidance"},
     {"controller"},
+    {"learning"},
     {"simulation"},
     {"properties"},
     {"admission"},
@@ -65,6 +66,8 @@ def test_the_import_test_sees_a_backward_arrow(tmp_path: Path) -> None:
 
 def test_a_run_needs_no_torch() -> None:
     for file in FILES:
+        if room_of(file) == "learning":
+            continue  # which nothing but the command line imports, and that only when asked to learn
         assert "torch" not in {
             name.split(".")[0]
             for node in ast.walk(ast.parse(file.read_text()))
@@ -89,3 +92,8 @@ def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_re
                 module = PACKAGE.parent / (node.module or "").replace(".", "/")
                 assert node.level == 0, file
                 assert module.with_suffix(".py").is_file(), f"{file}: {node.module} is no file"
+
+
+def test_only_the_command_line_imports_learning() -> None:
+    importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
+    assert importers <= {"learning", "cli"}
