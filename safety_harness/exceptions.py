@@ -76,6 +76,10 @@ class ModelError(InputError):
     """A model file is missing, damaged, incomplete or of a kind that this version does not run."""
 
 
+class DatasetError(InputError):
+    """A data set cannot be made as asked, or a stored one is missing, damaged or of another version."""
+
+
 class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 

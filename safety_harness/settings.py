@@ -52,6 +52,13 @@ class DetectorKind(Enum):
     RENDERED = "rendered"  # the rendered colour and depth images
 
 
+class GateKind(Enum):
+    """How much the gate asks of a repulsive position before the arm goes there."""
+
+    REACH = "reach"  # finite, reachable, above the table: the plain system
+    FULL = "full"  # also certain, reachable with margin, away from every hand, clear of the arm itself
+
+
 @dataclass(frozen=True, kw_only=True)
 class Cell:
     """Table, object and desired pose: a workspace in which every TCP start can be reached.
@@ -172,6 +179,7 @@ class Avoidance:
     candidate_cone_rad: float = pi / 3  # a 60-degree cone is exactly a quarter of the sphere
     nominal_hand_position_in_base_m: Vector3 = (0.840, -0.350, 0.005)
     hand_pull: float = 0.05  # the factor of eq. 13
+    gate: GateKind = GateKind.FULL
     table_clearance_m: float = 0.050  # the TCP is never sent lower than this above the table
     restart_delay_s: float = 0.5  # how long the hands must be away before a stop is released
 

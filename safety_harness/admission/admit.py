@@ -80,7 +80,9 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
     check_restart_delay(scenario)
     check_hand_sensor(scenario)
     properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
-    return Admitted(scenario, arm, view, start, avoider or avoider_of(scenario), properties)
+    if avoider is None:
+        avoider = avoider_of(scenario)
+    return Admitted(scenario, arm, view, start, avoider, properties)
 
 
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import Admitted
+from safety_harness.admission.claims import property_of
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.simulation.pybullet_world import PyBulletWorld
@@ -30,5 +31,8 @@ def run_trial(
 
 
 def judge(trace: Trace) -> tuple[Evaluation, ...]:
-    """Judge a trace by its scenario's claims, in their order; nothing is simulated."""
-    return tuple(prop.evaluate(trace) for prop in admit(trace.scenario).properties)
+    """Judge a trace by its scenario's claims, in their order.
+
+    Nothing is simulated and no avoider is made: a user's own would be executed.
+    """
+    return tuple(property_of(claim, trace.scenario).evaluate(trace) for claim in trace.scenario.claims)

@@ -7,7 +7,10 @@ sees nothing of the simulator's truth.
 
 from __future__ import annotations
 
+import re
+import traceback
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -34,7 +37,11 @@ class Proposal:
 
 
 class Avoider(Protocol):
-    """What a user's own avoider has to offer."""
+    """What a user's own avoider has to offer.
+
+    It may also have an attribute ``spread_threshold_m`` (a number, or None): the gate then refuses
+    a proposal whose spread is above it on any axis.
+    """
 
     @property
     def name(self) -> str:
@@ -46,6 +53,39 @@ class Avoider(Protocol):
     ) -> Proposal:
         """Where to move the TCP, its orientation kept."""
         ...
+
+
+def spread_threshold_of(avoider: Avoider) -> float | None:
+    """The largest spread [m] with which the avoider's proposals may be used; None for any.
+
+    AvoiderError for what is no such length: zero is one (only what is certain), infinity is not.
+    """
+    threshold = getattr(avoider, "spread_threshold_m", None)
+    if threshold is None:
+        return None
+    number = isinstance(threshold, int | float | np.integer | np.floating)
+    if not number or isinstance(threshold, bool) or not 0.0 <= threshold < np.inf:
+        raise AvoiderError(f"spread_threshold_m must be a length in metres, or None; got {threshold!r}")
+    return float(threshold)
+
+
+def described(error: BaseException, file: str | None = None) -> str:
+    """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
+
+    ``file`` is the user's file, as in the traceback; the line is the deepest one within it.
+    Addresses of objects are left out, so that a run says the same when it is repeated.
+    """
+    try:
+        text = str(error)
+    except Exception:  # a user's own exception may fail to say what it is
+        text = ""
+    text = re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text.split()))
+    what = "".join(c if c.isprintable() else "?" for c in text)
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    if isinstance(error, SyntaxError) and error.filename == file:
+        lines, what = [error.lineno], error.msg  # its own text names the place, once more
+    where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
+    return type(error).__name__ + (f": {what}" if what else "") + where
 
 
 def checked(proposal: object) -> Proposal:

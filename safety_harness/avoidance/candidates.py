@@ -8,11 +8,13 @@ that direction, which covers exactly a quarter of the sphere.  R and sigma are o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, SettingsError
 from safety_harness.settings import Settings
 
@@ -75,18 +77,69 @@ class CandidateCap:
             kept = np.concatenate([kept, directions[inside]])
         return self.radius_m * kept[: self.count]
 
+    def draw_many(self, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
+        """(n, count, 3) offsets, set k from generator k: what ``draw`` gives, to rounding, but much faster.
+
+        One generator may stand more than once; it is then drawn from in turn.
+        """
+        frame = self._frame()
+        offsets = np.empty((len(generators), self.count, 3))
+        angles = np.empty((len(generators), 2, 2 * self.count))
+        for k, rng in enumerate(generators):
+            rng.standard_normal(out=angles[k])
+        kept = np.zeros(len(generators), np.int64)
+        while True:
+            _keep(self.sigma_rad * angles, frame, np.cos(self.cone_rad), self.radius_m, offsets, kept)
+            short = np.flatnonzero(kept < self.count)
+            if not len(short):
+                return offsets
+            for one in short.tolist():
+                generators[one].standard_normal(out=angles[one])
+
     def _directions(
         self, azimuth: NDArray[np.float64], elevation: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Unit vectors (n, 3); azimuth about the vertical and elevation, both from the axis."""
+        local = np.stack(
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
+            axis=1,
+        )  # (n, 3) along axis, side, up
+        directions: NDArray[np.float64] = local @ self._frame()
+        return directions
+
+    def _frame(self) -> NDArray[np.float64]:
+        """(3, 3) rows: the axis, the horizontal direction beside it, and up."""
         vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any direction will do as the side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
         side = side - (side @ self.axis_in_base) * self.axis_in_base
         side /= np.linalg.norm(side)
         up = np.cross(self.axis_in_base, side)
-        local = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
-            axis=1,
-        )  # (n, 3) along axis, side, up
-        directions: NDArray[np.float64] = local @ np.stack([self.axis_in_base, side, up])
-        return directions
+        return np.stack([self.axis_in_base, side, up])
+
+
+@compiled
+def _keep(
+    angles_rad: NDArray[np.float64],  # (n, 2, m): azimuths, elevations
+    frame: NDArray[np.float64],  # (3, 3) rows: axis, side, up
+    least_cosine: float,
+    radius_m: float,
+    offsets_out: NDArray[np.float64],  # (n, count, 3)
+    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
+) -> None:
+    """Append to every set that is not full the directions that lie within the cone."""
+    sets, _, proposals = angles_rad.shape
+    count = offsets_out.shape[1]
+    for k in range(sets):
+        for i in range(proposals):
+            if kept[k] == count:
+                break
+            cos_elevation = np.cos(angles_rad[k, 1, i])
+            along = cos_elevation * np.cos(angles_rad[k, 0, i])
+            if along >= least_cosine:
+                aside = cos_elevation * np.sin(angles_rad[k, 0, i])
+                upward = np.sin(angles_rad[k, 1, i])
+                for j in range(3):
+                    offsets_out[k, kept[k], j] = radius_m * (
+                        along * frame[0, j] + aside * frame[1, j] + upward * frame[2, j]
+                    )
+                kept[k] += 1

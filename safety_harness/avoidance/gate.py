@@ -1,4 +1,4 @@
-"""The gate between an avoider and the arm: a proposed position is used only if it can be reached.
+"""The gate between an avoider and the arm: a proposed position is used only if it stands every check.
 
 In turn: the avoider's proposal, the opposite pose under the same checks, a protective stop.
 Every check that fails is recorded.  (Reachability means inverse kinematics within the joint
@@ -7,34 +7,55 @@ limits along the whole straight way, not a radius.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import traceback
+from dataclasses import dataclass, field
+from math import ceil
 
 import numpy as np
 
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, checked
+from safety_harness.avoidance.avoider import (
+    Avoider,
+    Proposal,
+    Vector,
+    checked,
+    described,
+    spread_threshold_of,
+)
 from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.own_body import own_distance
 from safety_harness.exceptions import AvoiderError
+from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.settings import Settings
+from safety_harness.settings import GateKind, Settings
 from safety_harness.trace.records import Check, Outcome
 
 NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
+REACH_MARGIN_M = 0.010  # how far beyond the position the straight way must go on being reachable
+OWN_CLEARANCE_M = 0.020  # how near the wrist's capsules may come to those of base, shoulder and upper arm
+WAY_STEP_M = 0.025  # between two samples of a way they come nearer by half of that, about
 
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed."""
+    """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed.
+
+    ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it.
+    """
 
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
     transform_tcp_to_base: Vector  # (4, 4)
     joint_position_rad: Vector  # (6,)
+    hands_in_base_m: Vector  # (k, 3)
     seed: int
 
 
 @dataclass(frozen=True, eq=False)
 class Ruling:
-    """What the gate decided, and on what grounds.  Positions are NaN where there is none."""
+    """What the gate decided, and on what grounds.  Positions are NaN where there is none.
+
+    ``fault`` says why the avoider gave no usable answer; it is empty if it gave one.
+    """
 
     outcome: Outcome
     chosen_position_in_base_m: Vector
@@ -42,6 +63,17 @@ class Ruling:
     opposite: Proposal
     proposed_failed: Check
     opposite_failed: Check
+    spread_threshold_m: float = np.nan
+    fault: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """One avoider's proposal, the largest spread that it may have, and why there is none."""
+
+    proposal: Proposal = field(default=NOWHERE)
+    spread_threshold_m: float = np.nan
+    fault: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +84,10 @@ class Gate:
     fallback: OppositePose
     min_singular_value: float
     lowest_tcp_height_m: float
+    kind: GateKind = GateKind.FULL
+    reach_margin_m: float = REACH_MARGIN_M
+    own_clearance_m: float = OWN_CLEARANCE_M
+    capsules: CapsuleSet = field(default_factory=load_capsules)
 
     @classmethod
     def of(cls, settings: Settings, kinematics: InverseKinematics) -> Gate:
@@ -61,58 +97,123 @@ class Gate:
             OppositePose(settings.avoidance.radius_m),
             settings.motion.min_singular_value,
             settings.cell.table_height_m + settings.avoidance.table_clearance_m,
+            settings.avoidance.gate,
+            capsules=load_capsules(kinematics.arm.name),
         )
 
     def rule(self, avoider: Avoider, query: Query) -> Ruling:
         """Ask the avoider, check its proposal, fall back to the opposite pose, else stop."""
-        proposed, proposed_failed = self._ask(avoider, query)
-        opposite, opposite_failed = self._ask(self.fallback, query)
+        proposed, opposite = _ask(avoider, query), _ask(self.fallback, query)
+        proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:
-            outcome, chosen = Outcome.PROPOSED, proposed.position_in_base_m
+            outcome, chosen = Outcome.PROPOSED, proposed.proposal
         elif not opposite_failed:
-            outcome, chosen = Outcome.OPPOSITE, opposite.position_in_base_m
+            outcome, chosen = Outcome.OPPOSITE, opposite.proposal
         else:
-            outcome, chosen = Outcome.STOP, NOWHERE.position_in_base_m
-        return Ruling(outcome, chosen, proposed, opposite, proposed_failed, opposite_failed)
+            outcome, chosen = Outcome.STOP, NOWHERE
+        return Ruling(
+            outcome,
+            chosen.position_in_base_m,
+            proposed.proposal,
+            opposite.proposal,
+            proposed_failed,
+            opposite_failed,
+            proposed.spread_threshold_m,
+            proposed.fault,
+        )
 
-    def _ask(self, avoider: Avoider, query: Query) -> tuple[Proposal, Check]:
-        """One avoider's proposal and the checks that it fails.
-
-        Whatever a user's avoider raises is a decision fault, recorded as NOT_FINITE, and never
-        the end of the run; only the interpreter's own exits pass.
-        """
-        try:
-            proposal = checked(
-                avoider.propose(
-                    hand_position_in_base_m=query.hand_position_in_base_m.copy(),
-                    tcp_position_in_base_m=query.tcp_position_in_base_m.copy(),
-                    seed=query.seed,
-                )
-            )
-        except AvoiderError:
-            return NOWHERE, Check.NOT_FINITE
-        except Exception:  # a user's code may raise anything
-            return NOWHERE, Check.NOT_FINITE
-        return proposal, self.check(proposal.position_in_base_m, query)
+    def _failed(self, answer: _Answer, query: Query) -> Check:
+        """Which checks an answer fails."""
+        if answer.fault:
+            return Check.NOT_FINITE
+        failed = self.check(answer.proposal.position_in_base_m, query)
+        spread_m, threshold_m = answer.proposal.spread_m.max(), answer.spread_threshold_m
+        if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
+            failed |= Check.UNCERTAIN
+        return failed
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """Which checks ``position_in_base_m`` fails, the current orientation kept."""
+        """Which checks ``position_in_base_m`` fails, the current orientation kept.
+
+        On a straight way the TCP is nowhere lower than at the lower one of its ends: the table
+        needs no look in between.
+        """
         failed = Check.NONE
+        full = self.kind is GateKind.FULL
+        start_in_base_m = query.transform_tcp_to_base[:3, 3]
+        way = position_in_base_m - start_in_base_m
         if position_in_base_m[2] < self.lowest_tcp_height_m:
             failed |= Check.TABLE
+        if full and not leads_away(start_in_base_m, way, query.hands_in_base_m):
+            failed |= Check.TOWARDS_A_HAND
         target = query.transform_tcp_to_base.copy()
         target[:3, 3] = position_in_base_m
         if self.kinematics.nearest(target, query.joint_position_rad) is None:
             return failed | Check.UNREACHABLE
-        way = position_in_base_m - query.transform_tcp_to_base[:3, 3]
         length_m = float(np.linalg.norm(way))
-        if length_m > 0.0:
-            reach_m = self.kinematics.reach_along(
-                query.joint_position_rad,
-                way / length_m,
-                length_m,
-                min_singular_value=self.min_singular_value,
-            )
-            if reach_m < length_m:
-                failed |= Check.PATH_UNREACHABLE
+        if not length_m > 0.0:
+            return failed
+        wanted_m = length_m + (self.reach_margin_m if full else 0.0)
+        reach_m = self.kinematics.reach_along(
+            query.joint_position_rad,
+            way / length_m,
+            wanted_m,
+            min_singular_value=self.min_singular_value,
+        )
+        if reach_m < length_m:
+            return failed | Check.PATH_UNREACHABLE
+        if reach_m < wanted_m:
+            failed |= Check.NEAR_REACH_LIMIT
+        if full and self._meets_itself(way, length_m, query):
+            failed |= Check.ROBOT_ITSELF
         return failed
+
+    def _meets_itself(self, way: Vector, length_m: float, query: Query) -> bool:
+        """Does the wrist come too near to the body on the way?  It may always leave where it is."""
+        arm, capsules = self.kinematics.arm, self.capsules
+        joints = query.joint_position_rad
+        least_m = min(self.own_clearance_m, own_distance(arm, capsules, joints))
+        target = query.transform_tcp_to_base.copy()
+        steps = ceil(length_m / WAY_STEP_M)
+        for step in range(1, steps + 1):
+            target[:3, 3] = query.transform_tcp_to_base[:3, 3] + step / steps * way
+            following = self.kinematics.nearest(target, joints)
+            if following is None or not own_distance(arm, capsules, following) >= least_m:
+                return True
+            joints = following
+        return False
+
+
+def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) -> bool:
+    """Does the straight way (3,) lead away from each of the hands (k, 3), everywhere?
+
+    The distance from a fixed point to a straight way is convex, so it grows everywhere unless it
+    falls at the start: (p - t) . (t - h) >= 0.  A way of no length leads nowhere.  False if a
+    hand is NaN.
+    """
+    if not float(np.linalg.norm(way)) > 0.0:
+        return False
+    return all(float(way @ (start_in_base_m - hand)) >= 0.0 for hand in hands_in_base_m)
+
+
+def _ask(avoider: Avoider, query: Query) -> _Answer:
+    """One avoider's answer.
+
+    Whatever a user's avoider raises is a decision fault, recorded in words and as NOT_FINITE, and
+    never the end of the run; only the interpreter's own exits pass.
+    """
+    try:
+        threshold_m = spread_threshold_of(avoider)
+        proposal = checked(
+            avoider.propose(
+                hand_position_in_base_m=query.hand_position_in_base_m.copy(),
+                tcp_position_in_base_m=query.tcp_position_in_base_m.copy(),
+                seed=query.seed,
+            )
+        )
+    except AvoiderError as error:
+        return _Answer(fault=str(error) or "AvoiderError")
+    except Exception as error:  # a user's code may raise anything
+        frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
+        return _Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))
+    return _Answer(proposal, np.nan if threshold_m is None else threshold_m)

@@ -21,7 +21,7 @@ from safety_harness.robot.description import ArmModel
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import DECISION, Outcome
+from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, Outcome
 
 FROM_STATE = (
     "object_visible",
@@ -117,6 +117,7 @@ class AvoidingServo:
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
             transform_tcp_to_base=state["transform_tcp_to_base"].copy(),
             joint_position_rad=o["joint_position_rad"].copy(),
+            hands_in_base_m=state["predicted_hand_in_base_m"][state["track_valid"] != 0],
             seed=seed(self._root_seed, Branch.DECISION, len(self._decisions)),
         )
         ruling = self._gate.rule(self._avoider, query)
@@ -135,9 +136,11 @@ class AvoidingServo:
         record["joint_position_rad"] = query.joint_position_rad
         record["proposed_position_in_base_m"] = ruling.proposed.position_in_base_m
         record["proposed_spread_m"] = ruling.proposed.spread_m
+        record["spread_threshold_m"] = ruling.spread_threshold_m
         record["opposite_position_in_base_m"] = ruling.opposite.position_in_base_m
         record["chosen_position_in_base_m"] = ruling.chosen_position_in_base_m
         record["outcome"] = ruling.outcome
         record["proposed_failed"] = ruling.proposed_failed
         record["opposite_failed"] = ruling.opposite_failed
+        record["fault"] = ruling.fault[:FAULT_CHARACTERS]
         return record

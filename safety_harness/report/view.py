@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,6 +26,7 @@ from safety_harness.trace.records import Check, Limit, Outcome, Trigger
 from safety_harness.trace.trace import Trace
 
 MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
+MOST_FAULT_NOTES = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,10 +116,12 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
             hand=point_words(decision["hand_position_in_base_m"]),
             tcp=point_words(decision["tcp_position_in_base_m"]),
             proposed=point_words(decision["proposed_position_in_base_m"]),
-            spread=_spread(decision["proposed_spread_m"]),
+            spread=_spread(decision["proposed_spread_m"], float(decision["spread_threshold_m"])),
             outcome=OUTCOME_WORDS[Outcome(int(decision["outcome"]))],
             failed=failed_words(
-                Check(int(decision["proposed_failed"])), Check(int(decision["opposite_failed"]))
+                Check(int(decision["proposed_failed"])),
+                Check(int(decision["opposite_failed"])),
+                str(decision["fault"]),
             ),
             chosen=point_words(decision["chosen_position_in_base_m"]),
         )
@@ -125,11 +129,26 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
     ]
 
 
-def _spread(spread_m: NDArray[np.float64]) -> str:
-    """A predictive spread in words; nothing for an avoider that states none."""
+def _spread(spread_m: NDArray[np.float64], threshold_m: float) -> str:
+    """A predictive spread and what it may be, in words; nothing for an avoider that states none."""
     if not np.all(np.isfinite(spread_m)) or not np.any(spread_m):
         return ""
-    return point_words(spread_m)
+    allowed = f" (at most {threshold_m * 1e3:.1f})" if np.isfinite(threshold_m) else ""
+    return point_words(spread_m) + allowed
+
+
+def fault_notes(trace: Trace) -> list[str]:
+    """A sentence on each way in which the avoider gave no usable answer, the first ones first."""
+    decisions = trace.decisions
+    counts = Counter(str(fault) for fault in decisions["fault"] if fault)
+    found = []
+    for fault, count in list(counts.items())[:MOST_FAULT_NOTES]:
+        first = decisions["time_s"][int(np.argmax(decisions["fault"] == fault))]
+        often = f"{count} of {len(decisions)} decisions, first at {first:.3f} s"
+        found.append(f"The avoider gave no usable answer ({often}): {fault}")
+    if len(counts) > MOST_FAULT_NOTES:
+        found.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
+    return found
 
 
 def limit_rows(trace: Trace) -> list[LimitRow]:
@@ -153,8 +172,8 @@ def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> LimitRow:
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """What the reader has to know about the run: the caller's notes, then what recordings bridged."""
-    found = list(run.notes)
+    """What the reader has to know: decision faults, the caller's notes, what recordings bridged."""
+    found = fault_notes(run.trace) + list(run.notes)
     for hand in run.trace.scenario.hands:
         if isinstance(hand, RecordedHand):
             found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]

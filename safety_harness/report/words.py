@@ -72,12 +72,14 @@ def flag_words(flags: IntFlag) -> str:
     return ", ".join(names).replace("tcp", "TCP")
 
 
-def failed_words(proposed: Check, opposite: Check) -> str:
-    """Which checks the two candidates of a decision failed."""
+def failed_words(proposed: Check, opposite: Check, fault: str = "") -> str:
+    """Which checks the two candidates of a decision failed, and why the avoider gave no usable answer."""
     parts = []
     for name, check in (("proposed", proposed), ("opposite", opposite)):
         if check:
             parts.append(f"{name}: {flag_words(check)}")
+    if fault:
+        parts.append(f"fault: {fault}")
     return "; ".join(parts) or "none"
 
 

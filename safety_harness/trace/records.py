@@ -13,6 +13,7 @@ import numpy as np
 from safety_harness.scenario.model import MAX_HANDS
 
 MAX_TRACKS = 4
+FAULT_CHARACTERS = 240
 
 
 class Mode(IntEnum):
@@ -59,6 +60,10 @@ class Check(IntFlag):
     UNREACHABLE = 2  # no inverse kinematics within the joint limits
     PATH_UNREACHABLE = 4  # the end can be reached, the straight way there cannot
     TABLE = 8  # the TCP's way ends below the table
+    UNCERTAIN = 16  # the spread is above the avoider's threshold
+    NEAR_REACH_LIMIT = 32  # reachable, but hardly farther than that
+    TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
+    ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
 
 
 TICK = np.dtype(
@@ -113,11 +118,13 @@ DECISION = np.dtype(
         ("joint_position_rad", np.float64, (6,)),
         ("proposed_position_in_base_m", np.float64, (3,)),  # the avoider's answer
         ("proposed_spread_m", np.float64, (3,)),
+        ("spread_threshold_m", np.float64),  # the avoider's own; NaN for one without
         ("opposite_position_in_base_m", np.float64, (3,)),
         ("chosen_position_in_base_m", np.float64, (3,)),  # NaN when stopped
         ("outcome", np.int64),
         ("proposed_failed", np.int64),  # Check flags
         ("opposite_failed", np.int64),  # Check flags
+        ("fault", np.str_, FAULT_CHARACTERS),  # why the avoider gave no usable answer; empty if it did
     ],
     align=True,
 )

@@ -10,10 +10,10 @@ from bench import AWAY, Bench, with_avoidance
 from examples import Displaced, hand, run, scenario
 
 from safety_harness.admission.admit import kinematics
-from safety_harness.avoidance.gate import Gate
+from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.scenario.model import MoveTo, Wait, Withdraw
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check, Limit, Mode, Outcome, Trigger
 
 UNREACHABLE = Displaced((0.0, 3.0, 0.0))
@@ -138,7 +138,7 @@ def test_the_same_hand_is_not_asked_about_on_the_way() -> None:
 
 def test_another_hand_on_the_way_is_a_new_decision() -> None:
     bench = Bench()
-    first, second = bench.beside(0.35), np.add(bench.tcp, (0.0, 0.25, 0.0))
+    first, second = bench.beside(0.35), np.add(bench.tcp, (0.25, 0.0, 0.0))  # a way leads from both
     repulsing(bench, first, np.array(AWAY))
     row = bench.tick(first, second)
     assert mode(row) is Mode.REPULSING
@@ -147,6 +147,33 @@ def test_another_hand_on_the_way_is_a_new_decision() -> None:
     assert last(bench)["hand_position_in_base_m"] == pytest.approx(second, abs=5e-3)
     bench.tick(first, second, count=10)
     assert len(bench.controller.decisions) == 2  # now both are known
+
+
+def test_between_two_hands_the_arm_stops_and_the_plain_gate_goes_on() -> None:
+    for kind, expected in ((GateKind.FULL, Mode.PROTECTIVE_STOP), (GateKind.REACH, Mode.REPULSING)):
+        bench = Bench(settings=with_avoidance(gate=kind))
+        first, opposite = bench.beside(0.35), np.add(bench.tcp, (0.0, 0.25, 0.0))
+        repulsing(bench, first)
+        assert mode(bench.tick(first, opposite)) is expected
+        failed = Check.TOWARDS_A_HAND if kind is GateKind.FULL else Check.NONE
+        assert last(bench)["proposed_failed"] == last(bench)["opposite_failed"] == failed
+
+
+def test_the_controller_tells_the_gate_of_every_valid_predicted_hand() -> None:
+    class Listening(Gate):
+        def check(self, position_in_base_m: np.ndarray, query: Query) -> Check:
+            heard.append(query)
+            return super().check(position_in_base_m, query)
+
+    heard: list[Query] = []
+    bench = Bench(gate=Listening.of(DEFAULTS, kinematics()))
+    near, far = bench.beside(0.3), bench.beside(0.9)
+    bench.tick(far, near)
+    assert len(heard) == 2  # the proposal, the opposite pose
+    for question in heard:
+        assert question.hand_position_in_base_m == pytest.approx(near, abs=5e-3)
+        found = question.hands_in_base_m[np.argsort(question.hands_in_base_m[:, 0])]
+        assert found == pytest.approx(np.array([near, far]), abs=0.02)
 
 
 def test_a_far_second_hand_is_no_decision() -> None:

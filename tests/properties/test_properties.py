@@ -16,7 +16,7 @@ from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpS
 from safety_harness.properties.repulsive_pose import MovesAway, RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.scenario.model import FollowTcp, MoveTo, Verdict, Wait
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.trace import Trace
 
 DISTANCE = HandDistance(minimum_m=0.05, near_m=0.4)
@@ -96,11 +96,17 @@ def test_no_hand_at_all_is_no_evidence_about_hands() -> None:
     assert DISTANCE.evaluate(run(scenario(duration_s=0.2))).verdict is Verdict.INCONCLUSIVE
 
 
-def test_an_avoider_that_seeks_the_hand_violates_distance_and_direction() -> None:
+@pytest.mark.parametrize(
+    ("kind", "verdict"), [(GateKind.REACH, Verdict.VIOLATED), (GateKind.FULL, Verdict.HOLDS)]
+)
+def test_an_avoider_that_seeks_the_hand_violates_distance_and_direction_unless_the_gate_is_full(
+    kind: GateKind, verdict: Verdict
+) -> None:
     stays = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
-    trace = run(scenario(stays, duration_s=3.0), avoider=TowardsTheHand())
-    assert DISTANCE.evaluate(trace).verdict is Verdict.VIOLATED
-    assert MovesAway().evaluate(trace).verdict is Verdict.VIOLATED
+    settings = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, gate=kind))
+    trace = run(scenario(stays, duration_s=3.0, settings=settings), avoider=TowardsTheHand())
+    assert DISTANCE.evaluate(trace).verdict is verdict
+    assert MovesAway().evaluate(trace).verdict is verdict
 
 
 def test_a_hand_that_catches_the_arm_is_violated_even_if_the_run_was_cut_short() -> None:

@@ -1,0 +1,236 @@
+"""The regression ResNet's passes for one decision, compiled, in one fixed order of operations.
+
+A unit's sum starts with its bias and takes its inputs in order; the machine only works on several
+*units* at once.  No BLAS, whose order depends on the batch.  So the bits of a decision depend on its
+input, its seed and the network alone, whether it is made alone or with a million others.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.folding import LAYERS, STAGE_LAYERS, FoldedNetwork
+from safety_harness.avoidance.masks import fill_factors
+from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, STAGES, WIDTH
+from safety_harness.compiled import compiled
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+STEP = 8  # inputs taken in one go; WIDTH is a multiple of it
+FULL_PLACES = LAYERS + 1  # of "full" dropout: before every layer and before fc_out
+ZERO = np.float32(0.0)
+
+# Rows of activations lie in ``work`` (SLOTS, passes, WIDTH), named by their slot: no views are made.
+X, Y, H, G, DROPPED = range(5)
+SLOTS = 5
+
+
+@compiled
+def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, rows: int, out: int) -> None:
+    """Fill out = bias + x weight of ``layer``, batch norm included; no ReLU.
+
+    STEP inputs are written out: a unit's sum stays in a register meanwhile.  The bounds of the
+    inner loops are constants: with others they do not become vector instructions.
+    """
+    for row in range(rows):
+        for j in range(WIDTH):
+            work[out, row, j] = bias[layer, j]
+        for i in range(0, WIDTH, STEP):
+            x0, x1, x2, x3 = work[x, row, i], work[x, row, i + 1], work[x, row, i + 2], work[x, row, i + 3]
+            x4, x5, x6, x7 = (
+                work[x, row, i + 4],
+                work[x, row, i + 5],
+                work[x, row, i + 6],
+                work[x, row, i + 7],
+            )
+            for j in range(WIDTH):
+                total = work[out, row, j]
+                total += x0 * weight[layer, i, j]
+                total += x1 * weight[layer, i + 1, j]
+                total += x2 * weight[layer, i + 2, j]
+                total += x3 * weight[layer, i + 3, j]
+                total += x4 * weight[layer, i + 4, j]
+                total += x5 * weight[layer, i + 5, j]
+                total += x6 * weight[layer, i + 6, j]
+                total += x7 * weight[layer, i + 7, j]
+                work[out, row, j] = total
+
+
+@compiled
+def _rectify(work: Float32s, x: int, rows: int) -> None:
+    """ReLU in place; NaN stays NaN (``max`` would make it 0)."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            work[x, row, j] = ZERO if work[x, row, j] < ZERO else work[x, row, j]
+
+
+@compiled
+def _add_rectified(work: Float32s, h: int, shortcut: int, rows: int, out: int) -> None:
+    """Fill out = relu(h + shortcut)."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            total = work[h, row, j] + work[shortcut, row, j]
+            work[out, row, j] = ZERO if total < ZERO else total
+
+
+@compiled
+def _drop(factors: Float32s, place: int, work: Float32s, x: int, rows: int, out: int) -> None:
+    """Fill out = x times the factors of ``place``."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            work[out, row, j] = work[x, row, j] * factors[place, row, j]
+
+
+@compiled
+def _connect(
+    weight: Float32s,
+    bias: Float32s,
+    layer: int,
+    factors: Float32s,
+    work: Float32s,
+    x: int,
+    rows: int,
+    out: int,
+) -> None:
+    """A layer, before it its dropout if that is "full"."""
+    if factors.shape[0] == FULL_PLACES:
+        _drop(factors, layer, work, x, rows, DROPPED)
+        x = DROPPED
+    _layer(weight, bias, layer, work, x, rows, out)
+
+
+@compiled
+def _block(
+    weight: Float32s,
+    bias: Float32s,
+    layer: int,
+    dense: bool,
+    factors: Float32s,
+    work: Float32s,
+    x: int,
+    rows: int,
+    out: int,
+) -> None:
+    """The block whose fc1 is ``layer`` (figure 4), from x to out."""
+    _connect(weight, bias, layer, factors, work, x, rows, H)
+    _rectify(work, H, rows)
+    _connect(weight, bias, layer + 1, factors, work, H, rows, G)
+    _rectify(work, G, rows)
+    _connect(weight, bias, layer + 2, factors, work, G, rows, H)
+    if dense:
+        _connect(weight, bias, layer + 3, factors, work, x, rows, G)
+        _add_rectified(work, H, G, rows, out)
+    else:
+        _add_rectified(work, H, x, rows, out)
+
+
+@compiled
+def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
+    for row in range(1, rows):
+        for j in range(WIDTH):
+            work[x, row, j] = work[x, 0, j]
+
+
+@compiled
+def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s, x: int, y: int) -> int:
+    """Three stages from row 0 of x; returns the slot, x or y, in which all rows of the outcome are.
+
+    Until the first dropout all passes are the same, so they are one row.
+    """
+    places, passes = factors.shape[0], work.shape[1]
+    rows = 1
+    if places == FULL_PLACES:
+        rows = passes
+        _repeat_first_row(work, x, rows)
+    for stage in range(STAGES):
+        for block in range(BLOCKS):
+            layer = stage * STAGE_LAYERS + 3 * block + (1 if block > 0 else 0)
+            _block(weight, bias, layer, block == 0, factors, work, x, rows, y)
+            x, y = y, x
+        if places == STAGES:
+            if stage == 0:
+                rows = passes
+                _repeat_first_row(work, x, rows)
+            _drop(factors, stage, work, x, rows, y)
+            x, y = y, x
+    return x
+
+
+@compiled
+def _answer(
+    network: FoldedNetwork, member: int, factors: Float32s, work: Float32s, x: int, answers: Float32s
+) -> None:
+    """bn_out and fc_out for every pass: x to the answers (m, passes, OUTPUTS), normalised."""
+    for row in range(work.shape[1]):
+        for j in range(WIDTH):
+            work[H, row, j] = work[x, row, j] * network.scale_out[member, j] + network.shift_out[member, j]
+    out = H
+    if factors.shape[0] == FULL_PLACES:
+        _drop(factors, LAYERS, work, H, work.shape[1], G)
+        out = G
+    for row in range(work.shape[1]):
+        for k in range(OUTPUTS):
+            total = network.bias_out[member, k]
+            for j in range(WIDTH):
+                total += work[out, row, j] * network.weight_out[member, j, k]
+            answers[member, row, k] = total
+
+
+@compiled
+def _summarise(network: FoldedNetwork, answers: Float32s, position: Float64s, spread: Float64s) -> None:
+    """Mean and standard deviation (ddof 0) of all answers, as positions in the base frame [m]."""
+    members, passes = answers.shape[0], answers.shape[1]
+    for k in range(OUTPUTS):
+        mean = 0.0
+        for member in range(members):
+            for row in range(passes):
+                mean += np.float64(answers[member, row, k])
+        mean /= members * passes
+        squares = 0.0
+        for member in range(members):
+            for row in range(passes):
+                difference = np.float64(answers[member, row, k]) - mean
+                squares += difference * difference
+        position[k] = network.target_mean[k] + network.target_std[k] * mean
+        spread[k] = network.target_std[k] * sqrt(squares / (members * passes))
+
+
+@compiled
+def decide(
+    network: FoldedNetwork,
+    places: int,
+    probability: float,
+    passes: int,
+    hands_in_base_m: Float64s,
+    tcps_in_base_m: Float64s,
+    seeds: NDArray[np.uint64],
+    positions: Float64s,
+    spreads: Float64s,
+) -> None:
+    """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame, seeds (n,).
+
+    ``places`` of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES; without any, one pass.
+    An ensemble's answers are those of its members.  A row with a NaN gives NaN.
+    """
+    members = network.weight.shape[0]
+    rows = passes if places > 0 else 1
+    factors = np.empty((places, rows, WIDTH), dtype=np.float32)
+    work = np.zeros((SLOTS, rows, WIDTH), dtype=np.float32)
+    answers = np.empty((members, rows, OUTPUTS), dtype=np.float32)
+    x = np.zeros(WIDTH, dtype=np.float32)  # beyond INPUTS it stays 0
+    x[INPUTS - 1] = 1.0
+    for n in range(hands_in_base_m.shape[0]):
+        for k in range(3):
+            x[k] = (hands_in_base_m[n, k] - network.input_mean[k]) / network.input_std[k]
+            x[k + 3] = (tcps_in_base_m[n, k] - network.input_mean[k + 3]) / network.input_std[k + 3]
+        if places > 0:
+            fill_factors(seeds[n], probability, factors)
+        for member in range(members):
+            work[X, 0] = x
+            out = _stages(network.weight[member], network.bias[member], factors, work, X, Y)
+            _answer(network, member, factors, work, out, answers)
+        _summarise(network, answers, positions[n], spreads[n])

@@ -1,0 +1,193 @@
+"""``safety-harness train``: a data set and a recipe in, a model file out."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from safety_harness.avoidance.model_file import Dropout, Model, SeenSpace, save_model
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
+from safety_harness.exceptions import InputError, ModelError, OutputError, Place
+from safety_harness.learning.checkpoint import Epoch
+from safety_harness.learning.dataset import CompactDataset, generate
+from safety_harness.learning.manifest import data_hash, load_dataset
+from safety_harness.learning.recipes import Recipe, recipe_named
+from safety_harness.learning.samples import samples_for
+from safety_harness.learning.spaces import seen
+from safety_harness.learning.splits import Split, split_by_sample, split_by_tcp
+from safety_harness.settings import DEFAULTS
+
+if TYPE_CHECKING:
+    from safety_harness.learning.training import Trained
+
+MODEL = "model.safetensors"
+LIMITS = (
+    "made for the cell, camera and tool orientation of the data set's settings, and no others",
+    "says nothing useful about TCPs and hands outside the seen space; the spread hardly tells unseen hands",
+    "the spread is the network's own doubt and does not contain the noise of the labels",
+)
+
+
+def train(
+    recipe_name: str,
+    *,
+    data: Path | None = None,
+    seed: int = 0,
+    out: Path = Path("models"),
+    resume: bool = False,
+    device: str = "cpu",
+) -> int:
+    """Train by a recipe on the data set in ``data`` (None: the paper's, made on the spot from ``seed``).
+
+    One line an epoch goes to standard error; the best weights go to ``out``/model.safetensors.  Exit
+    code 0, or 2 for bad input, or 130 after Ctrl-C, when ``resume`` goes on from the last epoch.
+    """
+    command = ["safety-harness", "train", recipe_name, "--seed", str(seed), "--out", str(out)]
+    command += ["--data", str(data)] if data else []
+    command += ["--device", device] if device != "cpu" else []
+    try:
+        recipe = recipe_named(recipe_name)
+        dataset = load_dataset(data) if data else generate(DEFAULTS, seen(DEFAULTS), seed=seed)
+        split = split_for(recipe, dataset)
+        trained = _trained(recipe, dataset, split, seed, out, resume, device)
+        _save(model_of(trained, dataset, split, shlex.join(command)), out / MODEL)
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say(f"stopped; to go on from the last whole epoch: {shlex.join([*command, '--resume'])}")
+        return INTERRUPTED
+    result(f"model: {out / MODEL}")
+    return AS_EXPECTED
+
+
+def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
+    """The data set's split of the kind that the recipe names, from the data set's own seed."""
+    split = split_by_tcp if recipe.split == "by TCP" else split_by_sample
+    return split(dataset, seed=dataset.seed)
+
+
+def _trained(
+    recipe: Recipe, dataset: CompactDataset, split: Split, seed: int, out: Path, resume: bool, device: str
+) -> Trained:
+    try:
+        from safety_harness.learning.training import train as train_networks  # brings PyTorch
+    except ModuleNotFoundError as error:
+        raise ModelError(
+            place=Place(field="train"),
+            expected="PyTorch, which only training needs",
+            got=str(error),
+            hint="pip install 'safety-harness[learning]'",
+        ) from error
+    return train_networks(
+        recipe,
+        samples_for(recipe, dataset),
+        split.train,
+        split.validation,
+        seed=seed,
+        out=out,
+        resume=resume,
+        device=device,
+        on_epoch=_EpochLines(recipe),
+    )
+
+
+class _EpochLines:
+    """One line an epoch: the losses, and how long the rest will take."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+        self._begun_s = time.monotonic()
+        self._epochs = 0
+
+    def __call__(self, epoch: Epoch) -> None:
+        self._epochs += 1
+        recipe = self._recipe
+        left = recipe.members * recipe.epochs - epoch.member * recipe.epochs - epoch.number - 1
+        left_s = left * (time.monotonic() - self._begun_s) / self._epochs
+        member = f"member {epoch.member + 1}/{recipe.members}, " if recipe.members > 1 else ""
+        say(
+            f"{member}epoch {epoch.number + 1}/{recipe.epochs}: loss {epoch.training_loss:.4f}, "
+            f"validation {epoch.validation_loss:.4f}, RMSE {1e3 * epoch.validation_rmse_m:.2f} mm"
+            f"{' (best)' if epoch.is_best else ''}, {left_s:.0f} s left"
+        )
+
+
+def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
+    """The trained networks with their normalisation, seen space and card; not yet calibrated."""
+    recipe, normal = trained.recipe, trained.normalisation
+    drops = recipe.dropout is not Dropout.NONE
+    hand, tcp = dataset.space.hand.outer, dataset.space.tcp.outer
+    return Model(
+        dropout=recipe.dropout,
+        dropout_probability=recipe.dropout_probability if drops else 0.0,
+        members=recipe.members,
+        passes=recipe.passes if drops else 1,
+        input_mean=_floats(normal.input_mean),
+        input_std=_floats(normal.input_std),
+        target_mean=_floats(normal.target_mean),
+        target_std=_floats(normal.target_std),
+        seen=SeenSpace(
+            hand_low_m=hand.low_m, hand_high_m=hand.high_m, tcp_low_m=tcp.low_m, tcp_high_m=tcp.high_m
+        ),
+        calibration=None,
+        card=_card(trained, dataset, split, command),
+        tensors={
+            f"{member}/{name}": tensor
+            for member, tensors in enumerate(trained.members)
+            for name, tensor in tensors.items()
+        },
+    )
+
+
+def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> dict[str, Any]:
+    """How the model came about, and what it was seen to do."""
+    best = [
+        [epoch for epoch in trained.history if epoch.member == member and epoch.is_best][-1]
+        for member in range(trained.recipe.members)
+    ]
+    return {
+        "command": command,
+        "recipe": asdict(trained.recipe) | {"dropout": trained.recipe.dropout.value},
+        "seed": trained.seed,
+        "weight_decay": trained.weight_decay,
+        "software": {
+            "safety-harness": metadata.version("safety-harness"),
+            "torch": metadata.version("torch"),
+        },
+        "data": {
+            "sha256": data_hash(dataset),
+            "seed": dataset.seed,
+            "tcps": dataset.tcps,
+            "candidates": dataset.candidates,
+            "hands": dataset.hands,
+            "space": dataset.space.name,
+            "split": split.kind,
+            "training_samples": len(split.train),
+        },
+        "metrics": {
+            "best_epoch": [epoch.number + 1 for epoch in best],
+            "validation_loss": [epoch.validation_loss for epoch in best],
+            "validation_rmse_m": [epoch.validation_rmse_m for epoch in best],
+        },
+        "limits": list(LIMITS),
+    }
+
+
+def _floats(array: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, ...]:
+    return tuple(float(x) for x in array)
+
+
+def _save(model: Model, path: Path) -> None:
+    try:
+        save_model(model, path)
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=path), expected="a place that can be written", got=str(error)
+        ) from error

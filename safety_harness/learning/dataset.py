@@ -1,0 +1,274 @@
+"""The data that a network learns eq. 13 from (section 4.1 of the paper), in a compact form.
+
+10,000 TCPs times 500 hands are 5,000,000 samples, but the selected candidate belongs to the TCP and the
+hand only shifts it, so that 10,000 selections and 500 hands say everything.  Sample k joins TCP k // hands
+with hand k mod hands; rows are made when somebody asks for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.candidates import CandidateCap
+from safety_harness.compiled import compiled
+from safety_harness.exceptions import DatasetError, Place
+from safety_harness.learning.image_error import ImageErrors
+from safety_harness.learning.spaces import Space
+from safety_harness.settings import Settings
+
+Vectors = NDArray[np.float64]
+Index = NDArray[np.integer]
+
+VIEWS_AT_A_TIME = 100_000  # bounds the memory; the result does not depend on it
+TCPS_A_REDRAW = 32
+MOST = {"tcps": 10_000_000, "candidates": 100_000, "hands": 10_000_000}
+
+
+class Stream(IntEnum):
+    """The random streams below a data set's seed.  Numbers are part of the format: never reuse one."""
+
+    TCPS = 1
+    HANDS = 2
+    CANDIDATES = 3  # one stream a TCP, so that its candidates depend on the seed and its number alone
+    SPLIT = 4
+    REDRAWS = 5
+
+
+def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
+    """A fresh generator for a stream below ``seed``."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(name, *path))))
+
+
+@dataclass(frozen=True, eq=False)
+class CompactDataset:
+    """TCPs with their selected candidates, and hands; positions in the base frame [m], read-only.
+
+    ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error;
+    ``optimum_in_base`` the point of the whole cap nearest to the desired position, which has no noise.
+    ``candidates_in_view`` counts the candidates of a TCP from which the whole object is in the image.
+    """
+
+    settings: Settings
+    space: Space
+    seed: int
+    tcp_in_base: Vectors  # (n, 3)
+    selected_in_base: Vectors  # (n, 3)
+    optimum_in_base: Vectors  # (n, 3)
+    candidates_in_view: NDArray[np.int64]  # (n,)
+    hand_in_base: Vectors  # (m, 3)
+
+    def __post_init__(self) -> None:
+        for array in (
+            self.tcp_in_base,
+            self.selected_in_base,
+            self.optimum_in_base,
+            self.candidates_in_view,
+            self.hand_in_base,
+        ):
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        """How many samples there are: TCPs times hands."""
+        return self.tcps * self.hands
+
+    @property
+    def tcps(self) -> int:
+        """How many TCPs there are."""
+        return len(self.tcp_in_base)
+
+    @property
+    def hands(self) -> int:
+        """How many hands there are."""
+        return len(self.hand_in_base)
+
+    @property
+    def candidates(self) -> int:
+        """How many candidates each TCP had."""
+        return self.settings.avoidance.candidate_count
+
+    @property
+    def views_without_object(self) -> int:
+        """From how many of all candidates the object was not wholly in the image."""
+        return self.tcps * self.candidates - int(self.candidates_in_view.sum())
+
+    @property
+    def tcps_without_view(self) -> int:
+        """For how many TCPs that was so of every candidate."""
+        return int(np.count_nonzero(self.candidates_in_view == 0))
+
+    def without_noise(self) -> CompactDataset:
+        """The same samples with the optimum as t_opt: what remains to be learnt when labels are exact."""
+        return replace(self, selected_in_base=self.optimum_in_base)
+
+    def inputs(self, index: Index) -> Vectors:
+        """(len, 6): hand, then TCP, of the samples with these numbers."""
+        tcp, hand = self._pairs(index)
+        return np.concatenate([self.hand_in_base[hand], self.tcp_in_base[tcp]], axis=1)
+
+    def targets(self, index: Index) -> Vectors:
+        """(len, 3): gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13) of the samples with these numbers."""
+        tcp, hand = self._pairs(index)
+        pull = self.settings.avoidance.hand_pull
+        by_tcp: Vectors = self.selected_in_base + pull * self.tcp_in_base
+        rows: Vectors = by_tcp[tcp] - pull * self.hand_in_base[hand]
+        return rows
+
+    def _pairs(self, index: Index) -> tuple[Index, Index]:
+        """TCP and hand of each sample; IndexError beyond the last or before the first."""
+        if len(index) and not (index.min() >= 0 and index.max() < len(self)):
+            raise IndexError(f"samples are numbered 0 to {len(self) - 1}")
+        tcp, hand = np.divmod(index, self.hands)
+        return tcp, hand
+
+
+def generate(
+    settings: Settings,
+    space: Space,
+    *,
+    seed: int,
+    tcps: int = 10_000,
+    candidates: int = 100,
+    hands: int = 500,
+    on_progress: Callable[[int], object] | None = None,
+) -> CompactDataset:
+    """Draw TCPs, candidates and hands, and select by least |f - f*|^2 (eq. 15) of the exact image.
+
+    ``on_progress`` is told how many TCPs are done.  A candidate without the whole object in its image
+    is not selected unless all candidates of its TCP are such; then the image is taken to have no border
+    (moments of what lies beyond it are as well defined), and ``candidates_in_view`` is 0.
+    DatasetError for impossible numbers, or when an object is not even in front of any camera.
+    """
+    for name, number in (("tcps", tcps), ("candidates", candidates), ("hands", hands)):
+        if not 1 <= number <= MOST[name]:
+            raise DatasetError(
+                place=Place(field=name), expected=f"a number from 1 to {MOST[name]}", got=str(number)
+            )
+    if seed < 0:
+        raise DatasetError(place=Place(field="seed"), expected="a seed of at least 0", got=str(seed))
+    settings = replace(settings, avoidance=replace(settings.avoidance, candidate_count=candidates))
+    tcp_in_base = space.draw_tcps(stream(seed, Stream.TCPS), tcps)
+    errors = ImageErrors.of(settings)
+    selected, in_view = np.empty((tcps, 3)), np.empty(tcps, np.int64)
+    step = max(1, VIEWS_AT_A_TIME // candidates)
+    for start in range(0, tcps, step):
+        part = slice(start, min(start + step, tcps))
+        positions = candidates_of(settings, tcp_in_base, seed, np.arange(part.start, part.stop))
+        best, in_view[part] = errors.select(positions)
+        selected[part] = positions[np.arange(len(positions)), best]
+        if on_progress is not None:
+            on_progress(part.stop)
+    return CompactDataset(
+        settings=settings,
+        space=space,
+        seed=seed,
+        tcp_in_base=tcp_in_base,
+        selected_in_base=selected,
+        optimum_in_base=continuous_optimum(settings, tcp_in_base),
+        candidates_in_view=in_view,
+        hand_in_base=space.draw_hands(stream(seed, Stream.HANDS), hands),
+    )
+
+
+def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
+    """(len(numbers), candidates, 3): the candidate positions of the TCPs with these numbers [m]."""
+    generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
+    positions: Vectors = CandidateCap.of(settings).draw_many(generators)
+    positions += tcp_in_base[numbers, None]
+    return positions
+
+
+def continuous_optimum(settings: Settings, tcp_in_base: Vectors) -> Vectors:
+    """(n, 3): the point of the whole cap about each TCP that is nearest to the desired position [m].
+
+    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp: the unit vector u of the cap
+    nearest in angle to d is wanted.  That is d's own direction where the cap has it, else the point of
+    the rim in the plane of the axis a and d.  Where d singles out no direction (TCP at the desired
+    position, or d opposite to the axis) all of the cap, or of its rim, is equally near, and the choice
+    is fixed: the axis, or the rim's point beside it.
+    """
+    cap = CandidateCap.of(settings)
+    axis = cap.axis_in_base
+    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
+    along = way @ axis
+    aside = way - along[:, None] * axis
+    aside -= (aside @ axis)[:, None] * axis  # once more: what is left of a small one is mostly rounding
+    distance = np.linalg.norm(way, axis=1)
+    sideways = np.linalg.norm(aside, axis=1)
+    fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    fixed /= np.linalg.norm(fixed)
+    with np.errstate(invalid="ignore"):  # 0/0 is replaced
+        direct = np.where(distance[:, None] > 0.0, way / distance[:, None], axis)
+        beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
+    in_cap = (distance == 0.0) | (np.arctan2(sideways, along) <= cap.cone_rad)
+    rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
+    optimum: Vectors = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
+    return optimum
+
+
+@dataclass(frozen=True)
+class LabelFloor:
+    """What the random candidates leave of any regressor's error on TCPs that it has not seen, by axis [m]."""
+
+    rmse_m: tuple[float, float, float]
+    mae_m: tuple[float, float, float]
+    redraws: int
+
+
+def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
+    """The least RMSE and MAE against labels selected from fresh candidates, by ``redraws`` for each TCP.
+
+    A regressor knows the TCP and not the draw: its RMSE is least when it predicts the mean label of each
+    TCP and its MAE when it predicts the median, so that the floors are the root mean variance and the
+    mean distance from the median.  (Two floors: one regressor does not reach both.)  A TCP that was
+    trained on is no test of this, for its label may be remembered.  Selection is by nearness to the
+    desired position, which least image error is for upright views; the hand shifts labels and floor alike.
+
+    TCPs share their redraws in groups of 32, which leaves every TCP's own distribution as it is.
+    """
+    if redraws < 2 or len(tcp_in_base) == 0:
+        raise DatasetError(
+            place=Place(field="redraws"),
+            expected="at least 2 redraws for at least one TCP",
+            got=f"{redraws} for {len(tcp_in_base)}",
+        )
+    cap = CandidateCap.of(settings)
+    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base
+    rng = stream(seed, Stream.REDRAWS)
+    variances, deviations = np.empty_like(tcp_in_base), np.empty_like(tcp_in_base)
+    for start in range(0, len(way), TCPS_A_REDRAW):
+        group = slice(start, start + TCPS_A_REDRAW)
+        labels = np.empty((len(way[group]), redraws, 3))
+        _furthest_along(cap.draw_many([rng] * redraws), way[group], labels)
+        variances[group] = labels.var(axis=1, ddof=1)
+        deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
+    rmse, mae = np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0)
+    return LabelFloor(
+        (float(rmse[0]), float(rmse[1]), float(rmse[2])),
+        (float(mae[0]), float(mae[1]), float(mae[2])),
+        redraws,
+    )
+
+
+@compiled
+def _furthest_along(
+    offsets: NDArray[np.float64],  # (sets, candidates, 3), all of one length
+    way: NDArray[np.float64],  # (n, 3)
+    best_out: NDArray[np.float64],  # (n, sets, 3)
+) -> None:
+    """Of each set the offset that leads furthest along each way: the one that ends nearest to its end."""
+    sets, candidates, _ = offsets.shape
+    for k in range(way.shape[0]):
+        x, y, z = way[k, 0], way[k, 1], way[k, 2]
+        for s in range(sets):
+            best, furthest = 0, -np.inf
+            for c in range(candidates):
+                along = offsets[s, c, 0] * x + offsets[s, c, 1] * y + offsets[s, c, 2] * z
+                if along > furthest:
+                    best, furthest = c, along
+            for i in range(3):
+                best_out[k, s, i] = offsets[s, best, i]

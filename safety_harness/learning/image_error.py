@@ -1,0 +1,160 @@
+"""What the camera would make of a candidate: |f - f*|^2 (eq. 15) of many poses in one compiled call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.controller.desired import desired_transform_tcp_to_base, view_of
+from safety_harness.exceptions import DatasetError, Place
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.geometry.transforms import inverse_transform, transform_from
+from safety_harness.perception.camera import (
+    polygon_in_camera,
+    polygon_inside_image,
+    project,
+    transform_camera_to_tcp,
+)
+from safety_harness.perception.moments import MOMENT_COUNT, point_moments, polygon_moments
+from safety_harness.perception.raster import raster_moments
+from safety_harness.servoing.control import DesiredView
+from safety_harness.servoing.features import feature_error, features
+from safety_harness.settings import Camera, ObjectKind, Settings
+
+
+@dataclass(frozen=True, eq=False)
+class ImageErrors:
+    """Image errors of TCP positions with the desired orientation kept, and the selection by them."""
+
+    camera: Camera
+    polygon_m: NDArray[np.float64]  # (corners, 2)
+    desired_position_in_base_m: NDArray[np.float64]  # (3,)
+    transform_camera_to_base: NDArray[np.float64]  # (4, 4) at the desired pose
+    transform_object_to_camera: NDArray[np.float64]  # (4, 4) at the desired pose
+    view: DesiredView
+
+    @classmethod
+    def of(cls, settings: Settings) -> ImageErrors:
+        """For the settings' cell, with the camera's true mount."""
+        cell = settings.cell
+        camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
+            settings.camera, calibrated=False
+        )
+        turn = rotation_from_vector(np.array([0.0, 0.0, cell.object_yaw_rad]))
+        object_to_base = transform_from(turn, np.array(cell.object_position_in_base_m))
+        return cls(
+            settings.camera,
+            np.array(cell.object_polygon_m),
+            np.array(cell.desired_tcp_position_in_base_m),
+            camera_to_base,
+            np.ascontiguousarray(inverse_transform(camera_to_base) @ object_to_base),
+            view_of(settings),
+        )
+
+    def at(
+        self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """(..., 3) TCP positions -> errors (...) and whether the whole object is in the image (...).
+
+        The exact image has no border: beyond it the error is what a larger sensor would see.
+        ``raster`` samples at pixel centres as the camera does (dense objects only) and crops.
+        +inf where there is no image of the object at all.
+        """
+        if raster and not self.view.dense:
+            raise DatasetError(
+                place=Place(field="servo.object_kind"),
+                expected=f"a {ObjectKind.DENSE.value} object for raster images",
+                got=ObjectKind.DISCRETE.value,
+            )
+        positions = np.ascontiguousarray(positions_in_base_m, dtype=np.float64).reshape(-1, 3)
+        errors, in_view = np.empty(len(positions)), np.empty(len(positions), np.bool_)
+        _image_errors(
+            positions,
+            self.desired_position_in_base_m,
+            self.transform_camera_to_base,
+            self.transform_object_to_camera,
+            self.polygon_m,
+            self.view.features,
+            self.view.area,
+            self.view.depth_m,
+            self.view.dense,
+            raster,
+            self.camera.focal_px,
+            self.camera.width_px,
+            self.camera.height_px,
+            errors,
+            in_view,
+        )
+        shape = positions_in_base_m.shape[:-1]
+        return errors.reshape(shape), in_view.reshape(shape)
+
+    def select(
+        self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Candidates (n, c, 3) -> the selected ones' numbers (n,) and how many had the object in view (n,).
+
+        Selected is the least error among those with the whole object in view, or among all where
+        none has.  DatasetError where there is no error at all.
+        """
+        errors, in_view = self.at(positions_in_base_m, raster=raster)
+        counts = np.count_nonzero(in_view, axis=1)
+        allowed = np.where(in_view | (counts == 0)[:, None], errors, np.inf)
+        best = np.argmin(allowed, axis=1)
+        blind = ~np.isfinite(allowed[np.arange(len(best)), best])
+        if blind.any():
+            raise DatasetError(
+                place=Place(field="candidates"),
+                expected="an image of the object from at least one candidate of every TCP",
+                got=f"{int(blind.sum())} of {len(best)} TCPs without any",
+                hint="the space reaches beyond what the camera can look at from above",
+            )
+        return best.astype(np.int64), counts.astype(np.int64)
+
+
+@compiled
+def _image_errors(
+    positions_in_base_m: NDArray[np.float64],  # (n, 3) of the TCP
+    desired_position_in_base_m: NDArray[np.float64],  # (3,)
+    transform_camera_to_base: NDArray[np.float64],  # (4, 4) at the desired pose
+    transform_object_to_camera: NDArray[np.float64],  # (4, 4) at the desired pose
+    polygon_m: NDArray[np.float64],  # (corners, 2)
+    desired_features: NDArray[np.float64],  # (6,)
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    raster: bool,
+    focal_px: float,
+    width_px: int,
+    height_px: int,
+    errors_out: NDArray[np.float64],  # (n,)
+    in_view_out: NDArray[np.bool_],  # (n,)
+) -> None:
+    """Errors by ``ImageErrors.at``; a shift of the camera moves the object the other way in its frame."""
+    corners = polygon_m.shape[0]
+    pose = transform_object_to_camera.copy()
+    points, image = np.empty((corners, 3)), np.empty((corners, 2))
+    moments, current, error = np.empty(MOMENT_COUNT), np.empty(6), np.empty(6)
+    for k in range(positions_in_base_m.shape[0]):
+        for i in range(3):
+            pose[i, 3] = transform_object_to_camera[i, 3]
+            for j in range(3):
+                shift_m = positions_in_base_m[k, j] - desired_position_in_base_m[j]
+                pose[i, 3] -= transform_camera_to_base[j, i] * shift_m
+        errors_out[k] = np.inf
+        in_view_out[k] = False
+        polygon_in_camera(polygon_m, pose, points)
+        if not project(points, image):
+            continue
+        inside = polygon_inside_image(image, focal_px, width_px, height_px)
+        if raster:
+            usable = raster_moments(image, focal_px, width_px, height_px, moments) > 0
+        elif dense:
+            usable = polygon_moments(image, moments)
+        else:
+            usable = point_moments(image, moments)
+        if usable and features(moments, desired_area, desired_depth_m, dense, current):
+            errors_out[k] = feature_error(current, desired_features, error)
+            in_view_out[k] = inside

@@ -1,0 +1,231 @@
+"""Data sets on disk: a folder with plain arrays and a manifest that says how they came about.
+
+``arrays.npz`` holds the compact arrays (never a pickle); ``manifest.json`` every parameter, the seed, the
+versions, a sha256 of each array's bytes and one of the manifest itself, so that a data set that was
+changed, on purpose or not, is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import zipfile
+from dataclasses import asdict, fields
+from enum import Enum
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import source_hash
+from safety_harness.exceptions import DatasetError, OutputError, Place
+from safety_harness.learning.dataset import CompactDataset
+from safety_harness.learning.spaces import Box, Region, Space
+from safety_harness.settings import Settings
+
+FORMAT = "safety-harness dataset 1"
+ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
+LARGEST_BYTES = 4 * 2**30  # unpacked; the paper's data set has 0.8 MB
+DTYPES = {
+    "tcp_in_base": np.float64,
+    "selected_in_base": np.float64,
+    "optimum_in_base": np.float64,
+    "candidates_in_view": np.int64,
+    "hand_in_base": np.float64,
+}
+
+T = TypeVar("T")
+
+
+def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
+    """What the manifest of ``dataset`` says; ``sha256`` identifies parameters, software and data together."""
+    manifest = {
+        "format": FORMAT,
+        "package_version": metadata.version("safety-harness"),
+        "source_hash": source_hash(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "seed": dataset.seed,
+        "tcps": dataset.tcps,
+        "candidates": dataset.candidates,
+        "hands": dataset.hands,
+        "samples": len(dataset),
+        "views_without_object": dataset.views_without_object,
+        "tcps_without_view": dataset.tcps_without_view,
+        "space": asdict(dataset.space),
+        "settings": _plain(asdict(dataset.settings)),
+        "arrays": {
+            name: {"sha256": _sha256(array), "dtype": array.dtype.str, "shape": list(array.shape)}
+            for name, array in _arrays(dataset).items()
+        },
+    }
+    return manifest | {"sha256": _manifest_hash(manifest)}
+
+
+def data_hash(dataset: CompactDataset) -> str:
+    """One sha256 over the arrays alone: the same data, whichever version made it."""
+    digest = hashlib.sha256()
+    for name, array in sorted(_arrays(dataset).items()):
+        digest.update(f"{name} {_sha256(array)}\n".encode())
+    return digest.hexdigest()
+
+
+def save_dataset(dataset: CompactDataset, folder: Path) -> None:
+    """Write ``arrays.npz`` and ``manifest.json`` into ``folder``; OutputError if that is impossible.
+
+    The folder is made if need be, and each file replaced whole.  An interruption between the two leaves
+    a folder that does not load.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        temporary = folder / (ARRAYS + ".part")
+        with temporary.open("wb") as file:
+            np.savez(file, allow_pickle=False, **_arrays(dataset))
+        os.replace(temporary, folder / ARRAYS)
+        temporary = folder / (MANIFEST + ".part")
+        temporary.write_text(json.dumps(manifest_of(dataset), indent=1, allow_nan=False) + "\n", "utf-8")
+        os.replace(temporary, folder / MANIFEST)
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=folder), expected="a folder that can be written", got=str(error)
+        ) from error
+
+
+def load_dataset(folder: Path) -> CompactDataset:
+    """Read what ``save_dataset`` wrote; DatasetError says what is wrong with anything else."""
+    manifest = _read_manifest(folder / MANIFEST)
+    try:
+        arrays = _read_arrays(folder / ARRAYS, manifest["arrays"])
+        dataset = CompactDataset(
+            settings=_settings(manifest["settings"]),
+            space=_space(manifest["space"]),
+            seed=int(manifest["seed"]),
+            **arrays,
+        )
+        shapes = {"tcps": dataset.tcps, "hands": dataset.hands, "candidates": dataset.candidates}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _error(folder / MANIFEST, "a manifest as this version writes it", repr(error)) from error
+    for name, number in shapes.items():
+        if manifest.get(name) != number:
+            raise _error(folder / MANIFEST, f"{number}, as the arrays have", repr(manifest.get(name)), name)
+    return dataset
+
+
+def _arrays(dataset: CompactDataset) -> dict[str, NDArray[Any]]:
+    return {name: getattr(dataset, name) for name in DTYPES}
+
+
+def _sha256(array: NDArray[Any]) -> str:
+    little_endian = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    return hashlib.sha256(little_endian.tobytes()).hexdigest()
+
+
+def _manifest_hash(manifest: dict[str, Any]) -> str:
+    """Over everything but the hash itself, whatever the spacing."""
+    rest = {name: value for name, value in manifest.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Enumerations by their values; the rest is JSON already."""
+    if isinstance(value, dict):
+        return {name: _plain(one) for name, one in value.items()}
+    return value.value if isinstance(value, Enum) else value
+
+
+def _error(file: Path, expected: str, got: str, field: str | None = None) -> DatasetError:
+    return DatasetError(place=Place(file=file, field=field), expected=expected, got=got)
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """The manifest as an object of this format that has not been changed."""
+    try:
+        manifest = json.loads(path.read_text("utf-8"))
+    except FileNotFoundError:
+        raise _error(path, "the manifest of a data set", "no such file") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise _error(path, "the manifest of a data set, in JSON", str(error)) from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        got = repr(manifest.get("format")) if isinstance(manifest, dict) else "no object"
+        raise _error(path, f"the format {FORMAT!r}", got, "format")
+    if manifest.get("sha256") != _manifest_hash(manifest):
+        raise _error(path, "a manifest as it was written", "one that was changed since", "sha256")
+    return manifest
+
+
+def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, Any]:
+    """The arrays, each with the bytes that the manifest promises."""
+    arrays: dict[str, NDArray[Any]] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+            if size > LARGEST_BYTES:
+                raise _error(path, f"at most {LARGEST_BYTES} bytes unpacked", f"{size} bytes")
+        with np.load(path, allow_pickle=False) as stored:
+            for name in DTYPES:
+                arrays[name] = stored[name]
+    except DatasetError:
+        raise
+    except FileNotFoundError:
+        raise _error(path, "the arrays of a data set", "no such file") from None
+    except KeyError as error:
+        raise _error(path, f"the arrays {', '.join(DTYPES)}", f"{error}") from error
+    except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
+        raise _error(path, "arrays in a .npz file, whole", f"{type(error).__name__}: {error}") from error
+    for name, dtype in DTYPES.items():
+        array, rows = arrays[name], len(arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"])
+        shape = (rows,) if name == "candidates_in_view" else (rows, 3)
+        if array.dtype != dtype or array.shape != shape or rows == 0:
+            expected = f"{np.dtype(dtype)} of shape {shape}, not empty"
+            raise _error(path, expected, f"{array.dtype} of shape {array.shape}", name)
+        promised, actual = described[name]["sha256"], _sha256(array)
+        if promised != actual:
+            raise _error(path, f"data with sha256 {promised}", f"sha256 {actual}", name)
+    return arrays
+
+
+def _space(found: dict[str, Any]) -> Space:
+    """A space from its JSON form."""
+    return Space(str(found["name"]), _region(found["tcp"]), _region(found["hand"]))
+
+
+def _region(found: dict[str, Any]) -> Region:
+    hole = found["hole"]
+    return Region(_box(found["outer"]), None if hole is None else _box(hole))
+
+
+def _box(found: dict[str, Any]) -> Box:
+    return Box(_tuples(found["low_m"]), _tuples(found["high_m"]))
+
+
+def _settings(found: dict[str, Any]) -> Settings:
+    """Settings from their JSON form; ValueError for a setting that is missing or that nobody knows."""
+    groups = get_type_hints(Settings)
+    if found.keys() != groups.keys():
+        raise ValueError(f"settings are {sorted(groups)}, not {sorted(found)}")
+    return Settings(**{name: _group(kind, found[name]) for name, kind in groups.items()})
+
+
+def _group(kind: type[T], found: dict[str, Any]) -> T:
+    """One dataclass of settings: lists become tuples, texts the enumerations that they stand for."""
+    hints = get_type_hints(kind)
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    if found.keys() != names:
+        raise ValueError(
+            f"{kind.__name__}: other settings than this version's: {sorted(found.keys() ^ names)}"
+        )
+    values = {
+        name: hints[name](value)
+        if isinstance(hints[name], type) and issubclass(hints[name], Enum)
+        else _tuples(value)
+        for name, value in found.items()
+    }
+    return kind(**values)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -1,0 +1,168 @@
+"""What tells good predictions, and honest uncertainties, from bad ones: numpy only.
+
+Arrays are (n, 3), one row a decision, one column an axis; any one unit of length throughout.  Every
+function raises ValueError for numbers that are not finite: none of them may be silently left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+NORMAL_95 = 1.96  # the paper's intervals: mean +- 1.96 standard deviations
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Root mean square and mean absolute error by axis (3,), and over all axes' errors together."""
+
+    rmse: Floats
+    mae: Floats
+    overall_rmse: float
+    overall_mae: float
+
+
+def errors(predictions: Floats, targets: Floats) -> Errors:
+    """RMSE and MAE of (n, 3) predictions."""
+    difference = _finite(predictions - targets)
+    squares, sizes = difference**2, np.abs(difference)
+    return Errors(
+        rmse=np.sqrt(squares.mean(axis=0)),
+        mae=sizes.mean(axis=0),
+        overall_rmse=math.sqrt(squares.mean()),
+        overall_mae=float(sizes.mean()),
+    )
+
+
+def half_width_of_spread(spreads: Floats) -> Floats:
+    """1.96 standard deviations of the passes: what the paper's figures can be reached with."""
+    return NORMAL_95 * spreads
+
+
+def half_width_with_precision(spreads: Floats, precision: float) -> Floats:
+    """With the inverse model precision 1/tau added to the variance (Gal and Ghahramani 2016).
+
+    At the paper's tau of 1e-6 per mm^2, 1/tau is a variance of one square metre.
+    """
+    return NORMAL_95 * np.sqrt(spreads**2 + 1.0 / precision)
+
+
+def half_width_of_eq_11(spreads: Floats, predictions: Floats) -> Floats:
+    """Eq. 11 as it is printed: the mean of the squares, the squared mean not taken off."""
+    return NORMAL_95 * np.sqrt(spreads**2 + predictions**2)
+
+
+def half_width_with_residuals(spreads: Floats, residual_std: Floats) -> Floats:
+    """With the variance (3,) of validation residuals added: the labels' own noise."""
+    return NORMAL_95 * np.sqrt(spreads**2 + residual_std**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """Share of targets within their intervals by axis (3,) (PICP, eq. 14), and on all three at once.
+
+    ``mean_width`` (3,) is that of the whole interval, upper minus lower end.
+    """
+
+    picp: Floats
+    joint: float
+    mean_width: Floats
+
+
+def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Coverage:
+    """PICP and width of the intervals prediction +- half width, ends included; ``half_widths`` (n, 3)."""
+    inside = _finite(np.abs(predictions - targets)) <= _finite(half_widths)
+    return Coverage(
+        picp=inside.mean(axis=0),
+        joint=float(inside.all(axis=1).mean()),
+        mean_width=2.0 * half_widths.mean(axis=0),
+    )
+
+
+def picp_variants(
+    predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats
+) -> dict[str, Coverage]:
+    """The readings of the paper's PICP side by side, by name.
+
+    ``spreads`` (n, 3) are standard deviations over the passes; ``precision`` is tau and
+    ``residual_std`` (3,) that of validation residuals, in the unit of the predictions.
+    """
+    half_widths = {
+        "spread": half_width_of_spread(spreads),
+        "spread and 1/tau": half_width_with_precision(spreads, precision),
+        "eq. 11 as printed": half_width_of_eq_11(spreads, predictions),
+        "spread and residuals": half_width_with_residuals(spreads, residual_std),
+    }
+    return {name: coverage(predictions, targets, width) for name, width in half_widths.items()}
+
+
+def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, levels: Floats) -> Floats:
+    """(levels, 3): the share of targets within the central normal interval of each level, by axis.
+
+    ``levels`` (k,) lie in (0, 1); for calibrated normal predictions the shares equal them.
+    """
+    distances, stds = _finite(np.abs(predictions - targets)), _finite(spreads)
+    quantiles = [NormalDist().inv_cdf((1.0 + level) / 2.0) for level in levels]
+    return np.array([(distances <= quantile * stds).mean(axis=0) for quantile in quantiles])
+
+
+def auroc(scores_without: Floats, scores_with: Floats) -> float:
+    """Area under the ROC curve of a score that should be higher *with* (unseen, say) than *without*.
+
+    The chance that a score with exceeds one without, ties counted half (Mann and Whitney): exact.
+    """
+    without, having = np.sort(_finite(scores_without)), _finite(scores_with)
+    if not len(without) or not len(having):
+        raise ValueError("the AUROC takes at least one score of each kind")
+    below = np.searchsorted(without, having, side="left").sum()
+    not_above = np.searchsorted(without, having, side="right").sum()
+    return float(below + not_above) / (2.0 * len(without) * len(having))
+
+
+def conformal_quantile(scores: Floats, level: float) -> float:
+    """The ceil((n + 1) level)-th smallest of n scores.
+
+    A further score, exchangeable with these, is at most as large with probability ``level`` at
+    least.  ValueError if there are too few scores to say so: level / (1 - level) are needed.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"a level lies between 0 and 1: {level}")
+    rank = math.ceil((len(scores) + 1) * Fraction(str(level)))  # exact: 0.95 of 100 is 95
+    if rank > len(scores):
+        raise ValueError(f"{len(scores)} scores are too few for the level {level}")
+    return float(np.sort(_finite(scores))[rank - 1])
+
+
+def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
+    """Split-conformal: m so that prediction +- m scale covers *all three* axes at ``level``.
+
+    ``predictions`` and ``targets`` are held out; ``scales`` (n, 3), or (3,) for every row, are
+    positive.  The score of a row is its largest error in units of its scale.
+    """
+    if not np.all(_finite(scales) > 0.0):
+        raise ValueError("a scale must be positive")
+    return conformal_quantile((np.abs(predictions - targets) / scales).max(axis=1), level)
+
+
+def largest_spread(spreads: Floats) -> Floats:
+    """(n,): what a decision's spread is judged by, that of its worst axis."""
+    largest: Floats = _finite(spreads).max(axis=1)
+    return largest
+
+
+def spread_threshold(spreads: Floats, level: float = 0.99) -> float:
+    """The threshold that the spread of a further decision like these exceeds with 1 - ``level`` at most."""
+    return conformal_quantile(largest_spread(spreads), level)
+
+
+def _finite(array: Floats) -> Floats:
+    if not np.all(np.isfinite(array)):
+        raise ValueError("expected finite numbers")
+    return array

@@ -1,0 +1,151 @@
+"""The regression ResNet of figures 3 and 4 in PyTorch: Chen et al. (2020), with dropout after Gal.
+
+Dropout is never a hidden state of the module: a forward pass is given its masks, or there is no
+dropout.  So a network in evaluation mode (batch normalisation with its running statistics) with
+masks is one Monte Carlo pass, and another implementation can be given the same masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, STAGES, WIDTH, Dropout
+from safety_harness.learning.recipes import Recipe
+
+UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done
+
+Masks = Sequence[Tensor] | Tensor
+Drop = Callable[[Tensor], Tensor]
+
+
+def _keep(x: Tensor) -> Tensor:
+    """No dropout here."""
+    return x
+
+
+class _NextMask:
+    """Inverted dropout: each call applies the next mask and divides by the kept share."""
+
+    def __init__(self, masks: Masks, probability: float) -> None:
+        self._masks = iter(masks)
+        self._scale = 1.0 / (1.0 - probability)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        mask = next(self._masks)[..., : x.shape[-1]]
+        return x * (mask * self._scale)
+
+
+class Block(nn.Module):
+    """Three fully connected layers beside a shortcut (figure 4): dense, or identity."""
+
+    def __init__(self, inputs: int, width: int, *, dense: bool) -> None:
+        super().__init__()
+        self.fc1, self.bn1 = nn.Linear(inputs, width), nn.BatchNorm1d(width)
+        self.fc2, self.bn2 = nn.Linear(width, width), nn.BatchNorm1d(width)
+        self.fc3, self.bn3 = nn.Linear(width, width), nn.BatchNorm1d(width)
+        self.dense = dense
+        if dense:
+            self.fcs, self.bns = nn.Linear(inputs, width), nn.BatchNorm1d(width)
+
+    def forward(self, x: Tensor, drop: Drop) -> Tensor:
+        """(n, inputs) to (n, width); ``drop`` acts before fc1, fc2, fc3, fcs, in this order."""
+        h = torch.relu(self.bn1(self.fc1(drop(x))))
+        h = torch.relu(self.bn2(self.fc2(drop(h))))
+        h = self.bn3(self.fc3(drop(h)))
+        shortcut = self.bns(self.fcs(drop(x))) if self.dense else x
+        return torch.relu(h + shortcut)
+
+
+class RegressionResNet(nn.Module):
+    """Stages of one dense and some identity blocks, then BN and FC; outputs a position.
+
+    ``dropout``: nowhere; INTER, on the output of each stage; FULL, before every FC.
+    ``probability`` is that of dropping a unit.  Inputs (n, 7) and outputs (n, 3) are normalised
+    (or raw millimetres), float32.
+    """
+
+    def __init__(
+        self,
+        *,
+        dropout: Dropout = Dropout.NONE,
+        probability: float = 0.1,
+        width: int = WIDTH,
+        stages: int = STAGES,
+        blocks: int = BLOCKS,
+    ) -> None:
+        super().__init__()
+        if not 0.0 <= probability < 1.0:
+            raise ValueError(f"a dropout probability lies in [0, 1): {probability}")
+        self.dropout, self.probability, self.width = dropout, probability, width
+        self.stages = nn.ModuleList(
+            nn.ModuleList(Block(INPUTS if s == b == 0 else width, width, dense=b == 0) for b in range(blocks))
+            for s in range(stages)
+        )
+        self.bn_out = nn.BatchNorm1d(width)
+        self.fc_out = nn.Linear(width, OUTPUTS)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where dropout acts, in the order of the masks: a stage (its output), or an FC (its input)."""
+        if self.dropout is Dropout.NONE:
+            return ()
+        if self.dropout is Dropout.INTER:
+            return tuple(f"stages.{s}" for s in range(len(self.stages)))
+        layers = [
+            f"stages.{s}.{b}.{layer}"
+            for s, stage in enumerate(self.stages)
+            for b in range(len(stage))  # type: ignore[arg-type]
+            for layer in ("fc1", "fc2", "fc3") + (("fcs",) if b == 0 else ())
+        ]
+        return (*layers, "fc_out")
+
+    def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
+        """(places, rows, width) of 1 (keep) and 0 (drop), on the generator's device."""
+        masks = torch.empty((len(self.places), rows, self.width), device=generator.device)
+        return masks.bernoulli_(1.0 - self.probability, generator=generator)
+
+    def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
+        """(n, 7) to (n, 3); without ``masks`` there is no dropout.
+
+        ``masks``: for each of ``places`` what to keep (1 or true) of the units, of shape
+        (n, width), or (width,) for all rows alike.  At a place with fewer units than ``width``
+        (the first layers' seven inputs) the first ones count.
+        """
+        if masks is not None and len(masks) != len(self.places):
+            raise ValueError(f"expected {len(self.places)} dropout masks, got {len(masks)}")
+        drop: Drop = _keep if masks is None else _NextMask(masks, self.probability)
+        inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
+        for stage in self.stages:
+            for block in stage:  # type: ignore[attr-defined]
+                x = block(x, inside)
+            x = after(x)
+        y: Tensor = self.fc_out(inside(self.bn_out(x)))
+        return y
+
+
+def fresh_network(recipe: Recipe, seed: int) -> RegressionResNet:
+    """A network with PyTorch's usual initial weights, drawn from ``seed`` alone."""
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, left as it was
+        torch.default_generator.manual_seed(seed)
+        return RegressionResNet(dropout=recipe.dropout, probability=recipe.dropout_probability)
+
+
+def to_tensors(network: RegressionResNet) -> dict[str, NDArray[np.float32]]:
+    """Weights and running statistics by state-dict name: copies, float32."""
+    return {
+        name: tensor.detach().cpu().numpy().copy()
+        for name, tensor in network.state_dict().items()
+        if not name.endswith(UNTRACKED)
+    }
+
+
+def load_tensors(network: RegressionResNet, tensors: Mapping[str, NDArray[np.float32]]) -> None:
+    """The reverse of ``to_tensors``; RuntimeError on a missing or unknown name or a wrong shape."""
+    state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
+    counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}
+    network.load_state_dict(state | counters)

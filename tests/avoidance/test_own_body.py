@@ -1,0 +1,57 @@
+"""The distance of the wrist from the arm's own body, against brute force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from safety_harness.avoidance.own_body import FIRST_OF_THE_WRIST, LAST_OF_THE_BODY, own_distance
+from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.kinematics import forward_kinematics
+
+ARM, CAPSULES = load_arm(), load_capsules()
+JOINTS = np.random.default_rng(5).uniform(-np.pi, np.pi, (25, 6))
+
+
+def axis_points(joints: np.ndarray, capsule: int, count: int) -> np.ndarray:
+    """(count, 3) points on a capsule's axis in the base frame."""
+    transforms = np.empty((8, 4, 4))
+    forward_kinematics(ARM.joint_origins, ARM.joint_axes, ARM.flange, joints, transforms)
+    ends = CAPSULES.start_in_link[capsule], CAPSULES.end_in_link[capsule]
+    local = ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
+    link = transforms[CAPSULES.link_index[capsule]]
+    return local @ link[:3, :3].T + link[:3, 3]
+
+
+def test_the_wrist_and_the_body_are_the_links_that_one_thinks_of() -> None:
+    names = np.array(CAPSULES.names)
+    wrist = set(names[CAPSULES.link_index >= FIRST_OF_THE_WRIST])
+    body = {name.split("_")[0] for name in names[CAPSULES.link_index <= LAST_OF_THE_BODY]}
+    assert wrist == {"wrist_1", "wrist_2", "wrist_3"}
+    assert body == {"base", "shoulder", "upper"}
+
+
+@pytest.mark.parametrize("joints", JOINTS, ids=range(len(JOINTS)))
+def test_it_is_the_least_over_all_pairs_of_points_on_the_axes(joints: np.ndarray) -> None:
+    least, count = np.inf, 60
+    for wrist in np.flatnonzero(CAPSULES.link_index >= FIRST_OF_THE_WRIST):
+        for body in np.flatnonzero(CAPSULES.link_index <= LAST_OF_THE_BODY):
+            apart = axis_points(joints, wrist, count)[:, None] - axis_points(joints, body, count)
+            radii = CAPSULES.radius_m[wrist] + CAPSULES.radius_m[body]
+            least = min(least, float(np.linalg.norm(apart, axis=2).min()) - radii)
+    exact = own_distance(ARM, CAPSULES, joints)
+    assert exact <= least + 1e-12
+    assert exact == pytest.approx(least, abs=0.005)
+
+
+def test_turning_the_arm_about_its_pan_changes_nothing_while_the_upper_arm_is_nearest() -> None:
+    joints = np.array([0.0, -1.27, 1.98, -2.27, -1.57, 0.3])
+    turned = joints + [1.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert own_distance(ARM, CAPSULES, turned) == pytest.approx(
+        own_distance(ARM, CAPSULES, joints), abs=1e-12
+    )
+
+
+def test_a_joint_that_is_no_number_gives_no_distance() -> None:
+    assert np.isnan(own_distance(ARM, CAPSULES, np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])))
