@@ -20,7 +20,10 @@ check: $(VENV)/tested
 
 bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/decision.py
+	$(BIN)/python benchmarks/dataset.py
 	$(BIN)/python benchmarks/convergence.py
+	$(BIN)/python benchmarks/convergence_in_pybullet.py
 
 setup: $(VENV)/installed
 
@@ -32,7 +35,7 @@ $(VENV)/installed: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/tested: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,learning]'
 	touch $@
 
 $(VENV)/benchmarks: $(VENV)/installed

@@ -80,6 +80,10 @@ class DatasetError(InputError):
     """A data set cannot be made as asked, or a stored one is missing, damaged or of another version."""
 
 
+class RegionError(InputError):
+    """A box without an inside, or a shell of which nothing is left."""
+
+
 class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 

@@ -151,3 +151,7 @@ class ConstantSpeed:
     @property
     def decisions(self) -> NDArray[np.void]:
         return np.zeros(0, DECISION)
+
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        return np.zeros(0)

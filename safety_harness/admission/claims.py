@@ -8,12 +8,15 @@ from difflib import get_close_matches
 
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Property
+from safety_harness.properties.giving_way import MovesAway
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
-from safety_harness.properties.repulsive_pose import MovesAway, RepulsivePosesReachable
+from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.scenario.units import LENGTH, SPEED, TIME, Dimension, parse_quantity
+
+_LARGEST = {LENGTH.name: 10.0, SPEED.name: 10.0, TIME.name: 3600.0}  # in SI
 
 Maker = Callable[[re.Match[str], Scenario, Place], Property]
 
@@ -21,8 +24,10 @@ Maker = Callable[[re.Match[str], Scenario, Place], Property]
 def _quantity(text: str, dimension: Dimension, place: Place) -> float:
     """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
     value = parse_quantity(text, dimension, place)
-    if not value > 0.0:
-        raise InadmissibleError(place=place, expected=f"{dimension.expected}, above zero", got=repr(text))
+    most = _LARGEST[dimension.name]
+    if not 0.0 < value <= most:
+        expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
     return value
 
 

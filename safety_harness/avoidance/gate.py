@@ -7,29 +7,20 @@ limits along the whole straight way, not a radius.)
 
 from __future__ import annotations
 
-import traceback
 from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
 
-from safety_harness.avoidance.avoider import (
-    Avoider,
-    Proposal,
-    Vector,
-    checked,
-    described,
-    spread_threshold_of,
-)
+from safety_harness.avoidance.asking import NOWHERE, Answer, ask
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
-from safety_harness.exceptions import AvoiderError
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import GateKind, Settings
 from safety_harness.trace.records import Check, Outcome
 
-NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 REACH_MARGIN_M = 0.010  # how far beyond the position the straight way must go on being reachable
 OWN_CLEARANCE_M = 0.020  # how near the wrist's capsules may come to those of base, shoulder and upper arm
 WAY_STEP_M = 0.025  # between two samples of a way they come nearer by half of that, about
@@ -48,6 +39,7 @@ class Query:
     joint_position_rad: Vector  # (6,)
     hands_in_base_m: Vector  # (k, 3)
     seed: int
+    late: bool | None = None  # what a record says of the answer; None leaves it to the clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +47,7 @@ class Ruling:
     """What the gate decided, and on what grounds.  Positions are NaN where there is none.
 
     ``fault`` says why the avoider gave no usable answer; it is empty if it gave one.
+    ``latency_s`` is how long it took, on the wall's clock.
     """
 
     outcome: Outcome
@@ -65,15 +58,7 @@ class Ruling:
     opposite_failed: Check
     spread_threshold_m: float = np.nan
     fault: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """One avoider's proposal, the largest spread that it may have, and why there is none."""
-
-    proposal: Proposal = field(default=NOWHERE)
-    spread_threshold_m: float = np.nan
-    fault: str = ""
+    latency_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +69,7 @@ class Gate:
     fallback: OppositePose
     min_singular_value: float
     lowest_tcp_height_m: float
+    decision_deadline_s: float
     kind: GateKind = GateKind.FULL
     reach_margin_m: float = REACH_MARGIN_M
     own_clearance_m: float = OWN_CLEARANCE_M
@@ -97,13 +83,15 @@ class Gate:
             OppositePose(settings.avoidance.radius_m),
             settings.motion.min_singular_value,
             settings.cell.table_height_m + settings.avoidance.table_clearance_m,
+            settings.avoidance.decision_deadline_s,
             settings.avoidance.gate,
             capsules=load_capsules(kinematics.arm.name),
         )
 
     def rule(self, avoider: Avoider, query: Query) -> Ruling:
         """Ask the avoider, check its proposal, fall back to the opposite pose, else stop."""
-        proposed, opposite = _ask(avoider, query), _ask(self.fallback, query)
+        proposed = self._ask(avoider, query, self.decision_deadline_s, query.late)
+        opposite = self._ask(self.fallback, query, np.inf, None)
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:
             outcome, chosen = Outcome.PROPOSED, proposed.proposal
@@ -120,10 +108,23 @@ class Gate:
             opposite_failed,
             proposed.spread_threshold_m,
             proposed.fault,
+            proposed.latency_s,
         )
 
-    def _failed(self, answer: _Answer, query: Query) -> Check:
+    def _ask(self, avoider: Avoider, query: Query, deadline_s: float, late: bool | None) -> Answer:
+        return ask(
+            avoider,
+            hand_position_in_base_m=query.hand_position_in_base_m,
+            tcp_position_in_base_m=query.tcp_position_in_base_m,
+            seed=query.seed,
+            deadline_s=deadline_s,
+            late=late,
+        )
+
+    def _failed(self, answer: Answer, query: Query) -> Check:
         """Which checks an answer fails."""
+        if answer.late:
+            return Check.LATE
         if answer.fault:
             return Check.NOT_FINITE
         failed = self.check(answer.proposal.position_in_base_m, query)
@@ -194,26 +195,3 @@ def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) ->
     if not float(np.linalg.norm(way)) > 0.0:
         return False
     return all(float(way @ (start_in_base_m - hand)) >= 0.0 for hand in hands_in_base_m)
-
-
-def _ask(avoider: Avoider, query: Query) -> _Answer:
-    """One avoider's answer.
-
-    Whatever a user's avoider raises is a decision fault, recorded in words and as NOT_FINITE, and
-    never the end of the run; only the interpreter's own exits pass.
-    """
-    try:
-        threshold_m = spread_threshold_of(avoider)
-        proposal = checked(
-            avoider.propose(
-                hand_position_in_base_m=query.hand_position_in_base_m.copy(),
-                tcp_position_in_base_m=query.tcp_position_in_base_m.copy(),
-                seed=query.seed,
-            )
-        )
-    except AvoiderError as error:
-        return _Answer(fault=str(error) or "AvoiderError")
-    except Exception as error:  # a user's code may raise anything
-        frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
-        return _Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))
-    return _Answer(proposal, np.nan if threshold_m is None else threshold_m)

@@ -144,7 +144,7 @@ def save_model(model: Model, path: Path) -> None:
     """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
     try:
-        data = save(tensors, metadata={KEY: json.dumps(_metadata_of(model), sort_keys=True)})
+        data = save(tensors, metadata={KEY: json.dumps(metadata_of(model), sort_keys=True)})
     except (TypeError, ValueError, SafetensorError) as error:
         refuse(path, None, "a model of numbers and plain texts", str(error))
     _parse(data, path)
@@ -161,9 +161,8 @@ def save_model(model: Model, path: Path) -> None:
         ) from error
 
 
-def refuse_foreign_seen_space(model: Model, settings: Settings, path: Path) -> None:
-    """ModelError if ``model`` never saw the cell's own desired TCP or its nominal hand position."""
-    seen = model.seen
+def refuse_foreign_seen_space(seen: SeenSpace, settings: Settings, path: Path) -> None:
+    """ModelError if a model never saw the cell's own desired TCP or its nominal hand position."""
     nominal_hand_m = settings.avoidance.nominal_hand_position_in_base_m
     for name, low_m, high_m, point_m in (
         ("tcp", seen.tcp_low_m, seen.tcp_high_m, settings.cell.desired_tcp_position_in_base_m),
@@ -179,7 +178,8 @@ def refuse_foreign_seen_space(model: Model, settings: Settings, path: Path) -> N
             )
 
 
-def _metadata_of(model: Model) -> dict[str, Any]:
+def metadata_of(model: Model) -> dict[str, Any]:
+    """All of a model but its tensors, as JSON has it."""
     calibration = None
     if model.calibration is not None:
         own = asdict(model.calibration)
@@ -232,16 +232,17 @@ def _parse(data: bytes, path: Path) -> Model:
         input_std=fields.vector("input_std", INPUTS - 1, POSITIVE),
         target_mean=fields.vector("target_mean", OUTPUTS),
         target_std=fields.vector("target_std", OUTPUTS, POSITIVE),
-        seen=_seen(fields),
-        calibration=_calibration(fields),
+        seen=seen_of(fields),
+        calibration=calibration_of(fields),
         card=fields.table("card"),
         tensors=_tensors(stored, members, path),
     )
-    fields.no_others(None, _metadata_of(model))
+    fields.no_others(None, metadata_of(model))
     return model
 
 
-def _seen(fields: Fields) -> SeenSpace:
+def seen_of(fields: Fields) -> SeenSpace:
+    """The seen space in a model's metadata."""
     corners: dict[str, Vector3] = {}
     for name in ("hand", "tcp"):
         for corner in (f"{name}_low_m", f"{name}_high_m"):
@@ -254,7 +255,8 @@ def _seen(fields: Fields) -> SeenSpace:
     return SeenSpace(**corners)
 
 
-def _calibration(fields: Fields) -> Calibration | None:
+def calibration_of(fields: Fields) -> Calibration | None:
+    """The calibration in a model's metadata, if there is one."""
     if fields.get("calibration") is None:
         return None
     more = fields.table("calibration")

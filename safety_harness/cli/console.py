@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from safety_harness.admission.avoiders import is_a_program
 from safety_harness.exceptions import InputError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Scenario
@@ -39,6 +44,34 @@ def explain(error: Exception) -> None:
     say(f"  got      {error.got}")
     if error.hint:
         say(f"  hint     {error.hint}")
+
+
+def replay_command(scenario: Scenario, trace: Path) -> list[str]:
+    """The command that repeats a run; a program of the user's has to be named anew to be executed."""
+    command = ["safety-harness", "replay", str(trace)]
+    if is_a_program(scenario.avoider):
+        folder = scenario.file.parent if scenario.file is not None else Path()
+        command += ["--avoider", os.path.relpath(folder / scenario.avoider)]
+    return command
+
+
+@contextmanager
+def one_more_ctrl_c(remark: str) -> Iterator[Callable[[], bool]]:
+    """Ctrl-C is answered with ``remark``, only the second one raises; yields whether there was one."""
+    asked = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        say(remark)
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def result_lines(run: JudgedRun) -> list[str]:

@@ -1,9 +1,9 @@
-"""The command ``safety-harness``."""
+"""The commands of ``safety-harness`` and their options; each imports what it needs when it is called."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -13,37 +13,53 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Verify a hand-avoidance controller of a UR10: run scenarios, judge them, report.",
+    help="Verify a hand-avoidance controller of a UR10: run scenarios, judge them, report; "
+    "make the data of a learned avoider, train, evaluate and export it.",
 )
 
 Files = Annotated[list[Path], typer.Argument(help="Scenario files, or folders of *.yaml.", metavar="FILE...")]
 Out = Annotated[Path, typer.Option(help="Folder for report.html and traces/.")]
+OfAvoider = Annotated[
+    str | None,
+    typer.Option(
+        help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
+        "optimum, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+        metavar="AVOIDER",
+    ),
+]
 TraceFile = Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")]
 TraceFiles = Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")]
+Seed = Annotated[int, typer.Option(help="Root of every random number.", min=0)]
+ModelFiles = Annotated[
+    list[str],
+    typer.Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
+]
 
 
 @app.command()
-def run(files: Files, out: Out = Path("reports/run")) -> None:
+def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
     """Run scenario files on the PyBullet UR10, judge their claims and write a report.
 
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
-    Exit code 0: every verdict as its file expects; 1: any differs; 2: bad input, nothing was run;
-    130: interrupted, what was finished is kept.
+    Exit code 0: every verdict as its file expects; 1: any differs, or a run failed; 2: bad input,
+    nothing was run; 130: interrupted, what was finished is kept.
     """
     from safety_harness.cli.run import run as run_files
 
-    raise typer.Exit(run_files(files, out))
+    _end(run_files(files, out, avoider))
 
 
 @app.command()
-def replay(trace: TraceFile) -> None:
+def replay(trace: TraceFile, avoider: OfAvoider = None) -> None:
     """Repeat a recorded run bit by bit: "identical", or the first step that differs.
 
-    Exit code 0: identical; 1: it differs; 2: not a trace that can be read.
+    A trace that was made with a Python file of yours needs that file named by --avoider, as repeating
+    the run executes it.
+    Exit code 0: identical; 1: it differs; 2: not a trace that can be read; 130: interrupted.
     """
     from safety_harness.cli.replay import replay as replay_trace
 
-    raise typer.Exit(replay_trace(trace))
+    _end(replay_trace(trace, avoider))
 
 
 @app.command()
@@ -54,21 +70,106 @@ def judge(traces: TraceFiles) -> None:
     """
     from safety_harness.cli.replay import judge_again
 
-    raise typer.Exit(judge_again(traces))
+    _end(judge_again(traces))
+
+
+@app.command()
+def dataset(
+    out: Annotated[Path, typer.Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
+    space: Annotated[
+        str, typer.Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")
+    ] = "seen",
+    tcps: Annotated[int, typer.Option(help="TCP positions.")] = 10_000,
+    candidates: Annotated[int, typer.Option(help="Repulsive candidates of each TCP.")] = 100,
+    hands: Annotated[int, typer.Option(help="Hand positions, joined with every TCP.")] = 500,
+    seed: Seed = 0,
+) -> None:
+    """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
+
+    The defaults are the paper's 5,000,000 samples, in a few seconds.
+    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    """
+    from safety_harness.cli.dataset import dataset as make_dataset
+
+    _end(make_dataset(out, space=space, tcps=tcps, candidates=candidates, hands=hands, seed=seed))
+
+
+@app.command()
+def train(
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
+            "also with paper- or trial- before it."
+        ),
+    ],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of a data set; without it the paper's is made on the spot.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
+        "models/new"
+    ),
+    seed: Seed = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
+) -> None:
+    """Train and calibrate a network; "trial-mc-dropout" takes under a minute.
+
+    Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
+    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cli.train import train as train_recipe
+
+    _end(train_recipe(recipe, data=data, seed=seed, out=out, resume=resume, device=device))
+
+
+@app.command()
+def evaluate(
+    models: ModelFiles,
+    samples: Annotated[int, typer.Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Also every figure, as JSON, to this file.")] = None,
+) -> None:
+    """Compare models on seen and unseen space: errors, intervals, coverage, doubt as a detector.
+
+    Every model answers the same questions; no sample was used in training or calibration.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cli.evaluate import evaluate as evaluate_models
+
+    _end(evaluate_models(models, samples=samples, seed=seed, out=out))
+
+
+@app.command()
+def export(
+    model: Annotated[
+        str, typer.Argument(help="A model file (*.safetensors), or a shipped model's name.", metavar="MODEL")
+    ],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    format: Annotated[str, typer.Option(help="onnx or torchscript.")] = "onnx",
+    seed: Seed = 0,
+) -> None:
+    """Write a model as ONNX or TorchScript, and try the file against the original on random questions.
+
+    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
+    """
+    from safety_harness.cli.export import export as export_model
+
+    _end(export_model(model, out=out, format=format, seed=seed))
+
+
+def _end(code: int) -> NoReturn:
+    raise typer.Exit(code)
 
 
 def main() -> None:
-    """Entry point; neither a Ctrl-C outside a run nor one of our own errors ends in a traceback."""
+    """Entry point: one of our own errors is explained, and never a traceback."""
     try:
         app()
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
     except SafetyHarnessError as error:
         from safety_harness.cli.console import BAD_INPUT, explain
 
         explain(error)
         raise SystemExit(BAD_INPUT) from None
-
-
-if __name__ == "__main__":
-    main()

@@ -2,41 +2,52 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import is_a_program, with_avoider
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
     DIFFERS,
+    INTERRUPTED,
     ScenarioProgress,
     explain,
+    replay_command,
     result,
     result_lines,
     say,
 )
-from safety_harness.exceptions import InputError
+from safety_harness.exceptions import InputError, Place, TraceError
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.scenario.model import Scenario
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.provenance import provenance
 from safety_harness.trace.store import load_trace
-from safety_harness.trace.trace import Provenance
+from safety_harness.trace.trace import Provenance, Trace
 
 
-def replay(path: Path) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs."""
+def replay(path: Path, avoider: str | None = None) -> int:
+    """Repeat a recorded run: "identical", or the first step that differs.
+
+    ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
+    come from anybody, and repeating it must not execute what it says.
+    """
     try:
         stored = load_trace(path)
-        admitted = admit(stored.scenario)
+        admitted = admit(_with_program(stored, path, avoider))
     except InputError as error:
         explain(error)
         return BAD_INPUT
     progress = ScenarioProgress([stored.scenario])
     with progress.running():
         progress.begin(0)
-        fresh = run_trial(admitted, on_tick=progress.tick)
+        fresh = run_trial(admitted, recorded=stored, on_tick=progress.tick)
+    if not fresh.complete and stored.complete:
+        say(f"{fresh.ended}, after {len(fresh.ticks)} of {len(stored.ticks)} ticks")
+        return INTERRUPTED
     difference = first_difference(stored, fresh)
     if difference is None:
         result(
@@ -44,15 +55,37 @@ def replay(path: Path) -> int:
         )
         return AS_EXPECTED
     result(f"{stored.scenario.name}: {difference}")
-    for line in changes(stored.provenance, provenance(fresh.provenance.world, fresh.provenance.avoider)):
+    for line in changes(stored.provenance, fresh.provenance):
         say(line)
     return DIFFERS
+
+
+def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
+    """The scenario of a trace, with the avoider that the user names."""
+    if avoider is not None:
+        return with_avoider(stored.scenario, avoider)
+    if is_a_program(stored.scenario.avoider):
+        raise TraceError(
+            place=Place(file=path, field="avoider"),
+            expected="the program named on the command line, since repeating the run executes it",
+            got=f"a trace made with {stored.scenario.avoider}",
+            hint=shlex.join(replay_command(stored.scenario, path)),
+        )
+    return stored.scenario
 
 
 def changes(stored: Provenance, now: Provenance) -> list[str]:
     """What is not the same as when the trace was made."""
     lines = []
-    for name in ("package_version", "source_hash", "world", "avoider", "python", "platform"):
+    for name in (
+        "package_version",
+        "source_hash",
+        "world",
+        "avoider",
+        "avoider_sha256",
+        "python",
+        "platform",
+    ):
         before, after = getattr(stored, name), getattr(now, name)
         if before != after:
             lines.append(f"  {name}: {before} then, {after} now")

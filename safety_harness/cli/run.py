@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -16,18 +19,21 @@ from safety_harness.cli.console import (
     INTERRUPTED,
     ScenarioProgress,
     explain,
+    one_more_ctrl_c,
+    replay_command,
     result,
     result_lines,
     say,
 )
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
-from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, OutputError, Place, SafetyHarnessError, ScenarioError
+from safety_harness.report.decisions import fault_notes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.store import save_trace
 
-REPORT = "report.html"
+REPORT, DATA = "report.html", "report.json"
 TRACES = "traces"
 
 
@@ -47,8 +53,8 @@ def scenario_files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def read_all(paths: Sequence[Path]) -> tuple[list[Admitted], list[InputError]]:
-    """Read and admit every file; all the mistakes, not only the first."""
+def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
+    """Read and admit every file, with another avoider if one is given; all mistakes, not only the first."""
     admitted: list[Admitted] = []
     errors: list[InputError] = []
     names: dict[str, Path] = {}
@@ -66,6 +72,8 @@ def read_all(paths: Sequence[Path]) -> tuple[list[Admitted], list[InputError]]:
                     got=f"the name {scenario.name!r} again, after {names[scenario.name]}",
                 )
             names[scenario.name] = file
+            if avoider is not None:
+                scenario = with_avoider(scenario, avoider)
             admitted.append(admit(scenario))
         except InputError as error:
             errors.append(error)
@@ -82,48 +90,135 @@ def notes_of(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
-def run(paths: Sequence[Path], out: Path) -> int:
+def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     """Run, judge, print, save and report; returns the exit code."""
-    admitted, errors = read_all(paths)
+    if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
+        say("compiling the control stack; this takes a minute or two, once")
+        forget_old_machine_code()
+    try:
+        admitted, errors = read_all(paths, avoider)
+    except KeyboardInterrupt:
+        say("interrupted: nothing was run")
+        return INTERRUPTED
     if errors:
-        for error in errors:
+        for error in _without_repetition(errors):
             explain(error)
         say(f"{len(errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
-    if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
-        say("compiling the control stack; this takes a minute, once")
-        forget_old_machine_code()
     traces = out / TRACES
     try:
         traces.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         explain(_unwritable(traces, error))
         return BAD_INPUT
-    runs: list[JudgedRun] = []
-    stopped: OutputError | None = None
-    interrupted = False
-    progress = ScenarioProgress([a.scenario for a in admitted])
-    with progress.running():
-        for number, one in enumerate(admitted):
-            progress.begin(number)
-            try:
-                judged = _run_one(one, traces, progress)
-            except KeyboardInterrupt:
-                interrupted = True
-                break
-            except OutputError as error:
-                stopped = error
-                break
-            runs.append(judged)
-            for line in result_lines(judged):
-                result(line)
-            if not judged.trace.complete:
-                interrupted = True
-                break
-    if stopped is not None:
-        explain(stopped)
-    code = _finish(runs, len(admitted), out, paths, interrupted=interrupted or stopped is not None)
-    return code if stopped is None else BAD_INPUT
+    session = Session(out, shlex.join(_command(paths, out, avoider)), len(admitted))
+    session.run_all(admitted)
+    return session.finish()
+
+
+def _without_repetition(errors: Sequence[InputError]) -> list[InputError]:
+    """Each message once: a wrong ``--avoider`` is the same mistake for every file."""
+    return list({str(error): error for error in errors}.values())
+
+
+def _command(paths: Sequence[Path], out: Path, avoider: str | None) -> list[str]:
+    command = ["safety-harness", "run", *map(str, paths), "--out", str(out)]
+    return command if avoider is None else [*command, "--avoider", avoider]
+
+
+@dataclass
+class Session:
+    """The runs of one command: what came out, and whether they came to an end."""
+
+    out: Path
+    command: str
+    planned: int
+    runs: list[JudgedRun] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)  # scenarios that could not be simulated, and why
+    interrupted: bool = False
+    unwritable: OutputError | None = None
+
+    def run_all(self, admitted: Sequence[Admitted]) -> None:
+        """One after another, until Ctrl-C or a disk that takes no more."""
+        progress = ScenarioProgress([one.scenario for one in admitted])
+        with progress.running():
+            for number, one in enumerate(admitted):
+                progress.begin(number)
+                try:
+                    self._take(_run_one(one, self.out / TRACES, progress))
+                except KeyboardInterrupt:
+                    self.interrupted = True
+                except OutputError as error:
+                    self.unwritable = error
+                except Exception as error:  # one scenario's failure must not cost the others' evidence
+                    self._fail(one.scenario.name, error)
+                if self.interrupted or self.unwritable is not None:
+                    return
+
+    def _take(self, judged: JudgedRun) -> None:
+        self.runs.append(judged)
+        for line in result_lines(judged):
+            result(line)
+        for note in fault_notes(judged.trace):
+            say(f"note: {judged.trace.scenario.name}: {note}")
+        self.interrupted = not judged.trace.complete
+
+    def _fail(self, name: str, error: Exception) -> None:
+        self.failed.append(f"{name} could not be run to its end: {type(error).__name__}: {error}")
+        say(f"error: {self.failed[-1]}")
+        if not isinstance(error, SafetyHarnessError):
+            say(traceback.format_exc().rstrip())
+            say("This is a defect of safety-harness, not of your file; the other scenarios are not affected.")
+
+    def finish(self) -> int:
+        """Write the report, sum up, choose the exit code."""
+        if self.unwritable is not None:
+            explain(self.unwritable)
+        if self.interrupted or self.unwritable is not None:
+            kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
+            say(f"stopped before the end: {kept}")
+        if self.runs and not self._report():
+            return INTERRUPTED if self.interrupted else BAD_INPUT
+        verdicts = [same for one in self.runs for same in one.as_expected]
+        say(
+            f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
+            f"{len(self.runs)} of {self.planned} scenarios run"
+        )
+        if self.runs:
+            say(f"report: {self.out / REPORT} (for programs: {DATA})")
+        if self.unwritable is not None:
+            return BAD_INPUT
+        if self.interrupted:
+            return INTERRUPTED
+        return AS_EXPECTED if all(verdicts) and not self.failed else DIFFERS
+
+    def _report(self) -> bool:
+        """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""
+        from safety_harness.report.html import write_report  # matplotlib is slow to import
+        from safety_harness.report.machine import write_json
+
+        path = self.out / REPORT
+        interrupted = len(self.runs) < self.planned or self.interrupted
+        try:
+            with one_more_ctrl_c(f"writing {path}; Ctrl-C once more gives it up") as asked:
+                write_report(
+                    path,
+                    self.runs,
+                    title="Safety verification of a hand-avoiding UR10",
+                    command=self.command,
+                    generated_at=datetime.now(UTC),
+                    interrupted=interrupted,
+                )
+                write_json(self.out / DATA, self.runs, interrupted=interrupted)
+        except OSError as error:
+            explain(_unwritable(path, error))
+            return False
+        except KeyboardInterrupt:
+            self.interrupted = True
+            say(f"no report was written; the traces are in {self.out / TRACES}")
+            return False
+        self.interrupted = self.interrupted or asked()
+        return True
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:
@@ -141,40 +236,7 @@ def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> Ju
     return JudgedRun(
         trace=trace,
         evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
-        replay_command=shlex.join(["safety-harness", "replay", str(file)]),
+        replay_command=shlex.join(replay_command(admitted.scenario, file)),
+        trace_file=file,
         notes=notes_of(admitted.scenario),
     )
-
-
-def _finish(
-    runs: list[JudgedRun], planned: int, out: Path, paths: Sequence[Path], *, interrupted: bool
-) -> int:
-    """Write the report, sum up, choose the exit code."""
-    if interrupted:
-        say(f"stopped before the end: the results of {len(runs)} of {planned} scenarios are kept")
-    if runs:
-        from safety_harness.report.html import write_report  # matplotlib is slow to import
-
-        try:
-            write_report(
-                out / REPORT,
-                runs,
-                title="Safety verification of a hand-avoiding UR10",
-                command=shlex.join(["safety-harness", "run", *map(str, paths), "--out", str(out)]),
-                generated_at=datetime.now(UTC),
-                interrupted=interrupted,
-            )
-        except OSError as error:
-            explain(_unwritable(out / REPORT, error))
-            return BAD_INPUT
-    claims = [
-        evaluation.verdict is claim.expected
-        for run in runs
-        for claim, evaluation in zip(run.trace.scenario.claims, run.evaluations, strict=True)
-    ]
-    say(f"{sum(claims)} of {len(claims)} verdicts as expected, {len(runs)} of {planned} scenarios run")
-    if runs:
-        say(f"report: {out / REPORT}")
-    if interrupted:
-        return INTERRUPTED
-    return AS_EXPECTED if all(claims) else DIFFERS

@@ -14,6 +14,7 @@ import numpy as np
 from safety_harness.avoidance.model_file import Dropout, Model, SeenSpace, save_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place
+from safety_harness.learning.calibration import calibrate
 from safety_harness.learning.checkpoint import Epoch
 from safety_harness.learning.dataset import CompactDataset, generate
 from safety_harness.learning.manifest import data_hash, load_dataset
@@ -56,13 +57,20 @@ def train(
         dataset = load_dataset(data) if data else generate(DEFAULTS, seen(DEFAULTS), seed=seed)
         split = split_for(recipe, dataset)
         trained = _trained(recipe, dataset, split, seed, out, resume, device)
-        _save(model_of(trained, dataset, split, shlex.join(command)), out / MODEL)
+        say("calibrating on seen TCPs and hands that are new")
+        model = model_of(trained, dataset, split, shlex.join(command))
+        model = calibrate(model, recipe, dataset, seed=seed)
+        _save(model, out / MODEL)
     except InputError as error:
         explain(error)
         return BAD_INPUT
     except KeyboardInterrupt:
         say(f"stopped; to go on from the last whole epoch: {shlex.join([*command, '--resume'])}")
         return INTERRUPTED
+    assert model.calibration is not None
+    multiplier, threshold_m = model.calibration.interval_multiplier, model.calibration.spread_threshold_m
+    result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
+    result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
     result(f"model: {out / MODEL}")
     return AS_EXPECTED
 
@@ -120,7 +128,7 @@ class _EpochLines:
 
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
-    """The trained networks with their normalisation, seen space and card; not yet calibrated."""
+    """The trained networks with their normalisation, seen space and card, to be calibrated."""
     recipe, normal = trained.recipe, trained.normalisation
     drops = recipe.dropout is not Dropout.NONE
     hand, tcp = dataset.space.hand.outer, dataset.space.tcp.outer

@@ -6,6 +6,7 @@ stack with an avoider and the gate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
@@ -59,9 +60,18 @@ class Controller(Protocol):
         """(m,) DECISION: every decision so far."""
         ...
 
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """(m,) how long each of them took on the wall's clock."""
+        ...
+
 
 class AvoidingServo:
-    """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts."""
+    """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
+
+    ``recorded_late`` (m,) repeats which decisions of an earlier run came too late; those after them,
+    or all without it, are timed by the clock.
+    """
 
     def __init__(
         self,
@@ -71,6 +81,7 @@ class AvoidingServo:
         avoider: Avoider,
         gate: Gate,
         root_seed: int,
+        recorded_late: Sequence[bool] = (),
     ) -> None:
         self.name = avoider.name
         self._avoider = avoider
@@ -82,7 +93,9 @@ class AvoidingServo:
         self._tracks = no_tracks()
         self._answer = np.zeros(1, ANSWER)
         self._command = np.zeros(1, COMMAND)
+        self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
+        self._latencies_s: list[float] = []
         self._decided_now = False
         self._ticks = 0
 
@@ -109,20 +122,28 @@ class AvoidingServo:
         """(m,) DECISION."""
         return np.concatenate([np.zeros(0, DECISION), *self._decisions])
 
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
+        return np.array(self._latencies_s, dtype=np.float64)
+
     def _decide(self, observation: NDArray[np.void]) -> None:
         """Ask the avoider, let the gate rule, note everything down."""
         state, o = self._state[0], observation[0]
+        number = len(self._decisions)
         query = Query(
             hand_position_in_base_m=state["predicted_hand_in_base_m"][state["nearest_track"]].copy(),
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
             transform_tcp_to_base=state["transform_tcp_to_base"].copy(),
             joint_position_rad=o["joint_position_rad"].copy(),
             hands_in_base_m=state["predicted_hand_in_base_m"][state["track_valid"] != 0],
-            seed=seed(self._root_seed, Branch.DECISION, len(self._decisions)),
+            seed=seed(self._root_seed, Branch.DECISION, number),
+            late=self._recorded_late[number] if number < len(self._recorded_late) else None,
         )
         ruling = self._gate.rule(self._avoider, query)
         self._answer["stop"] = ruling.outcome is Outcome.STOP
         self._answer["position_in_base_m"] = ruling.chosen_position_in_base_m
+        self._latencies_s.append(ruling.latency_s)
         self._decisions.append(self._record(query, ruling, float(o["time_s"])))
 
     def _record(self, query: Query, ruling: Ruling, time_s: float) -> NDArray[np.void]:

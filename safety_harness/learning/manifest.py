@@ -22,9 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import source_hash
-from safety_harness.exceptions import DatasetError, OutputError, Place
+from safety_harness.exceptions import DatasetError, OutputError, Place, RegionError
+from safety_harness.geometry.regions import Box, Region
 from safety_harness.learning.dataset import CompactDataset
-from safety_harness.learning.spaces import Box, Region, Space
+from safety_harness.learning.spaces import Space
 from safety_harness.settings import Settings
 
 FORMAT = "safety-harness dataset 1"
@@ -107,7 +108,7 @@ def load_dataset(folder: Path) -> CompactDataset:
             **arrays,
         )
         shapes = {"tcps": dataset.tcps, "hands": dataset.hands, "candidates": dataset.candidates}
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, RegionError) as error:
         raise _error(folder / MANIFEST, "a manifest as this version writes it", repr(error)) from error
     for name, number in shapes.items():
         if manifest.get(name) != number:

@@ -114,11 +114,12 @@ class RegressionResNet(nn.Module):
 
         ``masks``: for each of ``places`` what to keep (1 or true) of the units, of shape
         (n, width), or (width,) for all rows alike.  At a place with fewer units than ``width``
-        (the first layers' seven inputs) the first ones count.
+        (the first layers' seven inputs) the first ones count.  A network without places takes none,
+        or an empty set of them.
         """
         if masks is not None and len(masks) != len(self.places):
             raise ValueError(f"expected {len(self.places)} dropout masks, got {len(masks)}")
-        drop: Drop = _keep if masks is None else _NextMask(masks, self.probability)
+        drop: Drop = _NextMask(masks, self.probability) if masks is not None and self.places else _keep
         inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
         for stage in self.stages:
             for block in stage:  # type: ignore[attr-defined]

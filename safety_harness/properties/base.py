@@ -2,8 +2,9 @@
 
 A margin is positive where the property holds and negative where it is violated, in a physical
 unit, never rounded before it is compared.  *Inconclusive* is for a trace that is no evidence
-either way: empty, truncated, with a NaN in what the property reads, or one in which the
-property was never exercised.  A violation seen before a truncation is still a violation.
+either way: empty, truncated, in contradiction with itself, with a NaN or an infinity in what the
+property reads, or one in which the property was never exercised.  A violation seen before a
+truncation is still a violation.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from typing import Protocol
 import numpy as np
 
 from safety_harness.scenario.model import Verdict
+from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
+
+OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
 class Unit(Enum):
@@ -96,16 +100,23 @@ def inconclusive(prop: Property, reason: str, *, exercised: int = 0) -> Evaluati
 
 
 def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
-    """Why a trace cannot be judged on ``fields`` at all: empty, NaN, time not rising; else None."""
+    """Why a trace cannot be judged on ``fields`` at all, else None.
+
+    It is empty, it contradicts itself, or something in ``fields`` is not finite: of a hand only
+    while that hand is there, for its distance is infinite while it is not.
+    """
     if len(trace.ticks) == 0:
         return "the trace is empty"
-    times = trace.time_s
-    if not np.all(np.isfinite(times)) or np.any(np.diff(times) <= 0.0):
-        return "the trace's time does not rise strictly"
+    wrong = first_inconsistency(trace)
+    if wrong is not None:
+        return f"the trace contradicts itself: {wrong}"
     for name in fields:
-        bad = np.isnan(trace.ticks[name]).reshape(len(times), -1).any(axis=1)
-        if bad.any():
-            return f"{name} is NaN from {times[int(np.argmax(bad))]:.3f} s"
+        bad = ~np.isfinite(trace.ticks[name])
+        if name in OF_HANDS:
+            bad = bad.reshape(*trace.ticks["hand_present"].shape, -1) & trace.ticks["hand_present"][..., None]
+        rows = bad.any(axis=tuple(range(1, bad.ndim)))
+        if rows.any():
+            return f"{name} is not finite from {trace.time_s[int(np.argmax(rows))]:.3f} s"
     return None
 
 
@@ -115,10 +126,11 @@ def judged(
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
     Violated when negative; when not, inconclusive if the property was never exercised or if the
-    run did not last as long as its scenario says.
+    run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
+    comes from nothing that can have happened and is no evidence at all.
     """
-    if np.isnan(margin):
-        return inconclusive(prop, "the margin is NaN", exercised=exercised)
+    if not np.isfinite(margin):
+        return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS
     if margin < 0.0:
         verdict = Verdict.VIOLATED

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.hand_paths import HandPaths, elbow_bend_m, first_stray, hand_paths
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import closest_approach_between
@@ -17,16 +18,24 @@ from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
-READS = ("joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
+READS = (
+    "joint_position_rad",
+    "joint_velocity_radps",
+    "transform_tcp_to_base",
+    "hand_position_in_base_m",
+    "elbow_position_in_base_m",
+    "hand_distance_m",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandDistance:
     """min over time of d(t) - ``minimum_m``, d from any hand or forearm to any link, surface to surface.
 
-    Between two ticks joints and hands are taken to move linearly; the margin is a certified lower
-    bound of the distance there, at most 0.1 mm below it.  (What acceleration a adds within a tick
-    of 8 ms is at most a dt^2/8, 0.08 mm at 10 m/s^2.)
+    Between two ticks the margin is a certified lower bound of the distance: hands turn where their
+    moves or samples turn, and joints move linearly, from which it is at most 0.1 mm below; it is
+    lower by what joints may leave the straight line while their speeds change (``joint_bend_m``)
+    and elbows while hands pass them.
 
     Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 speaks of a
     protective separation distance, of which this is the constant form.  Exercised when a hand
@@ -47,19 +56,22 @@ class HandDistance:
         problem = unreadable(trace, READS)
         if problem is not None:
             return inconclusive(self, problem)
-        if not trace.ticks["hand_present"].any():
+        if not trace.scenario.hands:
             return inconclusive(self, "there is no hand in this scenario")
-        distance_m, time_s, hand = closest_approach(trace)
+        paths = hand_paths(trace)
+        stray = first_stray(trace, paths)
+        if stray is not None:
+            return inconclusive(self, f"at tick {stray} a hand is not where the scenario moves it")
+        distance_m, time_s, hand = closest_approach(trace, paths)
         near = trace.ticks["hand_distance_m"].min(axis=1) < self.near_m
-        name = trace.scenario.hands[hand].name if hand < len(trace.scenario.hands) else str(hand)
-        nearest = int(np.argmin(trace.ticks["hand_distance_m"][:, hand]))
-        link = capsule_name(trace, nearest, hand)
+        name = trace.scenario.hands[hand].name
+        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
         return judged(
             self,
             trace,
             margin=distance_m - self.minimum_m,
             worst_time_s=time_s,
-            reason=f"{name}: {_words(distance_m)} {link}",
+            reason=f"{name}: {_words(distance_m)} {part}",
             exercised=int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1)),
         )
 
@@ -73,20 +85,19 @@ def _words(distance_m: float) -> str:
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
     names = _capsules(load_arm(), trace.scenario.settings)[0]
-    return names[int(trace.ticks["hand_distance_capsule"][tick, hand])].replace("_", " ")
+    number = int(trace.ticks["hand_distance_capsule"][tick, hand])
+    return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
-def closest_approach(trace: Trace) -> tuple[float, float, int]:
+def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
     arm = load_arm()
     settings = trace.scenario.settings
     _, link_index, start_in_link, end_in_link, radius_m = _capsules(arm, settings)
-    ticks = trace.ticks
     best = (np.inf, 0.0, 0)
-    for hand in range(ticks["hand_present"].shape[1]):
-        if not ticks["hand_present"][:, hand].any():
-            continue
-        distance_m, index, fraction = _closest_in_trace(
+    for hand in range(len(trace.scenario.hands)):
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = _instants(trace, paths, hand)
+        least_m, index, fraction = _closest_in_trace(
             arm.joint_origins,
             arm.joint_axes,
             arm.flange,
@@ -94,19 +105,71 @@ def closest_approach(trace: Trace) -> tuple[float, float, int]:
             start_in_link,
             end_in_link,
             radius_m,
-            np.ascontiguousarray(ticks["joint_position_rad"]),
-            np.ascontiguousarray(ticks["hand_position_in_base_m"][:, hand]),
-            np.ascontiguousarray(ticks["elbow_position_in_base_m"][:, hand]),
-            np.ascontiguousarray(ticks["hand_distance_m"][:, hand]),
+            joints_rad,
+            hand_m,
+            elbow_m,
+            distance_m,
+            slack_m,
             settings.hand.radius_m,
             settings.hand.forearm_radius_m,
             RESOLUTION_M,
         )
-        if distance_m < best[0]:
-            times = trace.time_s
-            later = times[min(index + 1, len(times) - 1)]
-            best = (distance_m, float(times[index] + fraction * (later - times[index])), hand)
+        if not least_m >= best[0]:
+            later = at[min(index + 1, len(at) - 1)]
+            instant = at[index] + fraction * (later - at[index])
+            best = (least_m, float(instant * settings.clock.control_period_s), hand)
     return best
+
+
+def _instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
+    """Ticks and the hand's corners between them, in order of time.
+
+    (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
+    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].
+    """
+    ticks = trace.ticks
+    own = paths.corner_hand == hand
+    corner_at = paths.corner_at[own]
+    after = np.searchsorted(np.arange(len(ticks)), corner_at, side="right")
+    at = np.insert(np.arange(len(ticks), dtype=np.float64), after, corner_at)
+    joints_rad = np.column_stack(
+        [np.interp(at, np.arange(len(ticks)), column) for column in ticks["joint_position_rad"].T]
+    )
+    corners = paths.corners_in_base_m[own]
+    hand_m = np.insert(ticks["hand_position_in_base_m"][:, hand], after, corners[:, 0], axis=0)
+    elbow_m = np.insert(ticks["elbow_position_in_base_m"][:, hand], after, corners[:, 1], axis=0)
+    slack_m = joint_bend_m(trace) + elbow_bend_m(trace, paths, hand)
+    return (
+        at,
+        joints_rad,
+        hand_m,
+        elbow_m,
+        np.insert(ticks["hand_distance_m"][:, hand], after, np.inf),
+        np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
+    )
+
+
+def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
+    """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
+
+    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
+    straight line by at most dv dt/4; a point is displaced by no more than that angle times the
+    length of the chain of links that the joint moves.
+    """
+    arm = load_arm()
+    _, link_index, start_in_link, end_in_link, _ = _capsules(arm, trace.scenario.settings)
+    offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
+    ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
+    ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
+    link = np.minimum(link_index, 6)
+    reach_m = np.zeros(6)  # from each joint to the farthest point that it moves
+    for joint in range(6):
+        for last, end in zip(link, ends, strict=True):
+            if last > joint:
+                reach_m[joint] = max(reach_m[joint], offsets[joint + 1 : last].sum() + end)
+    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
+    bend: NDArray[np.float64] = change @ reach_m * trace.scenario.settings.clock.control_period_s / 4.0
+    return bend
 
 
 def _capsules(
@@ -134,7 +197,8 @@ def _closest_in_trace(
     joints_rad: NDArray[np.float64],  # (n, 6)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
-    distance_m: NDArray[np.float64],  # (n,) at the ticks
+    distance_m: NDArray[np.float64],  # (n,) at the ticks, inf elsewhere
+    slack_m: NDArray[np.float64],  # (n - 1,)
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
@@ -166,8 +230,9 @@ def _closest_in_trace(
             hand_radius_m,
             forearm_radius_m,
             tolerance_m,
-            best,
+            best + slack_m[k],
         )
+        bound -= slack_m[k]
         if not bound >= best:  # a NaN must come out, not be passed over
             best, index, fraction = bound, k, where
     return best, index, fraction

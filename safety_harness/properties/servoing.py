@@ -55,6 +55,9 @@ class GainSwitchReached:
     Margin: time left when it does, or minus the time that had been overrun at the end of the run.
     Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An
     object that is not seen is not below the switch.
+
+    Exercised when the error is above the switch after the last hand has left: one that is below
+    already then has been brought there by something else, by the start or while the hand was near.
     """
 
     within_s: float | None = None
@@ -75,16 +78,18 @@ class GainSwitchReached:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
         servo = trace.scenario.settings.servo
         sse = trace.ticks["sse"][first:]
+        errors = self._errors(trace)[first:]
         allowed_s = self.within_s
         if allowed_s is None:
-            ratio = max(self._error_at(trace, first) / servo.gain_switch_sse, 1.0)
+            ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
             allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
         start_s = float(trace.time_s[first])
-        below = np.flatnonzero(sse < servo.gain_switch_sse)  # a NaN is not below
+        below = np.flatnonzero(np.isfinite(sse) & (sse < servo.gain_switch_sse))
+        above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
         if len(below):
             took_s = float(trace.time_s[first + below[0]]) - start_s
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
-            if below[0] == 0:
+            if not above.any():
                 reason = "below the switch already when the hands had left"
         else:
             took_s = float(trace.time_s[-1]) - start_s
@@ -100,17 +105,15 @@ class GainSwitchReached:
             margin=allowed_s - took_s,
             worst_time_s=start_s + took_s,
             reason=reason,
-            exercised=1,
+            exercised=int(above.any()),
         )
 
-    def _error_at(self, trace: Trace, tick: int) -> float:
-        """Eq. 15 at a tick; while the object is not seen, what it would be upright: the distance squared."""
-        sse = float(trace.ticks["sse"][tick])
-        if np.isfinite(sse):
-            return sse
+    def _errors(self, trace: Trace) -> NDArray[np.float64]:
+        """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
+        sse = trace.ticks["sse"]
         desired = desired_transform_tcp_to_base(trace.scenario.settings)
-        way = trace.ticks["transform_tcp_to_base"][tick, :3, 3] - desired[:3, 3]
-        return float(way @ way)
+        way = trace.ticks["transform_tcp_to_base"][:, :3, 3] - desired[:3, 3]
+        return np.where(np.isfinite(sse), sse, np.sum(way**2, axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +123,9 @@ class Converged:
     Margin: 1 mm less the distance at the end; where the angle is too large, minus the distance
     that the excess angle means at the camera's desired depth.  A run shorter than the closed form
     needs (both gains) is inconclusive unless it has converged already.
+
+    Exercised when the TCP was farther off at any tick of the run, so that servoing has brought it
+    here; a TCP that began there and was never pushed away says nothing.
     """
 
     unit: Unit = Unit.LENGTH
@@ -150,7 +156,7 @@ class Converged:
             margin=margin,
             worst_time_s=float(trace.time_s[-1]),
             reason=f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle[-1]):.3f} deg off",
-            exercised=1,
+            exercised=int(np.any((position > CONVERGED_POSITION_M) | (angle > CONVERGED_ANGLE_RAD))),
         )
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite
+from pathlib import Path
 
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Claim, Verdict
@@ -18,14 +19,15 @@ class JudgedRun:
     """A trace with one evaluation for each of its scenario's claims, in their order.
 
     ``replay_command`` is the command line that repeats this run; ``notes`` are sentences for the
-    reader (what was bridged in a recording, say).  Raises ValueError when the numbers of
-    evaluations and claims differ.
+    reader (what was bridged in a recording, say); ``trace_file`` is where the trace is kept.
+    Raises ValueError when the numbers of evaluations and claims differ.
     """
 
     trace: Trace
     evaluations: tuple[Evaluation, ...]
     replay_command: str
     notes: tuple[str, ...] = ()
+    trace_file: Path | None = None
 
     def __post_init__(self) -> None:
         claims = len(self.trace.scenario.claims)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -14,23 +13,32 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from safety_harness.report.decisions import (
+    MOST_DECISION_ROWS,
+    DecisionRow,
+    Tally,
+    decision_rows,
+    failed_checks,
+    fault_notes,
+    latency_words,
+)
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.text_file import write_whole
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.view import (
-    MOST_DECISION_ROWS,
     ClaimRow,
-    DecisionRow,
     LimitRow,
     changes,
     claim_rows,
-    decision_rows,
+    file_name,
     limit_rows,
     mode_rows,
     notes,
     summarise,
 )
+from safety_harness.report.words import count_words, share_words
 from safety_harness.scenario.write import write_scenario
 
 PACKAGE = "safety_harness.report"
@@ -48,7 +56,12 @@ class Section:
     moment_time: str
     moment_claim: int | None  # counted from 1
     thinned: int
+    file: str
+    tally: Tally
     decisions: list[DecisionRow]
+    failed_checks: list[tuple[str, str]]  # name, meaning
+    faults: list[str]
+    latency: str
     limits: list[LimitRow]
     modes: list[LimitRow]
     notes: list[str]
@@ -71,16 +84,7 @@ def write_report(
     planned than are here.  Folders that are missing are made.  Raises OSError.
     """
     page = render(runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file:
-            file.write(page)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    write_whole(path, page)
 
 
 def render(
@@ -104,6 +108,8 @@ def render(
         summary=summarise(runs, interrupted=interrupted),
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
         most_decisions=MOST_DECISION_ROWS,
+        share=share_words,
+        count=count_words,
         most_numbers=MOST_NUMBERS,
         style=Markup(_asset("report.css")),
         script=Markup(script),
@@ -121,10 +127,15 @@ def _section(run: JudgedRun, number: int) -> Section:
         claims=claim_rows(run, section),
         views=_views(run, f"{section}-") if drawn else (),
         timeline=Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
-        moment_time=f"{moment.time_s:.2f} s" if moment else "",
+        moment_time=f"{moment.time_s:.3f} s" if moment else "",
         moment_claim=moment.claim + 1 if moment and moment.claim is not None else None,
         thinned=thinning(run.trace),
+        file=file_name(run),
+        tally=Tally.of([run.trace]),
         decisions=decision_rows(run.trace),
+        failed_checks=failed_checks(run.trace),
+        faults=fault_notes(run.trace),
+        latency=latency_words(run.trace),
         limits=limit_rows(run.trace),
         modes=mode_rows(run.trace),
         notes=notes(run),

@@ -1,4 +1,8 @@
-"""The curves of the time series, one function a panel; limits are drawn across them, with their names."""
+"""The curves of the time series, one function a panel; limits are drawn across them, with their names.
+
+A limit stands only across what it limits: a claim's length across distances between surfaces, the
+critical distance across that of the predicted hand's centre from the TCP.
+"""
 
 from __future__ import annotations
 
@@ -40,6 +44,7 @@ JOINTS = (
 SUPERSCRIPT = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
+MOST_DECADES = 4  # steps between the labels of a logarithmic axis
 LABEL_PX = 13.0  # the height of a limit's name
 
 Floats = NDArray[np.float64]
@@ -47,7 +52,7 @@ Line = tuple[str, Floats, Ink, Any]  # name, (n,) values, colour, dash pattern
 
 
 def distance_panel(axes: Axes, run: JudgedRun) -> None:
-    """Hands to robot, surface to surface, and the predicted hand to the TCP, with their limits."""
+    """True hands to robot, surface to surface, with the limits that claims set to it."""
     trace = run.trace
     lines: list[Line] = []
     for hand, ink in enumerate(HANDS):
@@ -56,19 +61,26 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
             values = np.where(present, trace.ticks["hand_distance_m"][:, hand], np.nan) * MM
             hands = trace.scenario.hands
             name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
-            lines.append((f"{plain(name, longest=22)} to robot", values, ink, DASHES[hand]))
-    lines.append(
-        ("predicted hand to TCP", trace.ticks["predicted_distance_m"] * MM, Ink.PREDICTED, (0, (2, 1.5)))
-    )
-    _panel(axes, trace, "Hand distance, mm", lines)
+            lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
+    _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, 0.0), high)
-    limits = [("critical distance", trace.scenario.settings.avoidance.critical_distance_m * MM)]
-    for number, evaluation in enumerate(run.evaluations, start=1):
-        limit_m = claimed_hand_distance_m(evaluation)
-        if limit_m is not None:
-            limits.append((f"claim {number}", limit_m * MM))
-    _limit_lines(axes, limits)
+    claimed = [
+        (f"claim {number}", limit_m * MM)
+        for number, evaluation in enumerate(run.evaluations, start=1)
+        if (limit_m := claimed_hand_distance_m(evaluation)) is not None
+    ]
+    _limit_lines(axes, claimed)
+
+
+def predicted_panel(axes: Axes, trace: Trace) -> None:
+    """The nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
+    values = trace.ticks["predicted_distance_m"] * MM
+    _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, "solid")])
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.0), high)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    _limit_lines(axes, [("critical distance", critical_m * MM)])
 
 
 def length_error_panel(axes: Axes, trace: Trace) -> None:
@@ -91,19 +103,35 @@ def sse_panel(axes: Axes, trace: Trace) -> None:
     """|f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
     sse = _seen(trace, "sse")
     positive = np.where(sse > 0.0, sse, np.nan)
-    if np.isfinite(positive).any():
+    switch = trace.scenario.settings.servo.gain_switch_sse
+    shown = np.append(positive[np.isfinite(positive)], switch)
+    if len(shown) > 1:
         axes.set_yscale("log")
     _panel(axes, trace, "Squared image error |f \u2212 f*|\u00b2", [("sse", positive, Ink.TCP, "solid")])
-    if axes.get_yscale() == "log":
-        from matplotlib.ticker import LogLocator, NullLocator
-
-        axes.yaxis.set_major_locator(LogLocator(numticks=4))
-        axes.yaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(
-            lambda value, _: "10" + str(round(np.log10(value))).translate(SUPERSCRIPT)
-        )
-    switch = trace.scenario.settings.servo.gain_switch_sse
+    if len(shown) > 1:
+        _whole_decades(axes, float(shown.min()), float(shown.max()))
     _limit_lines(axes, [("gain switch", switch)])
+
+
+def _whole_decades(axes: Axes, least: float, most: float) -> None:
+    """A logarithmic axis from decade to decade, so that at least its two ends are labelled."""
+    from matplotlib.ticker import NullFormatter, NullLocator
+
+    low = int(np.floor(np.log10(least)))
+    high = max(int(np.ceil(np.log10(most))), low + 1)
+    step = -(-(high - low) // MOST_DECADES)
+    labelled = list(range(high, low - 1, -step))
+    axes.set_ylim(10.0**low, 10.0**high)
+    axes.set_yticks(
+        [10.0**exponent for exponent in labelled],
+        ["10" + str(exponent).translate(SUPERSCRIPT) for exponent in labelled],
+    )
+    if step == 1:
+        between = [m * 10.0**exponent for exponent in range(low, high) for m in range(2, 10)]
+        axes.set_yticks(between, minor=True)
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.yaxis.set_minor_locator(NullLocator())
 
 
 def speed_panel(axes: Axes, run: JudgedRun) -> None:

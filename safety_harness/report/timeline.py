@@ -1,4 +1,4 @@
-"""What happened over time in one run: seven panels on one time axis, and what lies behind them all."""
+"""What happened over time in one run: eight panels on one time axis, and what lies behind them all."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from safety_harness.report.panels import (
     distance_panel,
     joint_panel,
     length_error_panel,
+    predicted_panel,
     shape_error_panel,
     speed_panel,
     sse_panel,
 )
 from safety_harness.report.svg import drawing, new_figure, plain, to_svg
-from safety_harness.report.words import MODE_WORDS
+from safety_harness.report.words import MODE_WORDS, OUTCOME_WORDS, share_words
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.records import Mode, Trigger
+from safety_harness.trace.records import Mode, Outcome
 from safety_harness.trace.trace import Trace
 
 if TYPE_CHECKING:
@@ -31,14 +32,18 @@ if TYPE_CHECKING:
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
-HEIGHTS_PX = (104.0, 140.0, 92.0, 92.0, 92.0, 92.0, 116.0)
+HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
 MODE_INK = {
     Mode.SERVOING: Ink.SERVOING,
     Mode.REPULSING: Ink.REPULSING,
     Mode.PROTECTIVE_STOP: Ink.STOPPED,
     Mode.OBJECT_LOST: Ink.LOST,
 }
-TRIGGER_MARKER = {Trigger.HAND_ENTERED: "v", Trigger.HAND_STILL_THERE: "s", Trigger.ANOTHER_HAND: "D"}
+OUTCOME_MARKER = {  # shape, size, filled
+    Outcome.PROPOSED: ("o", 7.5, True),
+    Outcome.OPPOSITE: ("D", 7.5, False),
+    Outcome.STOP: ("X", 10.0, True),
+}
 DECISION_LANE = len(Mode)
 
 
@@ -66,11 +71,12 @@ def timeline(run: JudgedRun, *, prefix: str) -> str:
             top += panel_height + GAP_PX
         _mode_panel(panels[0], trace, end_s)
         distance_panel(panels[1], run)
-        length_error_panel(panels[2], trace)
-        shape_error_panel(panels[3], trace)
-        sse_panel(panels[4], trace)
-        speed_panel(panels[5], run)
-        joint_panel(panels[6], trace)
+        predicted_panel(panels[2], trace)
+        length_error_panel(panels[3], trace)
+        shape_error_panel(panels[4], trace)
+        sse_panel(panels[5], trace)
+        speed_panel(panels[6], run)
+        joint_panel(panels[7], trace)
         for panel in panels[:-1]:
             panel.tick_params(labelbottom=False)
         panels[-1].set_xlabel("time, s", loc="right")
@@ -84,13 +90,19 @@ def timeline(run: JudgedRun, *, prefix: str) -> str:
 
 def _description(run: JudgedRun) -> str:
     trace = run.trace
-    seconds = [
-        f"{words} {float(np.mean(trace.ticks['mode'] == mode)):.0%}" for mode, words in MODE_WORDS.items()
+    modes = trace.ticks["mode"]
+    shares = [
+        f"{words} {share_words(int(np.count_nonzero(modes == mode)), len(modes))}"
+        for mode, words in MODE_WORDS.items()
+    ]
+    outcomes = trace.decisions["outcome"]
+    counts = [
+        f"{int(np.count_nonzero(outcomes == outcome))} {words}" for outcome, words in OUTCOME_WORDS.items()
     ]
     return (
-        f"Panels from {trace.time_s[0]:.2f} to {trace.time_s[-1]:.2f} s: controller mode, hand distance, "
-        f"feature errors, squared image error, TCP speed, joint angles. Share of the ticks: "
-        f"{', '.join(seconds)}. {len(trace.decisions)} decisions."
+        f"Panels from {trace.time_s[0]:.2f} to {trace.time_s[-1]:.2f} s: controller mode, distance of hands, "
+        f"distance of the predicted hand, feature errors, squared image error, TCP speed, joint angles. "
+        f"Share of the ticks: {', '.join(shares)}. Outcomes of decisions: {', '.join(counts)}."
     )
 
 
@@ -171,18 +183,7 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
     for lane, mode in enumerate(Mode):
         found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
         axes.broken_barh(found, (lane - 0.28, 0.56), facecolor=MODE_INK[mode].sentinel, edgecolor="none")
-    for trigger, marker in TRIGGER_MARKER.items():
-        times = trace.decisions["time_s"][trace.decisions["trigger"] == trigger]
-        axes.plot(
-            times,
-            np.full(len(times), DECISION_LANE),
-            linestyle="none",
-            marker=marker,
-            markersize=7,
-            color=Ink.TEXT.sentinel,
-            markeredgecolor=Ink.PAPER.sentinel,
-            markeredgewidth=0.8,
-        )
+    _mark_decisions(axes, trace)
     axes.set_yticks(range(DECISION_LANE + 1), [*MODE_WORDS.values(), "decisions"])
     axes.set_ylim(-0.6, DECISION_LANE + 0.6)
     axes.tick_params(axis="y", length=0)
@@ -195,3 +196,31 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
             textcoords="offset points",
             va="center",
         )
+
+
+def _mark_decisions(axes: Axes, trace: Trace) -> None:
+    """A mark for each decision whose shape is its outcome; a ring where the avoider had no usable answer."""
+    decisions = trace.decisions
+    for outcome, (marker, size, filled) in OUTCOME_MARKER.items():
+        times = decisions["time_s"][decisions["outcome"] == outcome]
+        axes.plot(
+            times,
+            np.full(len(times), DECISION_LANE),
+            linestyle="none",
+            marker=marker,
+            markersize=size,
+            markerfacecolor=(Ink.TEXT if filled else Ink.PAPER).sentinel,
+            markeredgecolor=(Ink.PAPER if filled else Ink.TEXT).sentinel,
+            markeredgewidth=0.8 if filled else 2.0,
+        )
+    times = decisions["time_s"][decisions["fault"] != ""]
+    axes.plot(
+        times,
+        np.full(len(times), DECISION_LANE),
+        linestyle="none",
+        marker="o",
+        markersize=16,
+        markerfacecolor="none",
+        markeredgecolor=Ink.LIMIT.sentinel,
+        markeredgewidth=1.8,
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,23 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation
+from safety_harness.report.decisions import Tally, avoiders
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import (
     MODE_WORDS,
-    OUTCOME_WORDS,
-    TRIGGER_WORDS,
     changed_settings,
-    failed_words,
     flag_words,
     margin_words,
-    point_words,
+    share_words,
 )
 from safety_harness.scenario.model import RecordedHand, Verdict
-from safety_harness.trace.records import Check, Limit, Outcome, Trigger
+from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
-
-MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
-MOST_FAULT_NOTES = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +29,9 @@ class ClaimRow:
 
     section: str  # id of the scenario's section
     scenario: str
+    file: str
+    tally: Tally
+    again: bool  # another claim of the same scenario stands above
     number: int
     sentence: str
     read_as: str  # the catalogue's own wording, when it differs
@@ -49,22 +46,6 @@ class ClaimRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DecisionRow:
-    """One row of the table of decisions."""
-
-    number: int
-    time: str
-    trigger: str
-    hand: str
-    tcp: str
-    proposed: str
-    spread: str
-    outcome: str
-    failed: str
-    chosen: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class LimitRow:
     """One limit that acted, or one mode that occurred."""
 
@@ -76,10 +57,14 @@ class LimitRow:
 
 def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
     """A row for each claim of ``run``."""
+    tally = Tally.of([run.trace])
     return [
         ClaimRow(
             section=section,
             scenario=run.trace.scenario.title,
+            file=file_name(run),
+            tally=tally,
+            again=number > 1,
             number=number,
             sentence=claim.sentence,
             read_as=evaluation.sentence if evaluation.sentence != claim.sentence else "",
@@ -98,57 +83,18 @@ def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
     ]
 
 
+def file_name(run: JudgedRun) -> str:
+    """What the scenario's file is called; its name where there is none."""
+    scenario = run.trace.scenario
+    return scenario.file.name if scenario.file else scenario.name
+
+
 def _margin_sort(evaluation: Evaluation) -> str:
     return "" if evaluation.margin is None else f"{float(evaluation.margin)!r}"
 
 
 def _seconds(time_s: float | None) -> str:
-    return "\u2013" if time_s is None else f"{time_s:.2f} s"
-
-
-def decision_rows(trace: Trace) -> list[DecisionRow]:
-    """A row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm."""
-    return [
-        DecisionRow(
-            number=number,
-            time=f"{decision['time_s']:.3f}",
-            trigger=TRIGGER_WORDS[Trigger(int(decision["trigger"]))],
-            hand=point_words(decision["hand_position_in_base_m"]),
-            tcp=point_words(decision["tcp_position_in_base_m"]),
-            proposed=point_words(decision["proposed_position_in_base_m"]),
-            spread=_spread(decision["proposed_spread_m"], float(decision["spread_threshold_m"])),
-            outcome=OUTCOME_WORDS[Outcome(int(decision["outcome"]))],
-            failed=failed_words(
-                Check(int(decision["proposed_failed"])),
-                Check(int(decision["opposite_failed"])),
-                str(decision["fault"]),
-            ),
-            chosen=point_words(decision["chosen_position_in_base_m"]),
-        )
-        for number, decision in enumerate(trace.decisions[:MOST_DECISION_ROWS], start=1)
-    ]
-
-
-def _spread(spread_m: NDArray[np.float64], threshold_m: float) -> str:
-    """A predictive spread and what it may be, in words; nothing for an avoider that states none."""
-    if not np.all(np.isfinite(spread_m)) or not np.any(spread_m):
-        return ""
-    allowed = f" (at most {threshold_m * 1e3:.1f})" if np.isfinite(threshold_m) else ""
-    return point_words(spread_m) + allowed
-
-
-def fault_notes(trace: Trace) -> list[str]:
-    """A sentence on each way in which the avoider gave no usable answer, the first ones first."""
-    decisions = trace.decisions
-    counts = Counter(str(fault) for fault in decisions["fault"] if fault)
-    found = []
-    for fault, count in list(counts.items())[:MOST_FAULT_NOTES]:
-        first = decisions["time_s"][int(np.argmax(decisions["fault"] == fault))]
-        often = f"{count} of {len(decisions)} decisions, first at {first:.3f} s"
-        found.append(f"The avoider gave no usable answer ({often}): {fault}")
-    if len(counts) > MOST_FAULT_NOTES:
-        found.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
-    return found
+    return "\u2013" if time_s is None else f"{time_s:.3f} s"
 
 
 def limit_rows(trace: Trace) -> list[LimitRow]:
@@ -166,14 +112,13 @@ def mode_rows(trace: Trace) -> list[LimitRow]:
 
 def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> LimitRow:
     ticks = int(mask.sum())
-    first = f"{trace.time_s[int(np.argmax(mask))]:.2f} s" if ticks else ""
-    share = f"{100.0 * ticks / max(1, len(mask)):.1f} %"
-    return LimitRow(name=name, ticks=ticks, share=share, first=first)
+    first = f"{trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else ""
+    return LimitRow(name=name, ticks=ticks, share=share_words(ticks, len(mask)), first=first)
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """What the reader has to know: decision faults, the caller's notes, what recordings bridged."""
-    found = fault_notes(run.trace) + list(run.notes)
+    """What the reader has to know: the caller's notes, what recordings bridged."""
+    found = list(run.notes)
     for hand in run.trace.scenario.hands:
         if isinstance(hand, RecordedHand):
             found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]
@@ -198,6 +143,8 @@ class Summary:
     cut_short: int
     without_claims: int
     interrupted: bool
+    avoiders: list[tuple[str, int]]  # name, runs
+    decisions: Tally
 
     @property
     def clear(self) -> bool:
@@ -209,6 +156,7 @@ class Summary:
 
 def summarise(runs: Sequence[JudgedRun], *, interrupted: bool) -> Summary:
     """Counts over all runs."""
+    traces = [run.trace for run in runs]
     return Summary(
         runs=len(runs),
         claims=sum(len(run.evaluations) for run in runs),
@@ -219,4 +167,6 @@ def summarise(runs: Sequence[JudgedRun], *, interrupted: bool) -> Summary:
         cut_short=sum(not run.trace.complete for run in runs),
         without_claims=sum(not run.evaluations for run in runs),
         interrupted=interrupted,
+        avoiders=avoiders(traces),
+        decisions=Tally.of(traces),
     )

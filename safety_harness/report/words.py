@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.properties.repulsive_pose import BEYOND_M, RepulsivePosesReachable
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, Mode, Outcome, Trigger
 
@@ -31,6 +32,17 @@ OUTCOME_WORDS = {
     Outcome.OPPOSITE: "opposite pose",
     Outcome.STOP: "protective stop",
 }
+CHECK_MEANINGS = {
+    Check.NOT_FINITE: "the avoider raised an error, or answered with something that is no position",
+    Check.UNREACHABLE: "no joint angles within their limits put the TCP there",
+    Check.PATH_UNREACHABLE: "the arm could be there, but cannot go there straight",
+    Check.TABLE: "the TCP would end too near to the table, or below its surface",
+    Check.UNCERTAIN: "the largest spread of the proposal is above the avoider's own threshold",
+    Check.NEAR_REACH_LIMIT: "reachable, but the straight way ends hardly farther than that",
+    Check.TOWARDS_A_HAND: "the straight way does not lead away from every predicted hand",
+    Check.ROBOT_ITSELF: "on the way the wrist comes too near to the robot's base, shoulder or upper arm",
+    Check.LATE: "the avoider had not answered when the decision deadline was over",
+}
 _UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI unit
     ("_mps2", "mm/s\u00b2", 1e3),
     ("_mps", "mm/s", 1e3),
@@ -44,6 +56,7 @@ _UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI 
 )
 _LENGTH_IN_SENTENCE = re.compile(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)(?![\w/])")
 _SPEED_IN_SENTENCE = re.compile(r"(\d+(?:\.\d+)?)\s*(mm|cm|m)/s(?![\w\u00b2^])")
+_REACHABLE = {RepulsivePosesReachable(proposed=proposed).sentence for proposed in (False, True)}
 _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
@@ -52,10 +65,56 @@ def with_minus(text: str) -> str:
     return re.sub(r"-(?=[\d.])", "\u2212", text)
 
 
+def count_words(count: int, one: str, many: str) -> str:
+    """A number and what is counted, in the singular or the plural."""
+    return f"{count} {one if count == 1 else many}"
+
+
 def margin_words(evaluation: Evaluation) -> str:
-    """The margin with sign and unit; a dash where there is none."""
+    """The margin with sign and unit, "at least" where nothing beyond was looked for; a dash for none."""
+    margin_m = evaluation.margin
+    if evaluation.sentence in _REACHABLE and margin_m is not None and margin_m >= BEYOND_M - 1e-9:
+        return f"at least {BEYOND_M * 1e3:.0f} mm"
     text = evaluation.margin_text()
     return "\u2013" if text == "-" else with_minus(text)
+
+
+def share_words(count: int, total: int) -> str:
+    """Per cent with one decimal; never 0 % of something nor 100 % of less than all."""
+    if total == 0:
+        return "\u2013"
+    if count in (0, total):
+        return "0 %" if count == 0 else "100 %"
+    per_mille = round(1000.0 * count / total)
+    if per_mille == 0:
+        return "under 0.1 %"
+    return "over 99.9 %" if per_mille == 1000 else f"{per_mille / 10:.1f} %"
+
+
+def milliseconds_words(time_s: float) -> str:
+    """A duration in ms with two significant digits, more only before the decimal point."""
+    shown = time_s * 1e3
+    return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
+
+
+def spread_words(spread_m: NDArray[np.float64], threshold_m: float) -> str:
+    """The largest axis of a predictive spread (3,) [mm], and what it may be at most.
+
+    Empty for an avoider that states neither.  As many digits as it takes to see which is larger.
+    """
+    limited = bool(np.isfinite(threshold_m))
+    if not limited and not (np.all(np.isfinite(spread_m)) and np.any(spread_m)):
+        return ""
+    if not np.all(np.isfinite(spread_m)):
+        return "\u2013"
+    largest, allowed = float(np.max(spread_m)) * 1e3, threshold_m * 1e3
+    if not limited:
+        return f"{largest:.1f}"
+    digits = 1
+    while digits < 12 and largest != allowed and round(largest, digits) == round(allowed, digits):
+        digits += 1
+    sign = ">" if largest > allowed else "\u2264"
+    return f"{largest:.{digits}f} {sign} {allowed:.{digits}f}"
 
 
 def point_words(position_m: NDArray[np.float64]) -> str:

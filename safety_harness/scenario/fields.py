@@ -20,7 +20,7 @@ from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
 from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
 from safety_harness.settings import Vector3
 
-LARGEST_COORDINATE_M = 100.0  # beyond it: a slip of the unit, not a workplace
+LARGEST_COORDINATE_M = 10.0  # beyond it: a slip of the unit, not a workplace
 LARGEST_ANGLE_RAD = 2.0 * pi
 
 E = TypeVar("E", bound=Enum)

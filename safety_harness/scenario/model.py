@@ -194,9 +194,13 @@ class Scenario:
     file: Path | None = field(default=None, compare=False)
     places: dict[str, Place] = field(default_factory=dict, compare=False)
 
-    def place(self, name: str) -> Place:
-        """Where the field ``name`` stands in the file, for an error found after reading."""
-        return self.places.get(name, Place(file=self.file, field=name))
+    def place(self, *names: str) -> Place:
+        """Where the first of the fields that the file has stands in it, for an error found after reading.
+
+        A file that has none of them, and keeps the defaults, is named without a line.
+        """
+        written = next((name for name in names if name in self.places), names[0])
+        return self.places.get(written, Place(file=self.file, field=written))
 
     @property
     def ticks(self) -> int:

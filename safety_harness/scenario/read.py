@@ -16,16 +16,15 @@ from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, F
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import parse_tree
-from safety_harness.scenario.read_hands import read_hands, read_position
+from safety_harness.scenario.read_hands import LONGEST_S, read_hands, read_position
 from safety_harness.scenario.settings_keys import read_group, setting_keys
 from safety_harness.scenario.units import ANGLE, TIME, shown
 from safety_harness.settings import DEFAULTS, Settings
 
 MAX_BYTES = 1_000_000
-LONGEST_S = 3600.0
 MOST_TICKS = 1_000_000
 LARGEST_SEED = 2**63 - 1
-DEFAULT_AVOIDER = "opposite pose"
+DEFAULT_AVOIDER = "mc-dropout"
 
 KEYS = (
     "scenario",
@@ -100,6 +99,8 @@ def _about(field: Field | None) -> str:
 
 def _duration(field: Field, settings: Settings) -> float:
     duration_s = field.quantity(TIME, above=0.0, most=LONGEST_S)
+    if duration_s < settings.clock.control_period_s:
+        raise field.error(f"at least one control period, {settings.clock.control_period_s:g} s")
     if duration_s > MOST_TICKS * settings.clock.control_period_s:
         raise field.error(f"at most {MOST_TICKS:,} control periods")
     return duration_s

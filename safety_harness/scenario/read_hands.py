@@ -22,11 +22,15 @@ from safety_harness.scenario.model import (
     Wait,
     Withdraw,
 )
-from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
+from safety_harness.scenario.recording import load_recording
+from safety_harness.scenario.recording_table import MAX_BYTES, Recording, parse_recording
 from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss, shown
 from safety_harness.settings import Settings, Vector3
 
-_FASTEST_MPS = 100.0
+LONGEST_S = 3600.0  # of a run, and of anything in it
+FASTEST_MPS = 20.0
+LARGEST_FACTOR = 10.0
+LONGEST_GAP_S = 10.0
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 
 DEFAULT_LONGEST_GAP_S = 0.2
@@ -145,11 +149,11 @@ _MOVES: dict[str, tuple[tuple[str, ...], Callable[[Fields], HandMove]]] = {
 
 
 def _speed(field: Field) -> float:
-    return field.quantity(SPEED, above=0.0, most=_FASTEST_MPS)
+    return field.quantity(SPEED, above=0.0, most=FASTEST_MPS)
 
 
 def _duration(field: Field) -> float:
-    return field.quantity(TIME, above=0.0)
+    return field.quantity(TIME, above=0.0, most=LONGEST_S)
 
 
 def _distance(field: Field) -> float:
@@ -164,11 +168,13 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
     name = hand.optional("hand")
     starts_at_in_base_m = read_position(hand.required("starts at"))
     turn_rad = hand.quantity("turned", ANGLE, 0.0, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
-    speed_factor = hand.quantity("speed factor", NUMBER, 1.0, least=0.01, most=100.0)
+    speed_factor = hand.quantity("speed factor", NUMBER, 1.0, least=0.01, most=LARGEST_FACTOR)
     from_s = hand.quantity("from", TIME, None)
     to_s = hand.quantity("to", TIME, None)
-    longest_gap_s = hand.quantity("longest gap", TIME, DEFAULT_LONGEST_GAP_S, above=0.0)
-    fastest_jump_mps = hand.quantity("fastest jump", SPEED, DEFAULT_FASTEST_JUMP_MPS, above=0.0)
+    longest_gap_s = hand.quantity("longest gap", TIME, DEFAULT_LONGEST_GAP_S, above=0.0, most=LONGEST_GAP_S)
+    fastest_jump_mps = hand.quantity(
+        "fastest jump", SPEED, DEFAULT_FASTEST_JUMP_MPS, above=0.0, most=FASTEST_MPS
+    )
     return RecordedHand(
         name=name.sentence("a name for the hand") if name else track.replace("_", " "),
         recording=path,
@@ -195,6 +201,7 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
             to_s=to_s,
             longest_gap_s=longest_gap_s,
             fastest_jump_mps=fastest_jump_mps,
+            places={key: hand.required(key).place for key in hand},
         ),
     )
 

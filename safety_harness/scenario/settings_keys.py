@@ -8,12 +8,12 @@ follows from the unit at the end of its name, the form of its value from its typ
 from __future__ import annotations
 
 import typing
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import Any, TypeVar
 
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
+from safety_harness.scenario.bounds import Bounds, bounds_of
+from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import (
     ACCELERATION,
     ANGLE,
@@ -80,32 +80,6 @@ _DIMENSIONS: tuple[tuple[str, Dimension], ...] = (
 _FRAMES = ("_in_base", "_in_tcp")
 _MAPPINGS = ("calibration error",)  # keys that share these first words stand in a mapping of their own
 
-# A single number is above zero unless it stands here.
-MAY_BE_NEGATIVE = frozenset({"table_height_m", "object_yaw_rad", "mount_yaw_rad"})
-MAY_BE_ZERO = frozenset(
-    {
-        "latency_s",
-        "pixel_noise_px",
-        "depth_noise_per_m",
-        "dropout_probability",
-        "prediction_horizon_s",
-        "gain_switch_sse",
-        "critical_distance_m",  # zero: no avoidance at all
-        "hand_pull",
-        "reaction_time_s",
-        "stop_time_base_s",
-        "stop_time_per_speed_s2pm",
-    }
-)
-# Beyond these a run would fill the memory or never end.
-_MOST: Mapping[str, int] = {
-    "width_px": 4096,
-    "height_px": 4096,
-    "candidate_count": 100_000,
-    "physics_substeps": 100,
-}
-_LARGEST: Mapping[str, float] = {LENGTH.name: LARGEST_COORDINATE_M, ANGLE.name: LARGEST_ANGLE_RAD}
-
 
 @dataclass(frozen=True, kw_only=True)
 class SettingKey:
@@ -115,15 +89,16 @@ class SettingKey:
     words: tuple[str, ...]  # ("critical distance",), or ("calibration error", "offset")
     dimension: Dimension
     kind: object  # the field's type
+    bounds: Bounds  # of the value, or of each of its numbers
 
 
 def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
     """The keys of one settings dataclass, in its order."""
     kinds = typing.get_type_hints(group)
-    return tuple(_setting_key(field.name, kinds[field.name]) for field in fields(group))
+    return tuple(_setting_key(group.__name__, field.name, kinds[field.name]) for field in fields(group))
 
 
-def _setting_key(name: str, kind: object) -> SettingKey:
+def _setting_key(group: str, name: str, kind: object) -> SettingKey:
     stem, dimension = name, NUMBER
     for suffix, candidate in _DIMENSIONS:
         if name.endswith(suffix):
@@ -132,10 +107,13 @@ def _setting_key(name: str, kind: object) -> SettingKey:
     for frame in _FRAMES:
         stem = stem.removesuffix(frame)
     key = stem.replace("_", " ")
+    words: tuple[str, ...] = (key,)
     for first in _MAPPINGS:
         if key.startswith(first + " "):
-            return SettingKey(name=name, words=(first, key[len(first) + 1 :]), dimension=dimension, kind=kind)
-    return SettingKey(name=name, words=(key,), dimension=dimension, kind=kind)
+            words = (first, key[len(first) + 1 :])
+    several = typing.get_origin(kind) is tuple
+    bounds = bounds_of(group, name, dimension, several=several)
+    return SettingKey(name=name, words=words, dimension=dimension, kind=kind, bounds=bounds)
 
 
 def read_group(field: Field, default: G) -> G:
@@ -185,14 +163,11 @@ def _read(field: Field, key: SettingKey, default: Any) -> Any:
     kind = key.kind
     if isinstance(kind, type) and issubclass(kind, Enum):
         return field.choice(kind)
-    if kind == Vector3:
-        return field.vector(key.dimension, largest=_LARGEST[key.dimension.name])
-    if kind == tuple[float, ...]:
-        count = len(default)
-        expected = f"a list of {count}, each {key.dimension.expected}"
-        return tuple(item.quantity(key.dimension) for item in field.items(expected, count=count))
     if kind == _Polygon:
-        return _read_polygon(field, key.dimension)
+        return _read_polygon(field, key)
+    if kind in (Vector3, tuple[float, ...]):
+        expected = f"a list of {len(default)}, each {key.dimension.expected}"
+        return tuple(_read_number(item, key) for item in field.items(expected, count=len(default)))
     if kind is int:
         return _read_count(field, key)
     if kind == float | None and field.scalar(key.dimension.expected).strip() == EVERY_TICK:
@@ -203,30 +178,24 @@ def _read(field: Field, key: SettingKey, default: Any) -> Any:
 
 
 def _read_number(field: Field, key: SettingKey) -> float:
-    most = 1.0 if key.dimension is FRACTION else None
-    if key.name in MAY_BE_NEGATIVE:
-        return field.quantity(key.dimension, most=most)
-    if key.name in MAY_BE_ZERO:
-        return field.quantity(key.dimension, least=0.0, most=most)
-    return field.quantity(key.dimension, above=0.0, most=most)
+    return field.quantity(key.dimension, least=key.bounds.least, most=key.bounds.most)
 
 
 def _read_count(field: Field, key: SettingKey) -> int:
-    most = _MOST[key.name]
     if key.dimension is NUMBER:
-        return field.integer(least=1, most=most)
-    value = field.quantity(key.dimension, least=1, most=most)
+        return field.integer(least=int(key.bounds.least), most=int(key.bounds.most))
+    value = _read_number(field, key)
     if value != int(value):
         raise field.error(f"a whole {key.dimension.name}")
     return int(value)
 
 
-def _read_polygon(field: Field, dimension: Dimension) -> _Polygon:
-    expected = "a list of at least three corners, each a list of two lengths such as [40 mm, -30 mm]"
+def _read_polygon(field: Field, key: SettingKey) -> _Polygon:
+    expected = "a list of three to 100 corners, each a list of two lengths such as [40 mm, -30 mm]"
     corners = []
-    for corner in field.items(expected, least=3):
+    for corner in field.items(expected, least=3, most=100):
         x, y = corner.items("a corner such as [40 mm, -30 mm]", count=2)
-        corners.append((x.quantity(dimension), y.quantity(dimension)))
+        corners.append((_read_number(x, key), _read_number(y, key)))
     return tuple(corners)
 
 

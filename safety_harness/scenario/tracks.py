@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,8 @@ class Track:
     """The samples of one point within the window that is used.
 
     ``time_s`` (n,) rises strictly; ``position_m`` (n, 3) is NaN where a cell was empty; ``line``
-    (n,) is each sample's line in ``file``, for messages; ``window_s`` is what was asked for.
+    (n,) is each sample's line in ``file``, for messages; ``window_s`` is what was asked for;
+    ``longest_step_s`` is the longest time between two rows between which none is missing.
     """
 
     name: str
@@ -30,11 +31,11 @@ class Track:
     position_m: NDArray[np.float64]
     line: NDArray[np.int64]
     window_s: tuple[float, float]
+    longest_step_s: float = field(init=False)
 
-    @property
-    def period_s(self) -> float:
-        """The usual time between two samples."""
-        return float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0
+    def __post_init__(self) -> None:
+        usual_s = float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0
+        object.__setattr__(self, "longest_step_s", _MISSING_ROWS * usual_s)
 
     def error(self, index: int, *, expected: str, got: str, hint: str = "") -> RecordingError:
         """The error for the sample ``index``."""
@@ -88,7 +89,7 @@ def mend(track: Track, *, longest_gap_s: float, fastest_jump_mps: float) -> Mend
         if gap_s > longest_gap_s + _ROUNDING_S:
             ends_s = float(track.time_s[before]), float(track.time_s[after])
             raise _too_long(track, before + 1, ends_s, seen, longest_gap_s)
-        if after - before > 1 or gap_s > _MISSING_ROWS * track.period_s:
+        if after - before > 1 or gap_s > track.longest_step_s:
             bridged_s.append(gap_s)
     return MendedTrack(track, usable, _note(track, good, bridged_s, jumps))
 
@@ -102,7 +103,7 @@ def _without_jumps(
     another marker's.  So is each sample that follows it without a break or a second jump:
     time alone makes a swapped marker plausible again, although it has not come back.
     """
-    time_s, position_m, limit_s = track.time_s, track.position_m, _MISSING_ROWS * track.period_s
+    time_s, position_m, limit_s = track.time_s, track.position_m, track.longest_step_s
     usable = np.zeros(len(seen), dtype=np.bool_)
     indices = np.flatnonzero(seen).tolist()
     last_good = previous = -1

@@ -130,7 +130,7 @@ def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Setti
     under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
     if under_way > RING:
         raise SettingsError(
-            place=Place(field=f"{field}: latency"),
+            place=Place(field=f"{field}.latency"),
             expected=f"at most {RING - 2} frames under way at a time",
             got=f"{latency_s:g} s, which is {under_way - 2.0:.0f} frames",
         )

@@ -44,10 +44,12 @@ def simulate(
     except KeyboardInterrupt:
         ended = INTERRUPTED
     decisions = controller.decisions
+    decisions = decisions[decisions["tick"] < done]  # not one of a tick that Ctrl-C cut short
     return Trace(
         scenario=scenario,
         ticks=ticks[:done],  # no copy: that would fill the padding between fields with anything
-        decisions=decisions[decisions["tick"] < done],  # not one of a tick that Ctrl-C cut short
+        decisions=decisions,
+        decision_latency_s=controller.decision_latencies_s[: len(decisions)],
         provenance=provenance(world.name, controller.name),
         ended=ended,
     )

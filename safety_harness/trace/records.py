@@ -64,6 +64,7 @@ class Check(IntFlag):
     NEAR_REACH_LIMIT = 32  # reachable, but hardly farther than that
     TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
+    LATE = 256  # no answer within the decision deadline
 
 
 TICK = np.dtype(

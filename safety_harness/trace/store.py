@@ -1,7 +1,9 @@
 """Traces on disk: one zip of plain arrays and JSON, loaded without executing anything.
 
 A file holds the scenario's text with exact values, the recordings that it uses, the ticks, the
-decisions and the provenance, and a hash over all of that.  No pickle.
+decisions and the provenance, and a hash over all of that.  No pickle.  The hashes find damage, not
+intent: who edits a file can write them anew.  What contradicts itself is refused all the same, and
+whether the rest is true is seen by repeating the run.
 """
 
 from __future__ import annotations
@@ -23,10 +25,11 @@ from safety_harness.exceptions import InputError, Place, TraceError
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Provenance, Trace
 
-FORMAT = "safety-harness trace 1"
+FORMAT = "safety-harness trace 2"
 LARGEST_BYTES = 4 * 2**30  # unpacked; a trace of an hour is some 0.6 GB
 
 
@@ -37,7 +40,12 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
     from the files that the scenario names.
     """
     parts: dict[str, bytes] = {"scenario.yaml": write_scenario(trace.scenario, all_settings=True).encode()}
-    for name, array in (("ticks.npy", trace.ticks), ("decisions.npy", trace.decisions)):
+    arrays = {
+        "ticks.npy": trace.ticks,
+        "decisions.npy": trace.decisions,
+        "latencies.npy": trace.decision_latency_s,
+    }
+    for name, array in arrays.items():
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, array, allow_pickle=False)
         parts[name] = buffer.getvalue()
@@ -81,7 +89,7 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
 
 
 def load_trace(path: Path) -> Trace:
-    """Read a trace; TraceError says what is wrong with a file that is none, or is damaged."""
+    """Read a trace; TraceError says what is wrong with a file that is none, damaged or contradictory."""
     return _Reader(path).trace()
 
 
@@ -95,13 +103,22 @@ class _Reader:
     def trace(self) -> Trace:
         self._check_hashes()
         run = self._json("run.json", {"scenario_name", "scenario_file", "ended", "provenance"})
-        return Trace(
+        decisions = self._array("decisions.npy", DECISION)
+        latencies_s = self._array("latencies.npy", np.dtype(np.float64))
+        if len(latencies_s) != len(decisions):
+            raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
+        trace = Trace(
             scenario=self._scenario(run),
             ticks=self._array("ticks.npy", TICK),
-            decisions=self._array("decisions.npy", DECISION),
+            decisions=decisions,
+            decision_latency_s=latencies_s,
             provenance=self._provenance(run),
             ended=str(run["ended"]),
         )
+        wrong = first_inconsistency(trace)
+        if wrong is not None:
+            raise self._error(wrong.expected, wrong.got, wrong.where)
+        return trace
 
     def _error(self, expected: str, got: str, field: str | None = None) -> TraceError:
         return TraceError(place=Place(file=self._path, field=field), expected=expected, got=got)
@@ -168,7 +185,7 @@ class _Reader:
         except InputError as error:
             raise self._error("a scenario that this version reads", str(error), "scenario.yaml") from error
 
-    def _array(self, name: str, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    def _array(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
         try:
             array = np.lib.format.read_array(io.BytesIO(self._parts[name]), allow_pickle=False)
         except (KeyError, ValueError, EOFError, OSError) as error:

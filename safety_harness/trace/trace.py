@@ -21,6 +21,7 @@ class Provenance:
     python: str
     platform: str
     libraries: tuple[tuple[str, str], ...]  # (name, version)
+    avoider_sha256: str = ""  # of the file that the avoider came from; empty for one without
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,17 +30,21 @@ class Trace:
 
     A run that was cut short has fewer ticks than ``scenario.ticks`` + 1 (both ends of the
     duration are recorded) and ``ended`` says why; no property takes it for a safe one.
+    ``decision_latency_s`` (m,) is the wall-clock time that each decision took: the one thing here that
+    a repetition does not give again, and nothing but reports reads it.
     """
 
     scenario: Scenario
     ticks: NDArray[np.void]
     decisions: NDArray[np.void]
+    decision_latency_s: NDArray[np.float64]
     provenance: Provenance
     ended: str = "complete"
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)
         self.decisions.setflags(write=False)
+        self.decision_latency_s.setflags(write=False)
 
     @property
     def complete(self) -> bool:

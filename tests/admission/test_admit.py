@@ -89,7 +89,7 @@ def test_a_symmetric_object_is_refused() -> None:
 
 def test_an_eye_in_hand_sensor_with_other_optics_is_refused() -> None:
     sensor = HandSensor(kind=HandSensorKind.EYE_IN_HAND, focal_px=500.0)
-    assert "focal_px" in refusal(scenario(settings=replace(DEFAULTS, hand_sensor=sensor))).expected
+    assert "focal, 615 px" in refusal(scenario(settings=replace(DEFAULTS, hand_sensor=sensor))).expected
 
 
 def test_more_frames_under_way_than_can_be_kept_are_refused() -> None:

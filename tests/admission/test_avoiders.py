@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,8 @@ from examples import VISIT, Displaced, run, scenario
 from safety_harness import admit, judge, parse_scenario, write_scenario
 from safety_harness.admission.avoiders import NAMES, resolve_avoider, with_avoider
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 
@@ -56,9 +59,26 @@ def up(avoider: Avoider) -> float:
     return float(proposal.position_in_base_m[2] - here[2])
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", sorted(set(NAMES) - set(SHIPPED)))
 def test_a_name_of_ours_is_the_avoider_of_that_name(name: str) -> None:
     assert resolve_avoider(name, scenario(), folder=None).name == name
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_name_of_a_shipped_network_is_that_network_calibrated(name: str) -> None:
+    avoider = resolve_avoider(name, scenario(), folder=None)
+    assert isinstance(avoider, LearnedAvoider)
+    assert avoider.spread_threshold_m is not None
+    assert avoider.model.card["recipe"]["name"] == name
+
+
+def test_a_run_says_which_file_its_avoider_came_from(tmp_path: Path) -> None:
+    write(tmp_path, GOOD)
+    digest = hashlib.sha256((tmp_path / "mine.py").read_bytes()).hexdigest()
+    assert admit(named("mine.py:Mine", tmp_path)).avoider_sha256 == digest
+    shipped = hashlib.sha256(shipped_model("mc-dropout").read_bytes()).hexdigest()
+    assert admit(scenario(avoider="mc-dropout")).avoider_sha256 == shipped
+    assert admit(scenario(avoider="opposite pose")).avoider_sha256 == ""
 
 
 def test_a_class_and_an_object_of_a_file_are_avoiders(tmp_path: Path) -> None:

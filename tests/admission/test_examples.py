@@ -76,6 +76,17 @@ def test_a_model_file_of_another_workspace_is_refused(model_file: Path) -> None:
         admit(replace(visit(str(model_file)), settings=elsewhere))
 
 
+def test_an_onnx_file_decides(tmp_path: Path) -> None:
+    path = tmp_path / "up.onnx"
+    subprocess.run([sys.executable, str(EXAMPLES / "onnx_model.py"), str(path)], check=True, cwd=ROOT)
+    decisions = run(str(path)).decisions
+    assert (decisions["outcome"] == Outcome.PROPOSED).all()
+    up = decisions["chosen_position_in_base_m"] - decisions["tcp_position_in_base_m"]
+    assert up == pytest.approx(np.tile([0.0, 0.0, 0.1], (len(up), 1)), abs=1e-6)
+    assert decisions["proposed_spread_m"] == pytest.approx(np.full((len(up), 3), 0.005))
+    assert decisions["spread_threshold_m"] == pytest.approx(0.01)
+
+
 def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "mine.safetensors"
     file.write_bytes(b"import os")

@@ -335,12 +335,12 @@ def test_a_damaged_header_is_refused_or_still_makes_a_sound_model(position: int,
 
 
 def test_a_model_of_another_workspace_is_refused(tmp_path: Path) -> None:
-    refuse_foreign_seen_space(MODEL, DEFAULTS, tmp_path)
+    refuse_foreign_seen_space(MODEL.seen, DEFAULTS, tmp_path)
     elsewhere = replace(MODEL.seen, tcp_low_m=(-0.7, -0.2, 0.2), tcp_high_m=(-0.5, 0.2, 0.5))
     with pytest.raises(ModelError, match="another workspace") as caught:
-        refuse_foreign_seen_space(replace(MODEL, seen=elsewhere), DEFAULTS, tmp_path)
+        refuse_foreign_seen_space(elsewhere, DEFAULTS, tmp_path)
     assert "tcp" in str(caught.value.place.field)
     elsewhere = replace(MODEL.seen, hand_low_m=(0.5, 0.1, -0.3), hand_high_m=(1.2, 0.7, 0.3))
     with pytest.raises(ModelError, match="another workspace") as caught:
-        refuse_foreign_seen_space(replace(MODEL, seen=elsewhere), DEFAULTS, tmp_path)
+        refuse_foreign_seen_space(elsewhere, DEFAULTS, tmp_path)
     assert "hand" in str(caught.value.place.field)

@@ -35,7 +35,7 @@ def good(tmp_path: Path) -> Path:
 
 def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "safety_harness.cli.main", *map(str, arguments)],
+        [sys.executable, "-m", "safety_harness", *map(str, arguments)],
         capture_output=True,
         text=True,
     )
@@ -156,7 +156,7 @@ def test_ctrl_c_keeps_what_was_finished(good: Path, tmp_path: Path) -> None:
         [
             sys.executable,
             "-m",
-            "safety_harness.cli.main",
+            "safety_harness",
             "run",
             str(good),
             str(long),
@@ -167,6 +167,8 @@ def test_ctrl_c_keeps_what_was_finished(good: Path, tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        # A test run in the background ignores Ctrl-C, and its children would too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     finished = tmp_path / "o" / "traces" / "good.trace"
     deadline = time.monotonic() + 300.0

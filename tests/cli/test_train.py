@@ -27,14 +27,16 @@ def test_a_recipe_and_a_data_set_make_a_model_file_that_says_how(
     assert train("trial-mc-dropout", data=data, seed=4, out=tmp_path) == 0
     model = load_model(tmp_path / MODEL)
     assert (model.dropout, model.members, model.passes) == (Dropout.INTER, 1, 10)
-    assert model.calibration is None
+    assert model.calibration is not None
+    assert model.calibration.samples == 10_000
     box = seen(DEFAULTS)
     assert model.seen.tcp_low_m == box.tcp.outer.low_m
     assert model.seen.hand_high_m == box.hand.outer.high_m
     assert model.card["data"]["sha256"] == data_hash(load_dataset(data))
     assert model.card["command"].startswith("safety-harness train trial-mc-dropout --seed 4")
     out, err = capsys.readouterr()
-    assert out == f"model: {tmp_path / MODEL}\n"
+    assert out.splitlines()[-1] == f"model: {tmp_path / MODEL}"
+    assert f"spread threshold: {1e3 * model.calibration.spread_threshold_m:.2f} mm" in out
     assert err.count("RMSE") == 8
     assert "epoch 8/8" in err
 

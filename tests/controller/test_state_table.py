@@ -269,6 +269,19 @@ def test_a_lost_object_does_not_blind_it_to_hands() -> None:
     assert mode(bench.tick(AWAY)) is Mode.OBJECT_LOST  # on arrival there is still nothing to servo on
 
 
+def test_with_the_object_lost_it_stops_where_no_pose_can_be_reached_and_is_released_to_it() -> None:
+    bench = Bench(avoider=UNREACHABLE, gate=NO_FALLBACK)
+    bench.object_seen = False
+    assert mode(bench.tick()) is Mode.OBJECT_LOST
+    stopped(bench)
+    assert bench.command["protective_stop"].all()
+    assert Trigger(last(bench)["trigger"]) is Trigger.HAND_ENTERED
+    modes = [mode(bench.tick(AWAY)) for _ in range(250)]
+    assert modes[0] is Mode.PROTECTIVE_STOP
+    assert modes[-1] is Mode.OBJECT_LOST  # there is still nothing to servo on
+    assert Mode.SERVOING not in modes
+
+
 def test_features_that_are_no_numbers_are_an_object_lost() -> None:
     bench = Bench()
     observation = bench.observation(())

@@ -102,6 +102,15 @@ def test_places_are_three_between_the_stages_or_one_before_each_layer() -> None:
     assert list(lively(Dropout.FULL).places) == [n for n in layers if not n.endswith(".bias")]
 
 
+def test_no_masks_of_a_network_without_dropout_are_no_dropout() -> None:
+    network = lively(Dropout.NONE)
+    x = torch.from_numpy(INPUTS).float()
+    assert torch.equal(network(x, []), network(x))
+    assert torch.equal(network(x, torch.ones(0, 32)), network(x))
+    with pytest.raises(ValueError, match="expected 0 dropout masks, got 1"):
+        network(x, torch.ones(1, 32))
+
+
 def test_a_wrong_number_of_masks_is_refused() -> None:
     with pytest.raises(ValueError, match="expected 3 dropout masks, got 2"):
         lively(Dropout.INTER)(torch.ones(1, 7), torch.ones(2, 32))

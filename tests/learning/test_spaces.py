@@ -5,14 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from safety_harness.exceptions import DatasetError
 from safety_harness.learning.spaces import (
     SPACES,
-    Box,
-    Region,
     Space,
     seen,
     space_named,
@@ -74,43 +70,6 @@ def test_a_table_above_the_seen_hands_leaves_the_shell_whole() -> None:
     assert not seen(high).hand.contains(hands).any()
 
 
-def test_a_shell_is_filled_evenly() -> None:
-    """Every octant-and-layer cell of a grid gets its share of the points, by its volume in the shell."""
-    shell = unseen_tcp(DEFAULTS).tcp
-    points = shell.draw(rng(), 200_000)
-    low, high = np.array(shell.outer.low_m), np.array(shell.outer.high_m)
-    cells = np.floor(8.0 * (points - low) / (high - low)).astype(int).clip(0, 7)  # the hole is 2..5 of 8
-    counts = np.zeros((8, 8, 8), int)
-    np.add.at(counts, tuple(cells.T), 1)
-    hole = np.zeros((8, 8, 8), bool)
-    hole[2:6, 2:6, 2:6] = True
-    assert counts[hole].sum() == 0
-    expected = len(points) / np.count_nonzero(~hole)
-    chi_squared = ((counts[~hole] - expected) ** 2 / expected).sum()
-    degrees = np.count_nonzero(~hole) - 1
-    assert chi_squared < degrees + 5.0 * np.sqrt(2.0 * degrees)
-
-
-@given(data=st.data())
-@settings(max_examples=30, deadline=None)
-def test_a_hole_anywhere_in_the_box_is_avoided(data: st.DataObject) -> None:
-    """Also a hole that touches the outer box, or goes right through it along an axis."""
-    bounds = st.lists(st.integers(0, 4), min_size=2, max_size=2, unique=True).map(sorted)
-    hole = np.array([data.draw(bounds) for _ in range(3)], float)
-    if np.all(hole == [0.0, 4.0]):
-        return
-    region = Region(Box((0.0, 0.0, 0.0), (4.0, 4.0, 4.0)), Box(tuple(hole[:, 0]), tuple(hole[:, 1])))
-    points = region.draw(rng(), 2_000)
-    strictly_inside = np.all((points > hole[:, 0]) & (points < hole[:, 1]), axis=1)
-    assert not strictly_inside.any()
-    assert region.contains(points).all()
-    share_left = np.mean(points[:, 0] < 2.0)
-    grid = np.stack(np.meshgrid(*[np.arange(0.25, 4.0, 0.5)] * 3), axis=-1).reshape(-1, 3)
-    kept = grid[region.contains(grid)]
-    expected = np.mean(kept[:, 0] < 2.0)
-    assert share_left == pytest.approx(expected, abs=5.0 * np.sqrt(0.25 / len(points)))
-
-
 def test_nan_is_nowhere() -> None:
     nowhere, somewhere = np.array([np.nan, 0.0, 0.35]), DESIRED
     assert not SEEN.tcp.contains(nowhere)
@@ -118,15 +77,6 @@ def test_nan_is_nowhere() -> None:
     assert not SEEN.contains(hand_in_base_m=np.full(3, np.nan), tcp_in_base_m=somewhere)
 
 
-def test_impossible_bounds_and_unknown_names_are_refused() -> None:
-    unit = Box((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-    with pytest.raises(DatasetError, match="below its upper"):
-        Box((0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
-    with pytest.raises(DatasetError, match="below its upper"):
-        Box((0.0, 0.0, 0.0), (1.0, float("nan"), 1.0))
-    with pytest.raises(DatasetError, match="hole inside"):
-        Region(unit, Box((0.5, 0.5, 0.5), (1.5, 0.6, 0.6)))
-    with pytest.raises(DatasetError, match="leaves something"):
-        Region(unit, unit)
+def test_unknown_names_are_refused() -> None:
     with pytest.raises(DatasetError, match="'unseen both'"):
         space_named("unseen", DEFAULTS)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,9 +11,11 @@ from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHan
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.properties.base import Property
+from safety_harness.properties.giving_way import MovesAway
 from safety_harness.properties.hand_distance import HandDistance, closest_approach
+from safety_harness.properties.hand_paths import hand_paths
 from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
-from safety_harness.properties.repulsive_pose import MovesAway, RepulsivePosesReachable
+from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.scenario.model import FollowTcp, MoveTo, Verdict, Wait
 from safety_harness.settings import DEFAULTS, GateKind
@@ -126,7 +128,7 @@ def test_an_unreachable_proposal_is_counted_even_when_the_gate_refused_it() -> N
 
 def test_without_the_gate_an_unreachable_position_is_chosen() -> None:
     gate = Gate.of(DEFAULTS, kinematics())
-    broken = PassingGate(gate.kinematics, gate.fallback, gate.min_singular_value, gate.lowest_tcp_height_m)
+    broken = PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
     trace = run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=broken)
     assert RepulsivePosesReachable(proposed=False).evaluate(trace).verdict is Verdict.VIOLATED
 
@@ -167,7 +169,7 @@ def test_the_closest_approach_between_ticks_counts() -> None:
     passing = hand(MoveTo(position_in_base_m=(0.9, 0.9, 0.30), speed_mps=16.0), at=(0.9, -0.836, 0.30))
     trace = run(scenario(passing, duration_s=0.3))
     at_ticks = trace.ticks["hand_distance_m"][:, 0].min()
-    distance_m, time_s, _ = closest_approach(trace)
+    distance_m, time_s, _ = closest_approach(trace, hand_paths(trace))
     assert distance_m < at_ticks - 1e-3
     assert not np.isclose(np.mod(time_s, 0.008), 0.0, atol=1e-6)
 

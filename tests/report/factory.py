@@ -117,12 +117,12 @@ def trace(
         out["mode"][(time > leaves - 0.6) & (time < leaves)] = Mode.PROTECTIVE_STOP
         out["limits"][(time > enters) & (time < enters + 0.4)] = Limit.TCP_SPEED | Limit.TCP_ACCELERATION
     out["decision"] = -1
+    made = decisions(out, (enters, enters + 1.5, leaves - 0.6)) if source.hands else np.zeros(0, DECISION)
     return Trace(
         scenario=source,
         ticks=out,
-        decisions=decisions(out, (enters, enters + 1.5, leaves - 0.6))
-        if source.hands
-        else np.zeros(0, DECISION),
+        decisions=made,
+        decision_latency_s=np.full(len(made), 1.2e-4),
         provenance=PROVENANCE,
         ended=ended,
     )
@@ -140,6 +140,7 @@ def decisions(ticks: np.ndarray, times_s: tuple[float, ...]) -> np.ndarray:
         out[index]["tcp_position_in_base_m"] = tcp
         out[index]["proposed_position_in_base_m"] = tcp + np.array([-0.03, 0.07, 0.065])
         out[index]["proposed_spread_m"] = 0.011
+        out[index]["spread_threshold_m"] = 0.0125
         out[index]["opposite_position_in_base_m"] = tcp + np.array([-0.02, 0.09, 0.03])
         out[index]["outcome"] = list(Outcome)[index]
     out[0]["chosen_position_in_base_m"] = out[0]["proposed_position_in_base_m"]

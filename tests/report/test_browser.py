@@ -134,6 +134,45 @@ def test_the_page_never_scrolls_sideways(browser: Any, report: str, width: int, 
     assert outside == []
 
 
+@pytest.mark.parametrize("width", [400, 800, 832, 1400])
+def test_a_drawing_that_is_wider_than_the_screen_says_so_and_scrolls_to_its_end(
+    browser: Any, report: str, width: int
+) -> None:
+    show(browser, report, width=width)
+    wider, hinted, reached, focusable = browser.execute_script(
+        """const box = document.querySelector('.drawing.wide'), hint = document.querySelector('.hint');
+           const wider = box.scrollWidth > box.clientWidth;
+           box.scrollLeft = 1e5;
+           const end = box.querySelector('svg').getBoundingClientRect().right;
+           const reached = end <= box.getBoundingClientRect().right + 1;
+           return [wider, hint.offsetHeight > 0, reached, box.tabIndex === 0]"""
+    )
+    assert hinted or not wider
+    assert (wider, hinted) == {400: (True, True), 1400: (False, False)}.get(width, (wider, hinted))
+    assert reached
+    assert focusable
+
+
+def test_a_sorted_table_names_the_scenario_in_every_row(browser: Any, report: str) -> None:
+    from selenium.webdriver.common.by import By
+
+    def named() -> list[bool]:
+        found: list[bool] = browser.execute_script(
+            """return [...document.querySelectorAll('.verdicts tbody th > div')].map(
+                 (e) => getComputedStyle(e).opacity === '1')"""
+        )
+        return found
+
+    show(browser, report, width=1280)
+    differs = "return [...document.querySelectorAll('.verdicts tbody tr')].map(r => r.matches('.differs'))"
+    again = [False, True, False, True, True, False, False, False]
+    expected = [not a or d for a, d in zip(again, browser.execute_script(differs), strict=True)]
+    assert named() == expected
+    assert False in expected
+    browser.find_elements(By.CSS_SELECTOR, ".verdicts thead th button")[0].click()
+    assert all(named())
+
+
 def test_dark_paper_turns_text_and_curves_light(browser: Any, report: str) -> None:
     brightness = {}
     for scheme in ("light", "dark"):
@@ -162,10 +201,16 @@ def test_every_small_text_has_enough_contrast_in_both_schemes(browser: Any, repo
             ".verdict.holds",
             ".verdict.violated",
             ".verdict.inconclusive",
+            ".claim-number",
+            ".file",
             "a[href]",
         ):
             ink = luminance(colour(browser, selector, "color"))
             contrast = (max(ink, paper) + 0.05) / (min(ink, paper) + 0.05)
+            assert contrast >= 4.5, (scheme, selector, contrast)
+        for selector in (".badge", ".banner.grave"):
+            washes = [luminance(colour(browser, selector, name)) for name in ("color", "backgroundColor")]
+            contrast = (max(washes) + 0.05) / (min(washes) + 0.05)
             assert contrast >= 4.5, (scheme, selector, contrast)
 
 

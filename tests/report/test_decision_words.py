@@ -7,13 +7,23 @@ from datetime import UTC, datetime
 
 import factory
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from page import parse
 
+from safety_harness.report.decisions import (
+    MOST_FAULT_NOTES,
+    Tally,
+    avoiders,
+    decision_rows,
+    failed_checks,
+    fault_notes,
+    latency_words,
+)
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render
-from safety_harness.report.view import MOST_FAULT_NOTES, decision_rows, fault_notes
-from safety_harness.report.words import failed_words
-from safety_harness.trace.records import Check
+from safety_harness.report.words import CHECK_MEANINGS, failed_words, flag_words, spread_words
+from safety_harness.trace.records import Check, Outcome
 from safety_harness.trace.trace import Trace
 
 FAULT = "ZeroDivisionError: <b>division</b> (mine.py:3)"
@@ -36,13 +46,67 @@ def test_each_check_of_the_gate_is_named_in_words() -> None:
     assert failed_words(Check.NOT_FINITE, Check.NONE, "it broke") == "proposed: not finite; fault: it broke"
 
 
-def test_a_spread_is_shown_with_what_it_may_be_if_there_is_a_threshold() -> None:
-    rows = decision_rows(changed(spread_threshold_m=[0.0095, np.nan, 0.0]))
-    assert [row.spread for row in rows] == [
-        "11, 11, 11 (at most 9.5)",
-        "11, 11, 11",
-        "11, 11, 11 (at most 0.0)",
-    ]
+def test_every_check_has_a_meaning_in_words() -> None:
+    assert set(CHECK_MEANINGS) == {check for check in Check if check}
+    assert len({flag_words(check) for check in CHECK_MEANINGS}) == len(CHECK_MEANINGS)
+
+
+def test_the_checks_that_failed_in_a_run_are_explained_and_no_others() -> None:
+    named = [name for name, _ in failed_checks(factory.holds_run().trace)]
+    assert named == ["unreachable", "path unreachable", "table"]
+    assert failed_checks(factory.no_hands_run().trace) == []
+
+
+def test_the_largest_axis_of_a_spread_is_shown_against_its_threshold_if_there_is_one() -> None:
+    spreads = [[0.003, 0.011, 0.004], [0.011, 0.0, 0.001], [np.nan] * 3]
+    rows = decision_rows(changed(proposed_spread_m=spreads, spread_threshold_m=[0.0095, np.nan, 0.02]))
+    assert [row.spread for row in rows] == ["11.0 > 9.5", "11.0", "\u2013"]
+    rows = decision_rows(changed(proposed_spread_m=0.0, spread_threshold_m=[0.01, np.nan, np.nan]))
+    assert [row.spread for row in rows] == ["0.0 \u2264 10.0", "", ""]
+
+
+@given(
+    spread_m=st.floats(0.0, 1.0),
+    threshold_m=st.floats(0.0, 1.0),
+    ulps=st.none() | st.integers(-3, 3),
+)
+def test_a_spread_above_its_threshold_never_looks_like_one_that_is_not(
+    spread_m: float, threshold_m: float, ulps: int | None
+) -> None:
+    if ulps is not None:
+        spread_m = max(0.0, threshold_m * (1.0 + ulps * 1e-7))
+    words = spread_words(np.array([0.0, spread_m, 0.0]), threshold_m)
+    assert (">" in words) == (spread_m > threshold_m)
+    shown, allowed = (float(word) for word in words.replace("\u2264", ">").split(" > "))
+    if abs(spread_m - threshold_m) > 1e-9:
+        assert (shown > allowed) == (spread_m > threshold_m)
+
+
+def test_the_outcomes_of_all_runs_are_counted_together() -> None:
+    faulty = changed(fault=["", FAULT, ""])
+    traces = [faulty, factory.no_hands_run().trace, factory.holds_run().trace]
+    tally = Tally.of(traces)
+    assert (tally.made, tally.proposed, tally.opposite, tally.stops, tally.faults) == (6, 2, 2, 2, 1)
+    assert Tally.of([]).made == 0
+    assert avoiders(traces) == [("opposite", 3)]
+
+
+def test_what_went_otherwise_than_proposed_is_said_and_nothing_else() -> None:
+    tally = Tally.of([changed(outcome=int(Outcome.OPPOSITE), fault=[FAULT, FAULT, ""])])
+    assert tally.departures == ["3 of 3 decisions fell back to the opposite pose"]
+    assert tally.fault_words == "2 faults"
+    calm = Tally.of([changed(outcome=int(Outcome.PROPOSED))])
+    assert (calm.departures, calm.fault_words) == ([], "")
+
+
+def test_the_time_that_decisions_took_is_shown_but_none_that_was_not_measured() -> None:
+    trace = factory.holds_run().trace
+    timed = replace(trace, decision_latency_s=np.array([0.0001, 0.0123, 0.0002]))
+    assert latency_words(timed) == "median decision 0.2 ms, slowest decision 12 ms"
+    replayed = replace(trace, decision_latency_s=np.array([0.0, 0.0, 0.0002]))
+    assert latency_words(replayed) == "slowest decision 0.2 ms"
+    assert latency_words(replace(trace, decision_latency_s=np.zeros(3))) == ""
+    assert latency_words(factory.no_hands_run().trace) == ""
 
 
 def test_a_run_without_faults_has_no_note_of_them() -> None:
@@ -66,7 +130,7 @@ def test_many_kinds_of_faults_do_not_fill_the_page() -> None:
     assert found[-1].startswith("and in 35 other ways")
 
 
-def test_the_page_has_the_fault_in_its_notes_and_beside_its_decision() -> None:
+def test_the_page_has_the_fault_above_its_decisions_beside_its_own_and_in_the_table_of_verdicts() -> None:
     run = factory.holds_run()
     faulty = JudgedRun(changed(fault=["", FAULT, ""]), run.evaluations, "again")
     page = render(
@@ -79,6 +143,10 @@ def test_the_page_has_the_fault_in_its_notes_and_beside_its_decision() -> None:
     assert "<b>division</b>" not in page
     section = parse(page).one("run-1")
     (note,) = fault_notes(faulty.trace)
-    assert note in section.text
+    banners = section.all("div", "banner")
+    assert [note in banner.text for banner in banners] == [True]
+    assert section.all("header")[0].all("span", "grave")[0].text == "1 fault"
+    for scenario in parse(page).all("table", "verdicts")[0].all("tbody")[0].all("th"):
+        assert scenario.all("span", "grave")[0].text == "1 fault"
     row = section.all("table", "decisions")[0].all("tbody")[0].all("tr")[1]
     assert f"fault: {FAULT}" in row.text

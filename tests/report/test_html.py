@@ -15,10 +15,10 @@ import pytest
 from page import Node, parse
 
 import safety_harness.report.html as report_html
+from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.html import render, write_report
+from safety_harness.report.html import render
 from safety_harness.report.palette import Ink
-from safety_harness.report.view import MOST_DECISION_ROWS
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
@@ -33,7 +33,8 @@ def text_for(runs: Sequence[JudgedRun], *, title: str = "A report", interrupted:
 
 def banners(page: Node) -> list[str]:
     summary = page.all("section", "summary")[0]
-    return [banner.all("strong")[0].text for banner in summary.all("p", "banner")]
+    found = [node for node in summary.walk() if "banner" in node.attributes.get("class", "").split()]
+    return [banner.all("strong")[0].text for banner in found]
 
 
 def rows(page: Node) -> list[list[str]]:
@@ -62,15 +63,51 @@ def test_every_scenario_and_claim_has_its_row_with_verdict_expectation_margin_an
     found = rows(full)
     assert len(found) == 7
     assert found[2] == [
-        "Two hands from both sides, the controller short-sighted",
-        f"1 {factory.APART}",
+        "Two hands from both sides, the controller short-sighted two-hands "
+        "1 of 3 decisions fell back to the opposite pose 1 of 3 decisions stopped the arm",
+        f"Claim 1 {factory.APART}",
         "violated",
         "≠ holds",
         "−37.1 mm",
-        "8.60 s",
+        "8.600 s",
         "right hand 112.9 mm from wrist 1",
     ]
     assert found[5][2:6] == ["inconclusive", "inconclusive", "–", "–"]
+
+
+def test_a_scenario_is_named_with_its_file(tmp_path: Path) -> None:
+    run = factory.holds_run()
+    scenario = replace(run.trace.scenario, file=tmp_path / "reach-in.yaml")
+    page = parse(text_for([replace(run, trace=replace(run.trace, scenario=scenario))]))
+    assert [node.text for node in page.all("code", "file")] == [
+        "reach-in.yaml"
+    ] * 3  # two claims, one section
+
+
+def test_the_number_of_a_claim_stands_apart_from_its_sentence(full: Node) -> None:
+    for row in full.one("run-2").all("ol", "claims")[0].all("li"):
+        number, sentence = row.all("span", "claim-number")[0], row.all("p", "sentence")[0]
+        assert number.text.removeprefix("Claim ").isdigit()
+        assert number not in list(sentence.walk())
+
+
+def test_the_avoider_its_decisions_and_their_outcomes_are_summed_up_first(full: Node) -> None:
+    summary = full.all("dl", "avoiders")[0]
+    terms = {node.all("dt")[0].text: node.all("dd")[0].text for node in summary.all("div")}
+    assert terms == {
+        "Avoider": "opposite",
+        "Decisions": "8",  # the run that was cut short has only two of three
+        "Own position used": "3 37.5 %",
+        "Fell back to the opposite pose": "3 37.5 %",
+        "Stopped the arm": "2 25.0 %",
+        "Faults: no usable answer": "0 0 %",
+    }
+
+
+def test_beside_the_verdicts_stands_what_the_capsules_add(full: Node) -> None:
+    section = next(node for node in full.all("section") if node.attributes["aria-labelledby"] == "verdicts")
+    (note,) = section.all("p", "banner")
+    assert "68.4 mm at the upper arm" in note.text
 
 
 def test_every_row_leads_to_the_section_of_its_scenario(full: Node) -> None:
@@ -130,9 +167,10 @@ def test_the_decisions_are_listed_with_triggers_outcomes_and_failed_checks(full:
     table = full.one("run-2").all("table", "decisions")[0]
     cells = [[cell.text for cell in row.all("th") + row.all("td")] for row in table.all("tbody")[0].all("tr")]
     assert [row[2] for row in cells] == ["hand entered", "hand still there", "another hand"]
-    assert [row[6] for row in cells] == ["proposed position", "opposite pose", "protective stop"]
-    assert cells[2][7] == "proposed: unreachable, table; opposite: unreachable"
-    assert cells[2][8] == "–"
+    assert [row[6] for row in cells] == ["11.0 ≤ 12.5"] * 3
+    assert [row[7] for row in cells] == ["proposed position", "opposite pose", "protective stop"]
+    assert cells[2][8] == "proposed: unreachable, table; opposite: unreachable"
+    assert cells[2][9] == "–"
     decision = factory.violated_run().trace.decisions[0]
     numbers = [int(word.replace("−", "-")) for word in cells[0][3].split(",")]
     assert numbers == np.rint(decision["hand_position_in_base_m"] * 1e3).tolist()
@@ -255,28 +293,6 @@ def test_the_footer_says_that_it_is_no_certificate(full: Node) -> None:
     footer = full.all("footer")[0].text
     for expected in ("simulated", "no certificate", "contact forces", "fingers", "real sensors"):
         assert expected in footer
-
-
-def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "deep" / "er" / "report.html"
-    arguments = {"title": "t", "command": "c", "interrupted": False, "generated_at": WHEN}
-    write_report(path, [], **arguments)
-    before = path.read_bytes()
-    assert before.endswith(b"</html>\n")
-
-    def no_room(_: int) -> None:
-        raise OSError("no space left")
-
-    monkeypatch.setattr(report_html.os, "fsync", no_room)
-    with pytest.raises(OSError, match="no space"):
-        write_report(path, [factory.truncated_run()], **arguments)
-    assert path.read_bytes() == before
-    assert list(path.parent.iterdir()) == [path]
-
-
-def test_text_that_cannot_be_encoded_does_not_lose_the_report(tmp_path: Path) -> None:
-    write_report(tmp_path / "r.html", [], title="\udcff", command="c", interrupted=False, generated_at=WHEN)
-    assert "\\udcff" in (tmp_path / "r.html").read_text(encoding="utf-8")
 
 
 def test_importing_the_report_does_not_import_matplotlib() -> None:

@@ -14,6 +14,7 @@ from safety_harness.report.path_artists import capsule_outline, close_up_mm
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.svg import drawing, new_figure, plain, to_svg
 from safety_harness.report.timeline import timeline
+from safety_harness.trace.records import Outcome
 
 
 def text_of(svg: str) -> list[str]:
@@ -120,12 +121,67 @@ def test_the_time_series_names_its_limits_lanes_and_hands() -> None:
         "claim 1: 150",
         "speed limit and claim 2: 250",
         "gain switch: 0.005",
-        "right hand to robot",
-        "left hand to robot",
+        "right hand",
+        "left hand",
         "protective stop",
         "Squared image error |f − f*|²",
     ):
         assert expected in words
+
+
+def panel_of(words: list[str], title: str) -> set[str]:
+    """The words between the panel's title and the one before it: its ticks and its limits."""
+    titles = [i for i, word in enumerate(words) if word in PANELS]
+    end = words.index(title)
+    return set(words[max([i for i in titles if i < end], default=0) : end])
+
+
+PANELS = (
+    "True hand to robot, surface to surface, mm",
+    "Predicted hand to TCP, centre to centre, mm",
+    "Feature errors, lengths, mm",
+    "Squared image error |f − f*|²",
+    "TCP speed, mm/s",
+)
+
+
+def test_a_limit_stands_only_across_the_curve_that_it_limits() -> None:
+    words = text_of(timeline(factory.violated_run(), prefix="t-"))
+    true, predicted = (panel_of(words, title) for title in PANELS[:2])
+    assert "claim 1: 150" in true
+    assert "critical distance: 250" not in true
+    assert "critical distance: 250" in predicted
+    assert "claim 1: 150" not in predicted
+
+
+@pytest.mark.parametrize(("least", "most"), [(4e-3, 6e-3), (1e-9, 1e-1), (1e-30, 1e3), (5e-3, 5e-3)])
+def test_the_logarithmic_axis_has_a_labelled_decade_at_both_ends_of_what_it_shows(
+    least: float, most: float
+) -> None:
+    run = factory.no_hands_run()
+    ticks = run.trace.ticks.copy()
+    ticks["sse"] = np.geomspace(least, most, len(ticks))
+    words = text_of(timeline(replace(run, trace=replace(run.trace, ticks=ticks)), prefix="t-"))
+    raised = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+    shown = panel_of(words, "Squared image error |f − f*|²")
+    decades = [int(word[2:].translate(raised)) for word in shown if re.fullmatch("10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", word)]
+    assert 2 <= len(decades) <= 5
+    assert 10.0 ** max(decades) >= most * (1.0 - 1e-9)
+    assert "gain switch: 0.005" in shown
+
+
+def test_a_decision_is_drawn_by_its_outcome_and_ringed_for_its_fault() -> None:
+    run = factory.holds_run()
+
+    def drawn(outcomes: list[Outcome], fault: str = "") -> str:
+        decisions = run.trace.decisions.copy()
+        decisions["outcome"], decisions["fault"] = outcomes, fault
+        return timeline(replace(run, trace=replace(run.trace, decisions=decisions)), prefix="t-")
+
+    pictures = {drawn([outcome] * 3) for outcome in Outcome}
+    assert len({re.sub("<desc.*?</desc>", "", picture) for picture in pictures}) == len(Outcome)
+    assert drawn([Outcome.PROPOSED] * 3, "it broke") not in pictures
+    assert "1 opposite pose, 2 protective stop" in drawn([Outcome.OPPOSITE, Outcome.STOP, Outcome.STOP])
 
 
 @pytest.mark.parametrize("size", [1e-13, 2e-3, 1.0])
@@ -170,8 +226,9 @@ def test_a_trace_full_of_nothing_finite_can_be_drawn(value: float) -> None:
         scenario=run.trace.scenario,
         ticks=ticks,
         decisions=run.trace.decisions.copy(),
+        decision_latency_s=run.trace.decision_latency_s.copy(),
         provenance=run.trace.provenance,
     )
     broken = factory.JudgedRun(trace, run.evaluations, "again")
-    assert "Hand distance, mm" in text_of(timeline(broken, prefix="t-"))
+    assert "True hand to robot, surface to surface, mm" in text_of(timeline(broken, prefix="t-"))
     assert path_views(broken, prefix="p-").top

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from safety_harness.properties.base import Unit
+from safety_harness.properties.repulsive_pose import BEYOND_M, RepulsivePosesReachable
 from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,
@@ -14,9 +15,12 @@ from safety_harness.report.words import (
     failed_words,
     flag_words,
     margin_words,
+    milliseconds_words,
     point_words,
     setting_words,
+    share_words,
 )
+from safety_harness.scenario.model import Verdict
 from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.trace.records import Check, Limit
 
@@ -72,6 +76,47 @@ def test_a_position_that_is_not_finite_is_a_dash_and_not_a_number() -> None:
 def test_a_missing_margin_is_a_dash_and_a_negative_one_has_its_sign() -> None:
     assert margin_words(factory.evaluation("x", margin=None)) == "–"
     assert margin_words(factory.evaluation("x", margin=-0.0371)) == "−37.1 mm"
+
+
+@pytest.mark.parametrize("proposed", [False, True])
+def test_a_margin_at_which_the_search_ends_is_at_least_that(proposed: bool) -> None:
+    sentence = RepulsivePosesReachable(proposed=proposed).sentence
+    assert margin_words(factory.evaluation(sentence, margin=BEYOND_M)) == "at least 100 mm"
+    assert margin_words(factory.evaluation(sentence, margin=(0.3 + BEYOND_M) - 0.3)) == "at least 100 mm"
+    assert margin_words(factory.evaluation(sentence, margin=0.0845)) == "+84.5 mm"
+    assert margin_words(factory.evaluation(sentence, margin=-BEYOND_M)) == "\u2212100.0 mm"
+    assert margin_words(factory.evaluation("another", margin=BEYOND_M)) == "+100.0 mm"
+
+
+@pytest.mark.parametrize("margin", [-1e-12, -4e-7, -0.000049, -0.00096])
+def test_a_violation_never_reads_as_zero(margin: float) -> None:
+    words = margin_words(factory.evaluation("x", Verdict.VIOLATED, margin=margin))
+    number, unit = words.replace("\u2212", "-").split()
+    assert unit == "mm"
+    assert float(number) == pytest.approx(margin * 1e3, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("count", "total", "words"),
+    [
+        (0, 7, "0 %"),
+        (7, 7, "100 %"),
+        (1, 7, "14.3 %"),
+        (1, 8126, "under 0.1 %"),
+        (8125, 8126, "over 99.9 %"),
+        (0, 0, "\u2013"),
+    ],
+)
+def test_a_share_is_never_nothing_of_something_nor_all_of_less(count: int, total: int, words: str) -> None:
+    assert share_words(count, total) == words
+
+
+@pytest.mark.parametrize(
+    ("time_s", "words"),
+    [(3e-7, "0.0003 ms"), (1.23e-4, "0.12 ms"), (0.00456, "4.6 ms"), (0.1004, "100 ms"), (2.5, "2500 ms")],
+)
+def test_a_short_time_has_two_digits_that_mean_something(time_s: float, words: str) -> None:
+    assert milliseconds_words(time_s) == words
 
 
 def test_only_a_sentence_with_one_fitting_quantity_gives_a_limit_line() -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     Claim,
     FollowTcp,
@@ -26,9 +27,10 @@ from safety_harness.scenario.model import (
     Withdraw,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.recording import load_recording, parse_recording
-from safety_harness.scenario.settings_keys import MAY_BE_NEGATIVE, MAY_BE_ZERO, SettingKey, setting_keys
-from safety_harness.scenario.units import FRACTION, LENGTH
+from safety_harness.scenario.read_hands import FASTEST_MPS, LARGEST_FACTOR, LONGEST_S
+from safety_harness.scenario.recording import load_recording
+from safety_harness.scenario.recording_table import parse_recording
+from safety_harness.scenario.settings_keys import SettingKey, setting_keys
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 
@@ -58,9 +60,9 @@ def _walk() -> bytes:
 RECORDING = _walk()
 RECORDINGS = {hashlib.sha256(RECORDING).hexdigest(): RECORDING}
 
-positive = st.floats(min_value=0.0, max_value=1e6, exclude_min=True, allow_subnormal=True)
-speeds = st.floats(min_value=0.0, max_value=100.0, exclude_min=True)
-distances = st.floats(min_value=0.0, max_value=100.0)
+durations = st.floats(min_value=0.0, max_value=LONGEST_S, exclude_min=True, allow_subnormal=True)
+speeds = st.floats(min_value=0.0, max_value=FASTEST_MPS, exclude_min=True)
+distances = st.floats(min_value=0.0, max_value=LARGEST_COORDINATE_M)
 angles = st.floats(min_value=-6.28, max_value=6.28)
 
 
@@ -68,7 +70,7 @@ def vectors(numbers: st.SearchStrategy[float]) -> st.SearchStrategy[Vector3]:
     return st.tuples(numbers, numbers, numbers)
 
 
-points = vectors(st.floats(min_value=-100.0, max_value=100.0))
+points = vectors(st.floats(min_value=-LARGEST_COORDINATE_M, max_value=LARGEST_COORDINATE_M))
 sentences = st.text(min_size=1, max_size=40).filter(lambda text: text.strip() and text.isprintable())
 titles = st.text(st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp")), min_size=1).filter(str.strip)
 prose = st.text(
@@ -77,9 +79,9 @@ prose = st.text(
 
 moves = st.one_of(
     st.builds(MoveTo, position_in_base_m=points, speed_mps=speeds),
-    st.builds(Wait, duration_s=positive),
-    st.builds(ReachForTcp, speed_mps=speeds, until_distance_m=distances, at_most_s=positive),
-    st.builds(FollowTcp, speed_mps=speeds, distance_m=distances, duration_s=positive),
+    st.builds(Wait, duration_s=durations),
+    st.builds(ReachForTcp, speed_mps=speeds, until_distance_m=distances, at_most_s=durations),
+    st.builds(FollowTcp, speed_mps=speeds, distance_m=distances, duration_s=durations),
     st.builds(Withdraw, speed_mps=speeds),
 )
 starts = st.one_of(
@@ -93,18 +95,12 @@ def setting_values(key: SettingKey, default: Any) -> st.SearchStrategy[Any]:
     if isinstance(key.kind, type) and issubclass(key.kind, Enum):
         return st.sampled_from(list(key.kind))
     if key.kind is int:
-        return st.integers(min_value=1, max_value=100)
+        return st.integers(min_value=int(key.bounds.least), max_value=int(key.bounds.most))
+    number = st.floats(min_value=key.bounds.least, max_value=key.bounds.most)
     if isinstance(default, tuple) and isinstance(default[0], tuple):
-        return st.lists(st.tuples(distances, angles), min_size=3, max_size=6).map(tuple)
+        return st.lists(st.tuples(number, number), min_size=3, max_size=6).map(tuple)
     if isinstance(default, tuple):
-        return st.tuples(*[angles if key.dimension is not LENGTH else distances] * len(default))
-    if key.dimension is FRACTION:
-        return st.floats(min_value=0.0, max_value=1.0)
-    if key.name in MAY_BE_NEGATIVE:
-        return st.floats(allow_nan=False, allow_infinity=False)
-    number = st.floats(
-        min_value=0.0, exclude_min=key.name not in MAY_BE_ZERO, allow_nan=False, allow_infinity=False
-    )
+        return st.tuples(*[number] * len(default))
     return st.none() | number if default is None else number
 
 
@@ -147,17 +143,17 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
     usage: dict[str, Any] = {
         "track": track,
         "elbow_track": elbow_track,
-        "elbow_towards_in_base_m": (500.0, 0.0, 0.0) if elbow_track is None else None,
+        "elbow_towards_in_base_m": None,
         "starts_at_in_base_m": draw(points),
         "turn_rad": draw(angles),
-        "speed_factor": draw(st.floats(min_value=0.01, max_value=100.0)),
+        "speed_factor": draw(st.floats(min_value=0.01, max_value=LARGEST_FACTOR)),
         "from_s": begin,
         "to_s": draw(st.none() | st.floats(min_value=1.0, max_value=2.0)),
         "longest_gap_s": draw(st.floats(min_value=0.1, max_value=10.0)),
         "fastest_jump_mps": draw(st.floats(min_value=2.0, max_value=10.0)),
     }
     if elbow_track is None:
-        usage["elbow_towards_in_base_m"] = draw(st.sampled_from([(-100.0, 100.0, 50.0), (0.1, 0.2, 99.0)]))
+        usage["elbow_towards_in_base_m"] = draw(st.sampled_from([(-10.0, 10.0, 5.0), (0.1, 0.2, 9.9)]))
         usage["starts_at_in_base_m"] = draw(vectors(st.floats(min_value=-5.0, max_value=5.0)))
     motion = load_recording(recording, forearm_length_m=forearm_length_m, **usage)
     return RecordedHand(name=draw(sentences), recording=Path("walks/walk.csv"), motion=motion, **usage)
@@ -166,17 +162,16 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
 @st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     chosen: Settings = draw(settings)
-    hand = moving_hands() | recorded_hands(min(chosen.hand.forearm_length_m, 1.0))
-    if chosen.hand.forearm_length_m > 1.0:
-        chosen = replace(chosen, hand=replace(chosen.hand, forearm_length_m=1.0))
+    hand = moving_hands() | recorded_hands(chosen.hand.forearm_length_m)
     hands = draw(st.lists(hand, max_size=2, unique_by=lambda one: one.name))
     claims = draw(st.dictionaries(sentences, st.sampled_from(Verdict), min_size=1, max_size=4))
-    longest_s = min(3600.0, MOST_TICKS * chosen.clock.control_period_s)
+    period_s = chosen.clock.control_period_s
+    longest_s = min(LONGEST_S, MOST_TICKS * period_s)
     return Scenario(
         name="example",
         title=draw(titles),
         about=draw(prose),
-        duration_s=min(draw(positive), longest_s),
+        duration_s=draw(st.floats(min_value=period_s, max_value=longest_s)),
         seed=draw(st.integers(min_value=0, max_value=2**63 - 1)),
         start=draw(starts),
         hands=tuple(hands),

@@ -20,6 +20,7 @@ from safety_harness.scenario.model import (
     Wait,
     Withdraw,
 )
+from safety_harness.scenario.read import DEFAULT_AVOIDER
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, InteractionChoice
 
 
@@ -112,7 +113,7 @@ class TestWhatAFileSays:
 def test_the_shortest_scenario_takes_every_default() -> None:
     scenario = parse(SHORTEST)
     assert (scenario.about, scenario.seed, scenario.hands) == ("", 0, ())
-    assert scenario.avoider == "opposite pose"
+    assert scenario.avoider == DEFAULT_AVOIDER
     assert scenario.start == OffsetStart(offset_in_base_m=(0.0, 0.0, 0.0))
     assert scenario.settings == DEFAULTS
 

@@ -14,8 +14,10 @@ from hypothesis.extra.numpy import arrays
 from scenario_strategies import RECORDING, csv_of
 
 from safety_harness.exceptions import Place, RecordingError
+from safety_harness.scenario import recording_table, tracks
 from safety_harness.scenario.model import RecordedMotion
-from safety_harness.scenario.recording import load_recording, parse_recording
+from safety_harness.scenario.recording import load_recording
+from safety_harness.scenario.recording_table import parse_recording
 
 FILE = Path("walk.csv")
 FOLDER = Path(__file__).parents[2] / "scenarios/recordings"
@@ -330,9 +332,36 @@ def test_what_is_no_recording_is_refused_with_line_and_column(
     assert error.got.startswith(got)
 
 
+@pytest.mark.parametrize(
+    ("limit", "data", "line", "expected"),
+    [
+        ("MAX_ROWS", FIRST + b"1,1,1,1\n2,1,1,1\n", 4, "at most 2 samples"),
+        ("MAX_COLUMNS", FIRST + b"1,1,1,1\n", 1, "at most 2 columns"),
+        ("MAX_BYTES", FIRST + b"1,1,1,1\n", None, "at most 2 bytes"),
+    ],
+)
+def test_a_recording_that_is_too_large_is_refused(
+    monkeypatch: pytest.MonkeyPatch, limit: str, data: bytes, line: int | None, expected: str
+) -> None:
+    monkeypatch.setattr(recording_table, limit, 2)
+    error = refusal(data)
+    assert (error.place, error.expected) == (Place(file=FILE, line=line), expected)
+
+
+def test_the_work_on_a_recording_grows_with_its_length_and_not_with_its_square(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The usual step between samples is looked for once a track, however many samples there are."""
+    medians: list[int] = []
+    median = np.median
+    monkeypatch.setattr(tracks.np, "median", lambda values: medians.append(len(values)) or median(values))
+    assert_is_the_straight_motion(motion_of(walk(swapped(20, 21), empty={50})))
+    assert medians == [len(TIME) - 1]
+
+
 def test_an_unknown_track_gets_a_suggestion_and_the_list() -> None:
     error = refusal(RECORDING, track="rigth_hand")
-    assert error.expected == "one of the tracks right_hand, right_elbow, left_hand"
+    assert error.expected == "one of the tracks right_hand, right_elbow, left_hand of walk.csv"
     assert error.hint == 'did you mean "right_hand"?'
 
 
@@ -342,7 +371,7 @@ def test_an_unknown_track_gets_a_suggestion_and_the_list() -> None:
 )
 def test_a_window_outside_the_recording_is_refused(from_s: float | None, to_s: float | None) -> None:
     error = refusal(walk(), from_s=from_s, to_s=to_s)
-    assert error.expected == '"from" before "to", both from 0 s to 1 s'
+    assert error.expected == '"from" before "to", both from 0 s to 1 s of walk.csv'
 
 
 def test_a_window_between_two_samples_is_refused() -> None:

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
@@ -11,6 +13,10 @@ from scenario_texts import FILE, SHORTEST, VALID, changed, line_of, parse, refus
 
 from safety_harness.exceptions import InputError, Place, RecordingError, ScenarioError
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.read import SETTINGS_KEYS, TOP_GROUPS
+from safety_harness.scenario.settings_keys import SettingKey, setting_keys
+from safety_harness.scenario.units import format_quantity
+from safety_harness.settings import DEFAULTS
 
 
 @dataclass(frozen=True)
@@ -29,6 +35,7 @@ def mistake(case: str) -> Mistake:
     return Mistake(text, line_of(text, *said["@"]) if said["@"] else line_of(VALID, old), said["!"][0])
 
 
+GROUPS = (*SETTINGS_KEYS, *TOP_GROUPS)
 CASES = (Path(__file__).parent / "mistakes.txt").read_text().split("\n\n")[1:]
 MISTAKES = [mistake(case) for case in CASES]
 
@@ -38,9 +45,7 @@ def test_a_mistake_is_refused_with_line_field_expected_and_got(mistake: Mistake)
     error = refusal(mistake.text)
     field, _, sentence = mistake.message.partition(": expected ")
     expected, _, got = sentence.partition("; got ")
-    assert error.place.field == field
-    if isinstance(error, ScenarioError):
-        assert error.place == Place(file=FILE, line=mistake.line, field=field)
+    assert error.place == Place(file=FILE, line=mistake.line, field=field)
     assert error.expected.startswith(expected)
     assert error.got.startswith(got)
 
@@ -69,6 +74,52 @@ def test_the_corpus_of_mistakes_is_not_empty() -> None:
 )
 def test_a_near_miss_gets_advice(old: str, new: str, hint: str) -> None:
     assert hint in refusal(changed(old, new)).hint
+
+
+def test_more_control_periods_than_a_trace_holds_are_refused() -> None:
+    text = SHORTEST.replace("1 s", "20 min") + "settings: {clock: {control period: 1 ms}}\n"
+    error = refusal(text)
+    assert error.place == Place(file=FILE, line=2, field="duration")
+    assert (error.expected, error.got) == ("at most 1,000,000 control periods", "20 min")
+
+
+def test_an_elbow_point_on_the_way_of_a_recorded_hand_is_refused_where_it_stands() -> None:
+    where = "elbow towards: [1.4 m, -0.9 m, 200 mm]"  # where the hand starts
+    text = changed("elbow track: right elbow", where)
+    error = refusal(text)
+    assert error.place == Place(file=FILE, line=line_of(text, where), field="hands[1].elbow towards")
+    assert "walk.csv" in error.expected
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_every_number_of_the_settings_has_bounds_that_a_file_cannot_leave(group: str) -> None:
+    """Just within its bounds a value is read, just beyond them refused, whatever the key."""
+    default = getattr(DEFAULTS, {**SETTINGS_KEYS, **TOP_GROUPS}[group])
+    for key in setting_keys(type(default)):
+        value = getattr(default, key.name)
+        if isinstance(value, Enum) or (isinstance(value, tuple) and isinstance(value[0], tuple)):
+            continue
+        for bound, beyond in ((key.bounds.least, -np.inf), (key.bounds.most, np.inf)):
+            outside = bound + np.sign(beyond) if isinstance(value, int) else np.nextafter(bound, beyond)
+            within, without = (setting_text(group, key, value, number) for number in (bound, float(outside)))
+            assert parse(within)
+            error = refusal(without)
+            assert error.place.line == within.count("\n"), key
+            assert error.place.field is not None
+            assert error.place.field.partition("[")[0].endswith(key.words[-1])
+
+
+def setting_text(group: str, key: SettingKey, default: object, number: float) -> str:
+    """The shortest file with one setting."""
+    whole = isinstance(default, int)
+    value = f"{int(number)} {key.dimension.si}" if whole else format_quantity(number, key.dimension)
+    if isinstance(default, tuple):
+        value = f"[{', '.join([value] * len(default))}]"
+    for word in reversed(key.words):
+        value = f"{{{word}: {value}}}"
+    return SHORTEST.replace("1 s", "2 s") + (
+        f"{group}: {value}\n" if group in TOP_GROUPS else f"settings: {{{group}: {value}}}\n"
+    )
 
 
 def test_a_third_hand_is_refused() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario import read, read_hands, units
+from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
 from safety_harness.scenario.settings_keys import setting_keys
@@ -140,9 +141,30 @@ def test_the_other_defaults_are_the_defaults() -> None:
 
 def test_the_table_of_units_is_complete() -> None:
     section = TEXT.split("## Values", 1)[1].split("\n## ", 1)[0]
-    table = {cells[1].strip(): cells for line in section.splitlines() if len(cells := line.split("|")) == 5}
+    table = {cells[1].strip(): cells for line in section.splitlines() if len(cells := line.split("|")) == 6}
     for dimension in (value for value in vars(units).values() if isinstance(value, Dimension)):
-        _, _, allowed, example, _ = table[dimension.name]
+        _, _, allowed, example, bounds, _ = table[dimension.name]
         found = re.findall(r"[^\s,]+", allowed.replace("or no unit", "").replace("no unit", ""))
         assert found == list(dimension.units)
         assert units.parse_quantity(example, dimension, Place()) > 0.0
+        assert bounds_of(bounds, dimension) == BY_DIMENSION[dimension.name]
+
+
+def bounds_of(text: str, dimension: Dimension) -> Bounds:
+    """``1 ms to 60 s`` in SI."""
+    least, most = text.split(" to ")
+    return Bounds(*(units.parse_quantity(bound, dimension, Place()) for bound in (least, most)))
+
+
+@pytest.mark.parametrize("group", [*SETTINGS_KEYS, "camera", "hand sensor"])
+def test_the_tables_have_every_keys_own_bounds_and_no_others(group: str) -> None:
+    at_the_top = group in ("camera", "hand sensor")
+    table = {row.keys: row.value for row in rows(f"## `{group}`" if at_the_top else f"### `{group}`")}
+    kind = type(getattr(DEFAULTS, group.replace(" ", "_")))
+    for key in setting_keys(kind):
+        _, comma, told = table[key.words].rpartition(", ")
+        own = BY_KEY.get(f"{kind.__name__}.{key.name}")
+        if own is not None:
+            assert bounds_of(told.removeprefix("each "), key.dimension) == own, key.words
+        else:
+            assert not comma or " to " not in told

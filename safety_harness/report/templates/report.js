@@ -4,8 +4,9 @@ for (const table of document.querySelectorAll("table.sortable")) {
   headings.forEach((heading, column) => {
     const button = document.createElement("button");
     button.type = "button";
-    button.append(...heading.childNodes);
-    heading.append(button);
+    button.setAttribute("aria-label", "sort");
+    heading.classList.add("sorts");
+    heading.append(button);  // over the words and not around them: a printed page repeats words only
     button.addEventListener("click", () => {
       const down = heading.getAttribute("aria-sort") === "ascending";
       headings.forEach((other) => other.removeAttribute("aria-sort"));

@@ -1,0 +1,129 @@
+"""Write docs/models.md, the cards of the shipped networks, from their files and a fresh evaluation.
+
+Run: python benchmarks/model_cards.py (half a minute).
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cli.evaluate import evaluate
+
+PAGE = Path(__file__).parents[1] / "docs" / "models.md"
+ABOUT = {
+    "mc-dropout": "The default avoider: Monte Carlo dropout after each stage (DO-inter), ten passes.",
+    "mc-dropout-full": "Monte Carlo dropout before every fully connected layer (DO-full), ten passes.",
+    "deterministic": "No dropout: one pass, no spread, so that the gate never finds it uncertain.",
+    "ensemble": "Five deterministic networks from five seeds; the spread is over the members.",
+    "optimum": "Trained on the continuous optimum in place of eq. 13's selected candidate: no noise.",
+}
+HEAD = """\
+# The shipped networks
+
+Written by `python benchmarks/model_cards.py` from the model files and a fresh evaluation; figures in
+millimetres. The regression ResNet of Chen et al. (2020) as in figures 3 and 4 of the paper: three stages of
+one dense and two identity blocks, 32 units wide. Each was trained on the CPU of two ordinary cores in one to
+four minutes, with a recipe of ours ([learning.md](learning.md)); the paper's own recipes and scale are one
+command away (`safety-harness train paper-mc-dropout`).
+
+**Training data**, the same for all: 10,000 TCPs x 500 hands, 100 candidates a TCP, seed 0, sha256
+`{data}`;
+split 0.8/0.1/0.1 by TCP. Seen space (corners in the base frame): TCP {tcp}, hand {hand}.
+
+**Calibration**: 10,000 fresh seen TCPs with one hand each for the residuals, as many others for the two
+quantiles. An interval is the multiplier times sqrt(spread^2 + residual^2) to either side: 95 % of the labels
+are covered on all three axes at once. The spread threshold is what 1 % of seen decisions exceed.
+
+**Known limits**
+{limits}
+"""
+
+
+def corner(values: tuple[float, ...]) -> str:
+    """One corner of a box."""
+    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values) + ")"
+
+
+def millimetres(values: list[float]) -> str:
+    """Lengths in metres, by axis."""
+    return " / ".join(f"{1e3 * value:.2f}" for value in values)
+
+
+def head(model: Model) -> str:
+    """What the networks have in common."""
+    seen = model.seen
+    return HEAD.format(
+        data=model.card["data"]["sha256"],
+        tcp=f"{corner(seen.tcp_low_m)} to {corner(seen.tcp_high_m)}",
+        hand=f"{corner(seen.hand_low_m)} to {corner(seen.hand_high_m)}",
+        limits="\n".join(f"- {limit}" for limit in model.card["limits"]),
+    )
+
+
+def card(name: str, model: Model, found: dict[str, Any]) -> Iterator[str]:
+    """One network."""
+    calibration = model.calibration
+    assert calibration is not None
+    yield f"## {name}\n\n{ABOUT[name]}\n"
+    yield f"- made by `{model.card['command']}` with PyTorch {model.card['software']['torch']}"
+    yield f"- file sha256 `{found['sha256']}`"
+    yield f"- best epoch {', '.join(map(str, model.card['metrics']['best_epoch']))}; weight decay " + (
+        f"{model.card['weight_decay']:.3g}"
+    )
+    yield (
+        f"- interval multiplier {calibration.interval_multiplier:.3f}, residuals "
+        f"{millimetres(list(calibration.residual_std_m))}, spread threshold "
+        f"{1e3 * calibration.spread_threshold_m:.2f}\n"
+    )
+    yield "| set | RMSE x / y / z | MAE x / y / z | joint coverage | spread above threshold | AUROC |"
+    yield "|---|---|---|---|---|---|"
+    for one in found["sets"]:
+        yield row(one)
+    yield ""
+
+
+def row(one: dict[str, Any]) -> str:
+    """One set of an evaluation."""
+    errors, above, auroc = one["errors_m"], one.get("above_spread_threshold"), one["auroc_against_seen"]
+    covered = one["intervals_95"]["joint"]["share"] if one.get("intervals_95") else None
+    cells = (
+        one["set"],
+        millimetres(errors["rmse"]),
+        millimetres(errors["mae"]),
+        "-" if covered is None else f"{covered:.1%}",
+        "-" if above is None else f"{above['share']:.1%}",
+        "-" if auroc is None else f"{auroc:.3f}",
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    """Evaluate, and write the page."""
+    with tempfile.TemporaryDirectory() as folder:
+        figures = Path(folder) / "figures.json"
+        if evaluate(SHIPPED, out=figures) != 0:
+            sys.exit("the shipped models cannot be evaluated")
+        found = json.loads(figures.read_text())
+    models = {name: load_model(shipped_model(name)) for name in SHIPPED}
+    floor = found["models"][0]["sets"][0]["label_floor_m"]
+    lines = [head(models["mc-dropout"])]
+    lines.append(
+        f"The floor that the noise of the labels leaves to any regressor on new seen TCPs: RMSE "
+        f"{millimetres(floor['rmse_m'])}, MAE {millimetres(floor['mae_m'])} "
+        "(1,000 redraws of the candidates a TCP). "
+        "It is no floor for `optimum`, whose labels have none.\n"
+    )
+    for name, one in zip(SHIPPED, found["models"], strict=True):
+        lines.extend(card(name, models[name], one))
+    PAGE.write_text("\n".join(lines).rstrip() + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""Values that are each possible, but not together: hands, sensors and times against the cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.scenario.model import HandTrajectory, MoveTo, RecordedHand, Scenario
+from safety_harness.settings import DetectorKind, HandSensor, HandSensorKind, ImageSource, ObjectKind
+from safety_harness.simulation.hand_motion import hands_at_start
+from safety_harness.simulation.truth import cell_capsules
+
+TOUCHING_M = 1e-6
+# What an ideal hand sensor has none of: its fields, and how they are written.
+_FAULTS = {
+    "pixel_noise_px": "pixel noise",
+    "depth_noise_per_m": "depth noise",
+    "dropout_probability": "dropout",
+    "latency_s": "latency",
+    "rate_hz": "rate",
+    "detector": "detector",
+}
+
+
+def check_object(scenario: Scenario) -> None:
+    """Refuse an object inside the table, or one whose outline crosses itself or cannot be painted."""
+    cell, camera = scenario.settings.cell, scenario.settings.camera
+    height_m = cell.object_position_in_base_m[2]
+    if height_m < cell.table_height_m:
+        raise InadmissibleError(
+            place=scenario.place("settings.cell.object position", "settings.cell.table height"),
+            expected=f"an object on or above the table (z = {cell.table_height_m * 1e3:.0f} mm)",
+            got=f"z = {height_m * 1e3:.0f} mm",
+        )
+    corners = np.column_stack([np.array(cell.object_polygon_m), np.zeros(len(cell.object_polygon_m))])
+    if scenario.settings.servo.object_kind is ObjectKind.DENSE and _crosses_itself(corners):
+        raise InadmissibleError(
+            place=scenario.place("settings.cell.object polygon"),
+            expected="an outline that neither crosses nor touches itself",
+            got="one that does",
+        )
+    edges = np.roll(corners, -1, axis=0) - corners
+    turns = np.cross(edges, np.roll(edges, -1, axis=0))[:, 2]
+    if camera.source is ImageSource.RENDERED and turns.min() < 0.0 < turns.max():
+        raise InadmissibleError(
+            place=scenario.place("settings.cell.object polygon"),
+            expected="a convex object where images are rendered",
+            got="an outline that turns both ways",
+        )
+
+
+def _crosses_itself(corners: NDArray[np.float64]) -> bool:
+    """Whether two edges of a polygon (n, 3) meet that do not follow one another."""
+    ends, n = np.roll(corners, -1, axis=0), len(corners)
+    return any(
+        segment_segment_distance(corners[i], ends[i], corners[j], ends[j]) < TOUCHING_M
+        for i in range(n)
+        for j in range(i + 2, n - (i == 0))
+    )
+
+
+def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
+    """Refuse a hand whose centre goes below the table, or that begins inside the robot."""
+    table_m = scenario.settings.cell.table_height_m
+    for number, hand in enumerate(scenario.hands):
+        for field, words, height_m in _lowest_points(hand, scenario.duration_s):
+            if height_m < table_m:
+                raise InadmissibleError(
+                    place=scenario.place(f"hands[{number}].{field}"),
+                    expected=f"a hand above the table (z = {table_m * 1e3:.0f} mm)",
+                    got=f"z = {height_m * 1e3:.0f} mm{words}",
+                )
+    _check_clear_of_the_robot(scenario, arm, joint_position_rad)
+
+
+def _lowest_points(hand: HandTrajectory, duration_s: float) -> list[tuple[str, str, float]]:
+    """(field, words that say when, z [m]) of whatever could be the lowest point of a hand's centre."""
+    if isinstance(hand, RecordedHand):
+        motion = hand.motion
+        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
+        height_m = motion.hand_position_in_base_m[:used, 2]
+        lowest = int(height_m.argmin())
+        words = f" after {motion.time_s[lowest]:.2f} s of the run, in {hand.recording}"
+        return [("starts at", words, float(height_m[lowest]))]
+    return [("starts at", "", hand.starts_at_in_base_m[2])] + [
+        (f"moves[{number}].move to", "", move.position_in_base_m[2])
+        for number, move in enumerate(hand.moves)
+        if isinstance(move, MoveTo)
+    ]
+
+
+def _check_clear_of_the_robot(
+    scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]
+) -> None:
+    settings = scenario.settings
+    capsules = cell_capsules(load_capsules(arm.name), settings)
+    transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
+    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+    hands = hands_at_start(scenario.hands, settings.hand).state
+    for number, _ in enumerate(scenario.hands):
+        distance_m, nearest = hand_distance(
+            placed,
+            capsules.radius_m,
+            hands[number]["position_in_base_m"],
+            hands[number]["elbow_in_base_m"],
+            settings.hand.radius_m,
+            settings.hand.forearm_radius_m,
+        )
+        if not distance_m > 0.0:
+            part = capsules.names[nearest].replace("_", " ")
+            raise InadmissibleError(
+                place=scenario.place(f"hands[{number}].starts at"),
+                expected="a hand that begins outside the robot, its forearm too",
+                got=f"one {-distance_m * 1e3:.0f} mm inside the {part}'s capsule",
+            )
+
+
+def check_restart_delay(scenario: Scenario) -> None:
+    """Refuse a restart before the longest stop is over: the drives would take up a command in one jump."""
+    settings = scenario.settings
+    braking = settings.braking
+    speed_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+    stop_s = braking.reaction_time_s + braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    if settings.avoidance.restart_delay_s < stop_s:
+        raise InadmissibleError(
+            place=scenario.place(
+                "settings.avoidance.restart delay",
+                "settings.avoidance.repulsion speed",
+                "settings.motion.max tcp speed",
+                "settings.braking.reaction time",
+                "settings.braking.stop time base",
+                "settings.braking.stop time per speed",
+            ),
+            expected=f"a restart delay of at least {stop_s:.3f} s, which a stop from full speed takes",
+            got=f"{settings.avoidance.restart_delay_s:g} s",
+            hint=f"reaction time {braking.reaction_time_s:g} s, stop time base {braking.stop_time_base_s:g} "
+            f"s, stop time per speed {braking.stop_time_per_speed_s2pm:g} s2/m, fastest {speed_mps:g} m/s",
+        )
+
+
+def check_cameras(scenario: Scenario) -> None:
+    """Refuse what a camera cannot do: more images than ticks, an ideal one's faults, a second optics."""
+    settings = scenario.settings
+    most_hz = 1.0 / settings.clock.control_period_s
+    for name, rate_hz in (("camera", settings.camera.rate_hz), ("hand sensor", settings.hand_sensor.rate_hz)):
+        if rate_hz is not None and rate_hz > most_hz * (1.0 + 1e-9):
+            raise InadmissibleError(
+                place=scenario.place(f"{name}.rate", "settings.clock.control period"),
+                expected=f'a rate of at most {most_hz:g} Hz, that of the control ticks, or "every tick"',
+                got=f"{rate_hz:g} Hz",
+            )
+    hangs_m, table_m = settings.hand_sensor.overhead_position_in_base_m[2], settings.cell.table_height_m
+    if settings.hand_sensor.kind is not HandSensorKind.EYE_IN_HAND and not hangs_m > table_m:
+        raise InadmissibleError(
+            place=scenario.place("hand sensor.overhead position", "settings.cell.table height"),
+            expected=f"a camera above the table (z = {table_m * 1e3:.0f} mm), as it looks straight down",
+            got=f"z = {hangs_m * 1e3:.0f} mm",
+        )
+    if settings.hand_sensor.kind is HandSensorKind.IDEAL:
+        _check_ideal(scenario, settings.hand_sensor)
+    if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
+        _check_one_optics(scenario)
+
+
+def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
+    """An ideal sensor has no faults; what is written of them would not be simulated as it says."""
+    faultless = HandSensor()
+    for name, words in _FAULTS.items():
+        value = getattr(sensor, name)
+        if value != getattr(faultless, name):
+            raise InadmissibleError(
+                place=scenario.place(f"hand sensor.{words}", "hand sensor"),
+                expected=f"an ideal hand sensor without a {words} of its own",
+                got=str(value.value) if isinstance(value, DetectorKind) else f"{value:g}",
+                hint='a sensor with faults is "kind: overhead" or "kind: eye in hand"',
+            )
+
+
+def _check_one_optics(scenario: Scenario) -> None:
+    """An eye-in-hand sensor is the servoing camera: one width, height and focal length."""
+    camera, sensor = scenario.settings.camera, scenario.settings.hand_sensor
+    for words in ("width", "height", "focal"):
+        of_camera, of_sensor = getattr(camera, f"{words}_px"), getattr(sensor, f"{words}_px")
+        if of_camera != of_sensor:
+            raise InadmissibleError(
+                place=scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor"),
+                expected=f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px",
+                got=f"{of_sensor:g} px",
+            )

@@ -1,0 +1,128 @@
+"""Where the TCP starts and where it is to end: both must be poses that servoing can work at."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.controller.records import overhead_transform_sensor_to_base
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.perception.moments import MOMENT_COUNT
+from safety_harness.robot.description import ArmModel, load_arm
+from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.kinematics import (
+    forward_kinematics,
+    geometric_jacobian,
+    smallest_singular_value,
+)
+from safety_harness.scenario.model import JointStart, Scenario
+from safety_harness.simulation.cameras import sensors
+from safety_harness.simulation.exact_views import exact_object
+
+ARM_NAME = "ur10"
+START, DESIRED = "tcp start", "settings.cell.desired tcp position"
+# What else the user may have written that puts the object out of view.
+VIEW = (
+    "settings.cell.object position",
+    "settings.cell.object polygon",
+    "settings.cell.object yaw",
+    "settings.servo.object kind",
+    "camera.focal",
+    "camera.width",
+    "camera.height",
+    "camera.mount offset",
+    "camera.mount yaw",
+)
+
+
+@lru_cache
+def kinematics(arm_name: str = ARM_NAME) -> InverseKinematics:
+    """The arm's inverse kinematics, built once a process."""
+    return InverseKinematics(load_arm(arm_name))
+
+
+def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
+    """The joint angles of the TCP start: given, or by inverse kinematics on the preferred branch."""
+    start = scenario.start
+    if isinstance(start, JointStart):
+        joints = np.array(start.joint_position_rad)
+        outside = (joints < arm.position_lower_rad) | (joints > arm.position_upper_rad)
+        if outside.any():
+            worst = int(np.argmax(outside))
+            raise InadmissibleError(
+                place=scenario.place(START),
+                expected=f"{arm.joint_names[worst]} between {np.degrees(arm.position_lower_rad[worst]):.0f} "
+                f"and {np.degrees(arm.position_upper_rad[worst]):.0f} deg",
+                got=f"{np.degrees(joints[worst]):.1f} deg",
+            )
+        return joints
+    target = desired_transform_tcp_to_base(scenario.settings)
+    target[:3, 3] += start.offset_in_base_m
+    target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
+    return _reached(scenario, arm, target, "TCP start", START)
+
+
+def check_start(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
+    """Refuse a start that is singular, below the table's clearance, or without the object in view."""
+    _check_pose(scenario, arm, joint_position_rad, "TCP start", START)
+
+
+def check_desired(scenario: Scenario, arm: ArmModel) -> None:
+    """Refuse a desired pose that the arm cannot reach, or where a start would be refused too."""
+    target = desired_transform_tcp_to_base(scenario.settings)
+    joints = _reached(scenario, arm, target, "desired TCP position", DESIRED)
+    _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
+
+
+def _reached(
+    scenario: Scenario, arm: ArmModel, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
+) -> NDArray[np.float64]:
+    preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
+    found = kinematics(arm.name).nearest(transform_tcp_to_base, preferred)
+    if found is None:
+        raise InadmissibleError(
+            place=scenario.place(field),
+            expected=f"a {pose} that the arm can reach within its joint limits",
+            got=f"the position {_millimetres(transform_tcp_to_base[:3, 3])}, which has no inverse kinematics",
+        )
+    return found
+
+
+def _check_pose(
+    scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
+) -> None:
+    settings = scenario.settings
+    transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
+    geometric_jacobian(arm.joint_axes, transforms, jacobian)
+    position = f"the position {_millimetres(transforms[7, :3, 3])}"
+    least, most = smallest_singular_value(jacobian), settings.motion.min_singular_value
+    if not least > most:
+        raise InadmissibleError(
+            place=scenario.place(field, "settings.motion.min singular value"),
+            expected=f"a {pose} away from singularities (least singular value above {most:g})",
+            got=f"{least:.4f}",
+        )
+    clearance_m = settings.avoidance.table_clearance_m
+    if transforms[7, 2, 3] < settings.cell.table_height_m + clearance_m:
+        raise InadmissibleError(
+            place=scenario.place(field, "settings.cell.table height", "settings.avoidance.table clearance"),
+            expected=f"a {pose} at least {clearance_m * 1e3:.0f} mm above the table",
+            got=position,
+        )
+    cameras = sensors(settings, scenario.seed, 0, overhead_transform_sensor_to_base(settings))
+    moments = np.empty(MOMENT_COUNT)
+    if not exact_object(cameras.state, cameras.polygon_in_base_m, transforms[7], moments):
+        raise InadmissibleError(
+            place=scenario.place(field, *VIEW),
+            expected=f"a {pose} with the whole object in the camera's view",
+            got=f"{position}, from which it is not",
+        )
+
+
+def _millimetres(position_m: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(str(round(value * 1e3)) for value in position_m) + ") mm"

@@ -1,0 +1,119 @@
+"""Asking an avoider: whatever it does, an answer or a fault in words comes back, and soon.
+
+Simulated time stands still while an avoider thinks; a real arm would not wait.  An answer that takes
+longer than the deadline is thrown away, and the decision is a fault like any other.  Time on a clock
+does not repeat, so that *whether* an answer was late is recorded, and a replay takes that from the record.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+
+import numpy as np
+
+from safety_harness.avoidance.avoider import (
+    Avoider,
+    Proposal,
+    Vector,
+    checked,
+    described,
+    spread_threshold_of,
+)
+from safety_harness.exceptions import AvoiderError
+
+NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """One avoider's proposal, the largest spread that it may have, or why there is none.
+
+    ``latency_s`` is the wall-clock time that it took; ``late`` says that it was thrown away for it.
+    """
+
+    proposal: Proposal = field(default=NOWHERE)
+    spread_threshold_m: float = np.nan
+    fault: str = ""
+    late: bool = False
+    latency_s: float = 0.0
+
+
+class _TooLate(BaseException):
+    """Raised within an avoider at the deadline; not an Exception, which it might catch."""
+
+
+def ask(
+    avoider: Avoider,
+    *,
+    hand_position_in_base_m: Vector,
+    tcp_position_in_base_m: Vector,
+    seed: int,
+    deadline_s: float,
+    late: bool | None = None,
+) -> Answer:
+    """One avoider's answer.
+
+    Whatever it raises becomes a fault in words; only the interpreter's own exits pass.  At
+    ``deadline_s`` it is interrupted where it runs Python on the main thread; anything else is waited
+    for, and then thrown away.  ``late`` is what a record says about it: True does not ask at all,
+    False waits for ever, None leaves it to the clock.
+    """
+    if late:
+        return Answer(fault=_late_fault(deadline_s), late=True)
+    begun_s = time.perf_counter()
+    try:
+        with _interrupted_after(np.inf if late is False else deadline_s):
+            answer = _ask(avoider, hand_position_in_base_m.copy(), tcp_position_in_base_m.copy(), seed)
+    except _TooLate:
+        answer = Answer()
+    latency_s = time.perf_counter() - begun_s
+    if late is None and latency_s > deadline_s:
+        return Answer(fault=_late_fault(deadline_s), late=True, latency_s=latency_s)
+    return Answer(answer.proposal, answer.spread_threshold_m, answer.fault, latency_s=latency_s)
+
+
+def _late_fault(deadline_s: float) -> str:
+    return f"no answer within {deadline_s * 1e3:g} ms"
+
+
+def _ask(avoider: Avoider, hand_in_base_m: Vector, tcp_in_base_m: Vector, seed: int) -> Answer:
+    try:
+        threshold_m = spread_threshold_of(avoider)
+        proposal = checked(
+            avoider.propose(
+                hand_position_in_base_m=hand_in_base_m, tcp_position_in_base_m=tcp_in_base_m, seed=seed
+            )
+        )
+    except AvoiderError as error:
+        return Answer(fault=str(error) or "AvoiderError")
+    except Exception as error:  # a user's code may raise anything
+        frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
+        return Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))
+    return Answer(proposal, np.nan if threshold_m is None else threshold_m)
+
+
+@contextmanager
+def _interrupted_after(seconds: float) -> Iterator[None]:
+    """Raise _TooLate within after ``seconds``, where a timer signal can be had: there is one a process."""
+    free = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
+    if not np.isfinite(seconds) or not free or signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
+        yield
+        return
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise _TooLate
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

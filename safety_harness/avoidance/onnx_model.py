@@ -1,0 +1,245 @@
+"""An avoider in an ONNX file: one that ``export`` wrote, or anybody's that keeps the contract below.
+
+Inputs
+    hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float32 or float64, metres.
+    seed, if the file wants one: (1,) or (n,), int64 or uint64; the same 64 bits either way.
+Outputs
+    position_in_base_m: (1, 3), metres in the robot's base frame.
+    spread_m, if the file knows one: (1, 3), one standard deviation by axis, metres.
+Metadata
+    spread_threshold_m, if there is to be one: the largest spread with which a proposal is used, as text.
+
+A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
+them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
+and no other file is opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.avoider import Proposal, Vector, described
+from safety_harness.avoidance.folding import PLACES
+from safety_harness.avoidance.json_fields import Bounds, Fields, refuse
+from safety_harness.avoidance.masks import masks
+from safety_harness.avoidance.model_file import (
+    KEY,
+    LARGEST_DROPOUT,
+    MOST_PASSES,
+    WIDTH,
+    Dropout,
+    SeenSpace,
+    calibration_of,
+    refuse_foreign_seen_space,
+    seen_of,
+)
+from safety_harness.settings import Settings
+
+EXPORT_FORMAT = "safety-harness export 1"
+HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
+POSITION, SPREAD, THRESHOLD = "position_in_base_m", "spread_m", "spread_threshold_m"
+LARGEST_BYTES = 256 * 2**20
+FLOATS = {"tensor(float)": "float32", "tensor(double)": "float64"}
+INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
+BOOLEANS = {"tensor(bool)": "bool"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exported:
+    """What the metadata of a file of ``export`` say, beyond the function itself."""
+
+    dropout: Dropout
+    probability: float
+    passes: int
+    seen: SeenSpace
+    spread_threshold_m: float | None
+
+    @classmethod
+    def of(cls, path: Path, text: str) -> Exported:
+        """From their JSON; ModelError for the first field that is wrong."""
+        fields = Fields(path, text)
+        fields.one_of("format", (EXPORT_FORMAT,))
+        dropout = Dropout(fields.one_of("dropout", [one.value for one in Dropout]))
+        drops = dropout is not Dropout.NONE
+        calibration = calibration_of(fields)
+        return cls(
+            dropout=dropout,
+            probability=fields.number("dropout_probability", Bounds(0.0, LARGEST_DROPOUT, open=drops)),
+            passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
+            seen=seen_of(fields),
+            spread_threshold_m=None if calibration is None else calibration.spread_threshold_m,
+        )
+
+    @property
+    def mask_shape(self) -> tuple[int, int, int]:
+        """Passes, places, units."""
+        return self.passes, PLACES[self.dropout], WIDTH
+
+    def masks(self, seed: int) -> NDArray[np.bool_]:
+        """(1, passes, places, units): those that ``LearnedAvoider`` has for this seed."""
+        drawn: NDArray[np.bool_] = masks(np.uint64(seed), *self.mask_shape, self.probability)
+        return drawn[None]
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxAvoider:
+    """The function of an ONNX file, on one thread of the CPU, in one order of operations."""
+
+    name: str
+    spread_threshold_m: float | None
+    _session: Any
+    _dtypes: Mapping[str, str]  # of the inputs
+    _outputs: tuple[str, ...]
+    _exported: Exported | None
+
+    @classmethod
+    def load(cls, path: Path, settings: Settings) -> OnnxAvoider:
+        """Read, check and try the file; ModelError says what is wrong with it.
+
+        It is asked the same question twice, about the cell's own desired TCP and nominal hand: what
+        cannot answer, answers in another shape, or not twice the same, is refused.
+        """
+        session = open_session(path)
+        own = dict(session.get_modelmeta().custom_metadata_map)
+        exported = Exported.of(path, own[KEY]) if KEY in own else None
+        if exported is not None:
+            refuse_foreign_seen_space(exported.seen, settings, path)
+            threshold_m = exported.spread_threshold_m
+        else:
+            threshold_m = _length(path, own.get(THRESHOLD))
+        outputs = _outputs(path, session, spread_wanted=exported is not None or threshold_m is not None)
+        name = "".join(c if c.isprintable() else "?" for c in f"ONNX model {path.name}")
+        avoider = cls(name, threshold_m, session, _inputs(path, session, exported), outputs, exported)
+        avoider._try(path, settings)
+        return avoider
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """One decision; ``seed`` is any integer from 0 to 2^64 - 1.  No spread: the file knows none."""
+        answers = self._answers(hand_position_in_base_m, tcp_position_in_base_m, seed)
+        return Proposal(*(answer[0] for answer in answers))
+
+    def _answers(self, hand: Vector, tcp: Vector, seed: int) -> list[NDArray[Any]]:
+        """The outputs as the file gives them."""
+        feed: dict[str, NDArray[Any]] = {
+            HAND: np.asarray(hand)[None].astype(self._dtypes[HAND]),
+            TCP: np.asarray(tcp)[None].astype(self._dtypes[TCP]),
+        }
+        if SEED in self._dtypes:
+            feed[SEED] = np.array([seed], dtype=np.uint64).view(self._dtypes[SEED])
+        if self._exported is not None and MASKS in self._dtypes:
+            feed[MASKS] = self._exported.masks(seed)
+        answers: list[NDArray[Any]] = self._session.run(self._outputs, feed)
+        return answers
+
+    def _try(self, path: Path, settings: Settings) -> None:
+        """The same question twice."""
+        hand = np.array(settings.avoidance.nominal_hand_position_in_base_m)
+        tcp = np.array(settings.cell.desired_tcp_position_in_base_m)
+        try:
+            first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
+        except Exception as error:  # onnxruntime's own have no common base but Exception
+            refuse(path, None, "a model that answers for one hand and one TCP", _words(error))
+        for name, one, other in zip(self._outputs, first, second, strict=True):
+            if one.shape != (1, 3):
+                refuse(path, name, "a shape of (1, 3) for one hand and one TCP", str(one.shape))
+            if not np.array_equal(one, other, equal_nan=True):
+                refuse(
+                    path,
+                    name,
+                    "the same answer to the same question",
+                    f"{one[0].tolist()}, then {other[0].tolist()}",
+                    hint=f"random numbers must come from the input {SEED!r}",
+                )
+
+
+def open_session(path: Path) -> Any:
+    """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_BYTES + 1)
+    except OSError as error:
+        refuse(path, None, "an ONNX file that can be read", error.strerror or str(error))
+    if len(data) > LARGEST_BYTES:
+        refuse(path, None, f"an ONNX file of at most {LARGEST_BYTES} bytes", "a larger one")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4  # what is wrong comes as an exception
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    # External data are sought in a folder, which this file is not: there are none.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path))
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own have no common base but Exception
+        hint = "store the tensors in the file itself" if "xternal data" in str(error) else ""
+        refuse(path, None, "an ONNX file that onnxruntime can load", _words(error), hint)
+
+
+def _inputs(path: Path, session: Any, exported: Exported | None) -> dict[str, str]:
+    """The numpy dtype of each input; ModelError for one that is missing, unknown or of another shape."""
+    expected: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {HAND: ((3,), FLOATS), TCP: ((3,), FLOATS)}
+    optional: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {SEED: ((), INTEGERS)}
+    if exported is not None and exported.dropout is not Dropout.NONE:
+        expected[MASKS] = (exported.mask_shape, BOOLEANS)
+    there = {one.name: one for one in session.get_inputs()}
+    known = expected | optional
+    for name in expected:
+        if name not in there:
+            refuse(path, name, "an input of this name", f"the inputs {', '.join(there) or 'none'}")
+    for name, one in there.items():
+        if name not in known:
+            refuse(path, name, f"no inputs but {', '.join(known)}", "this one too")
+        (rest, types) = known[name]
+        if one.type not in types:
+            refuse(path, name, " or ".join(types.values()), one.type)
+        if not _fits(one.shape, rest):
+            refuse(path, name, f"a shape of {['1 or n', *rest]}", str(one.shape))
+    return {name: known[name][1][one.type] for name, one in there.items()}
+
+
+def _outputs(path: Path, session: Any, *, spread_wanted: bool) -> tuple[str, ...]:
+    """The position, and the spread if there is one; without it no threshold would ever be met."""
+    there = {one.name: one for one in session.get_outputs()}
+    wanted = (POSITION, SPREAD) if spread_wanted or SPREAD in there else (POSITION,)
+    for name in wanted:
+        if name not in there:
+            refuse(path, name, "an output of this name", f"the outputs {', '.join(there)}")
+        if there[name].type not in FLOATS:
+            refuse(path, name, " or ".join(FLOATS.values()), there[name].type)
+    return wanted
+
+
+def _fits(shape: list[int | str | None], rest: tuple[int, ...]) -> bool:
+    """One row or any number of them, then exactly ``rest``."""
+    if len(shape) != 1 + len(rest) or shape[1:] != [*rest]:
+        return False
+    return shape[0] in (1, None) or isinstance(shape[0], str)
+
+
+def _length(path: Path, text: str | None) -> float | None:
+    """The plain spread threshold [m] of anybody's file."""
+    if text is None:
+        return None
+    try:
+        length_m = float(text)
+    except ValueError:
+        length_m = float("nan")
+    if not (isfinite(length_m) and length_m >= 0.0):
+        refuse(path, THRESHOLD, "a length in metres, at least 0", repr(text[:80]))
+    return length_m
+
+
+def _words(error: Exception) -> str:
+    words = described(error)
+    return words if len(words) <= 300 else words[:297] + "..."

@@ -1,0 +1,235 @@
+"""``safety-harness evaluate``: errors, intervals and doubt of trained models, side by side."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.avoidance.shipped import model_file
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
+from safety_harness.cli.evaluation_tables import tables
+from safety_harness.compiled import source_hash
+from safety_harness.exceptions import DatasetError, InputError, ModelError, OutputError, Place
+from safety_harness.learning.evaluation import LEVELS, Figures, evaluate_model, learns_noise_free
+from safety_harness.learning.evaluation_sets import DataCard, EvaluationSet, fresh_sets, test_part
+from safety_harness.learning.metrics import Coverage, Errors
+from safety_harness.learning.proportions import Proportion
+from safety_harness.learning.spaces import seen
+from safety_harness.settings import DEFAULTS
+
+SCHEMA = "safety-harness evaluation 1"
+FEWEST, MOST = 10, 1_000_000  # samples of a set
+SAME_PLACE_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _Loaded:
+    """A model, what the tables call it, and the hash of its file."""
+
+    path: Path
+    label: str
+    model: Model
+    sha256: str
+
+    @property
+    def candidates(self) -> int:
+        """Of each TCP in its training data: the noise of its labels."""
+        card = DataCard.of(self.model.card)
+        return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
+
+
+def evaluate(
+    models: Sequence[str | Path], *, samples: int = 10_000, seed: int = 0, out: Path | None = None
+) -> int:
+    """Evaluate model files, or shipped models by name, on the same draws; returns the exit code.
+
+    Tables go to standard output, every figure as JSON to ``out``.  Exit code 0, 2 for bad input, 130 after
+    Ctrl-C; in both of these nothing is written.
+    """
+    try:
+        loaded = _load(models)
+        figures, remarks = _figures(loaded, samples, seed)
+        if out is not None:
+            _write(_document(loaded, figures, remarks, samples, seed), out)
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted: no evaluation was written")
+        return INTERRUPTED
+    for one in loaded:
+        result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
+    result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
+    for remark in remarks:
+        result(remark)
+    for line in tables(figures):
+        result(line)
+    if out is not None:
+        say(f"figures: {out}")
+    return AS_EXPECTED
+
+
+def _load(models: Sequence[str | Path]) -> list[_Loaded]:
+    if not models:
+        raise ModelError(place=Place(field="MODEL"), expected="at least one model", got="none")
+    loaded: list[_Loaded] = []
+    for reference in models:
+        path = model_file(str(reference))
+        model = load_model(path)
+        _refuse_another_space(model, path)
+        name = path.parent.name if path.stem == "model" and path.parent.name else path.stem
+        same = sum(one.label.partition(" #")[0] == name for one in loaded)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        loaded.append(_Loaded(path, f"{name} #{same + 1}" if same else name, model, digest))
+    return loaded
+
+
+def _refuse_another_space(model: Model, path: Path) -> None:
+    """What is drawn as seen must be what the model has seen."""
+    space, boxes = seen(DEFAULTS), model.seen
+    for name, ours, theirs in (
+        ("hand", space.hand.outer, (boxes.hand_low_m, boxes.hand_high_m)),
+        ("tcp", space.tcp.outer, (boxes.tcp_low_m, boxes.tcp_high_m)),
+    ):
+        corners = np.array([ours.low_m, ours.high_m])
+        if not np.abs(corners - np.array(theirs)).max() <= SAME_PLACE_M:
+            raise ModelError(
+                place=Place(file=path, field=f"seen.{name}_low_m to seen.{name}_high_m"),
+                expected=f"this package's seen space, {corners[0].tolist()} to {corners[1].tolist()}",
+                got=f"{list(theirs[0])} to {list(theirs[1])}",
+            )
+
+
+def _figures(loaded: list[_Loaded], samples: int, seed: int) -> tuple[list[Figures], list[str]]:
+    """The figures of every model on every set, in the order of the models, and what could not be had."""
+    if not FEWEST <= samples <= MOST:
+        raise DatasetError(
+            place=Place(field="--samples"), expected=f"a number from {FEWEST} to {MOST}", got=str(samples)
+        )
+    if seed < 0:
+        raise DatasetError(place=Place(field="--seed"), expected="a seed of at least 0", got=str(seed))
+    fresh: dict[int, list[EvaluationSet]] = {}
+    parts: dict[DataCard, tuple[EvaluationSet | None, str]] = {}
+    figures: list[Figures] = []
+    remarks: list[str] = []
+    for one in loaded:
+        if one.candidates not in fresh:
+            fresh[one.candidates] = fresh_sets(
+                DEFAULTS,
+                samples=samples,
+                seed=seed,
+                candidates=one.candidates,
+                on_set=lambda name: say(f"drawing {samples} TCPs and hands: {name}"),
+            )
+        card = DataCard.of(one.model.card)
+        if card is not None and card not in parts:
+            say(f"{one.label}: making its training data again")
+            parts[card] = test_part(DEFAULTS, card, samples=samples, seed=seed)
+        part, why = (None, "its card does not say how its data were made") if card is None else parts[card]
+        if part is None:
+            remarks.append(f"{one.label}: no test part of the training data: {why}")
+        if one.model.calibration is None:
+            remarks.append(f"{one.label}: not calibrated: no intervals, no spread threshold, no residuals")
+        if learns_noise_free(one.model):
+            remarks.append(f"{one.label}: trained for labels without noise, and measured on such")
+        say(f"{one.label}: evaluating")
+        seen_set, *unseen = fresh[one.candidates]
+        sets = [seen_set, *([part] if part is not None else []), *unseen]
+        figures += evaluate_model(one.label, one.model, sets, DEFAULTS, place=Place(file=one.path))
+    return figures, remarks
+
+
+def _document(
+    loaded: list[_Loaded], figures: list[Figures], remarks: list[str], samples: int, seed: int
+) -> dict[str, Any]:
+    """Everything, in metres, as JSON."""
+    return {
+        "schema": SCHEMA,
+        "package_version": metadata.version("safety-harness"),
+        "source_hash": source_hash(),
+        "seed": seed,
+        "samples": samples,
+        "levels": list(LEVELS),
+        "remarks": remarks,
+        "models": [
+            {
+                "label": one.label,
+                "file": str(one.path),
+                "sha256": one.sha256,
+                "name": LearnedAvoider.of(one.model).name,
+                "calibration": None
+                if one.model.calibration is None
+                else asdict(one.model.calibration) | {"more": dict(one.model.calibration.more)},
+                "sets": [_json_of(f) for f in figures if f.model == one.label],
+            }
+            for one in loaded
+        ],
+    }
+
+
+def _json_of(figures: Figures) -> dict[str, Any]:
+    one, intervals = figures.set, figures.intervals
+    return {
+        "set": one.name,
+        "about": one.about,
+        "seen": one.seen,
+        "rows": len(one),
+        "label_floor_m": None if one.floor is None else asdict(one.floor),
+        "errors_m": _errors(figures.errors),
+        "errors_without_noise_m": _errors(figures.noise_free),
+        "picp_95": {name: _coverage(value) for name, value in figures.picp.items()},
+        "calibration_curves": {name: curve.tolist() for name, curve in figures.curves.items()},
+        "median_largest_spread_m": figures.median_largest_spread_m,
+        "auroc_against_seen": figures.auroc,
+        "unreachable": _proportion(figures.unreachable),
+        "intervals_95": None
+        if intervals is None
+        else _coverage(intervals.coverage) | {"joint": _proportion(intervals.covered)},
+        "above_spread_threshold": None
+        if intervals is None or intervals.above_threshold is None
+        else _proportion(intervals.above_threshold),
+    }
+
+
+def _errors(found: Errors) -> dict[str, Any]:
+    return {
+        "rmse": found.rmse.tolist(),
+        "mae": found.mae.tolist(),
+        "overall_rmse": found.overall_rmse,
+        "overall_mae": found.overall_mae,
+    }
+
+
+def _coverage(found: Coverage) -> dict[str, Any]:
+    return {
+        "picp": found.picp.tolist(),
+        "joint": found.joint,
+        "mean_width_m": found.mean_width.tolist(),
+    }
+
+
+def _proportion(found: Proportion) -> dict[str, Any]:
+    return asdict(found) | {"share": found.share}
+
+
+def _write(document: dict[str, Any], out: Path) -> None:
+    """The file is replaced whole."""
+    temporary = out.with_name(out.name + ".part")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", "utf-8")
+        os.replace(temporary, out)
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
+        ) from error

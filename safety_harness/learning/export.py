@@ -1,0 +1,293 @@
+"""A trained model as one function from metres to metres, for other programs: ONNX, or TorchScript.
+
+Normalisation, all passes or members, their mean and their standard deviation are inside.  Inputs are
+float64 (n, 3), as are the outputs; the network between them computes in float32, as ours does.  With
+dropout the masks are an input, so that whoever calls decides on them, and can have ours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from safety_harness.avoidance.folding import PLACES
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.masks import masks as masks_of
+from safety_harness.avoidance.model_file import KEY, WIDTH, Dropout, Model, metadata_of
+from safety_harness.avoidance.onnx_model import (
+    EXPORT_FORMAT,
+    HAND,
+    MASKS,
+    POSITION,
+    SPREAD,
+    TCP,
+    open_session,
+)
+from safety_harness.exceptions import ModelError, OutputError, Place
+from safety_harness.learning.networks import RegressionResNet, load_tensors
+
+ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
+MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
+FARTHER = 1.5  # how much larger than the seen boxes those are that the unseen half is drawn from
+
+Arrays = tuple[NDArray[np.float64], ...]
+Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
+
+
+class Format(Enum):
+    """What is written, and how its files end."""
+
+    ONNX = "onnx"
+    TORCHSCRIPT = "torchscript"
+
+    @property
+    def suffix(self) -> str:
+        """Of a file of this format."""
+        return {Format.ONNX: ".onnx", Format.TORCHSCRIPT: ".pt"}[self]
+
+
+class WholeFunction(nn.Module):
+    """Hand and TCP (n, 3) [m], and masks (n, passes, places, width) with dropout: position and spread (n, 3).
+
+    The mean over the passes or members and their standard deviation (n in the denominator), both [m].
+    """
+
+    def __init__(self, model: Model) -> None:
+        super().__init__()
+        self.members = nn.ModuleList(_network(model, member) for member in range(model.members))
+        self.passes = model.passes
+        for name in ("input_mean", "input_std", "target_mean", "target_std"):
+            self.register_buffer(name, torch.tensor(getattr(model, name), dtype=torch.float64))
+        self.eval()
+
+    def forward(self, hand: Tensor, tcp: Tensor, masks: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Metres to metres, float64 to float64."""
+        inputs = torch.cat([hand, tcp], dim=1)
+        x = (inputs - self.get_buffer("input_mean")) / self.get_buffer("input_std")
+        x = torch.cat([x, torch.ones_like(x[:, :1])], dim=1).float()  # (n, 7)
+        if masks is None:
+            answers = torch.stack([member(x) for member in self.members], dim=1)  # (n, members, 3)
+        else:
+            by_place = masks.permute(2, 0, 1, 3).flatten(1, 2)  # (places, n passes, width)
+            every = self.members[0](x.repeat_interleave(self.passes, dim=0), by_place)
+            answers = every.unflatten(0, (-1, self.passes))  # (n, passes, 3)
+        answers = answers.double()
+        std = self.get_buffer("target_std")
+        mean = answers.mean(dim=1)
+        # A ReLU may make a NaN a 0 elsewhere: what is not finite stays so.
+        doubt = 0.0 * inputs.sum(dim=1, keepdim=True)
+        spread = std * ((answers - mean[:, None]) ** 2).mean(dim=1).sqrt()
+        return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
+
+
+def _network(model: Model, member: int) -> RegressionResNet:
+    network = RegressionResNet(dropout=model.dropout, probability=model.dropout_probability)
+    prefix = f"{member}/"
+    tensors = {n.removeprefix(prefix): t for n, t in model.tensors.items() if n.startswith(prefix)}
+    load_tensors(network, tensors)
+    return network.eval().requires_grad_(False)
+
+
+def write_export(model: Model, source: bytes, out: Path, format: Format, *, seed: int) -> float:
+    """Write ``model`` (of a file with the bytes ``source``) to ``out``; what is written is tried first.
+
+    Returns the greatest difference [m] that ``difference`` found between the loaded file and
+    ``LearnedAvoider``; ModelError, and the file as it was before, if that is above 1e-6 m.
+    OutputError if ``out`` cannot be written or does not end as files of its format do.
+    """
+    if out.suffix != format.suffix:
+        raise OutputError(
+            place=Place(file=out), expected=f"a file that ends in {format.suffix}", got=repr(out.name)
+        )
+    metadata = metadata_of(model) | {
+        "format": EXPORT_FORMAT,
+        "source_sha256": hashlib.sha256(source).hexdigest(),
+    }
+    write, load = {
+        Format.ONNX: (_onnx_bytes, _load_onnx),
+        Format.TORCHSCRIPT: (_torchscript_bytes, _load_torchscript),
+    }[format]
+    data = write(model, json.dumps(metadata, sort_keys=True))
+    temporary = out.with_name(out.name + ".part")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
+        try:
+            found_m = difference(model, load(temporary), seed=seed)
+            if not found_m <= MOST_DIFFERENT_M:
+                raise ModelError(
+                    place=Place(file=out),
+                    expected=f"the original's answers to {1e3 * MOST_DIFFERENT_M:g} mm",
+                    got=f"a difference of {1e3 * found_m:.3g} mm",
+                )
+            os.replace(temporary, out)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
+        ) from error
+    return found_m
+
+
+def difference(model: Model, function: Function, *, seed: int) -> float:
+    """The greatest difference [m] of any coordinate of any position or spread from ``LearnedAvoider``.
+
+    On random hands and TCPs in the model's seen boxes, as many in boxes 1.5 times as large, each with the
+    masks of its own seed, and one hand that is not a number, which must give none: else infinity.
+    """
+    rng = np.random.default_rng(seed)
+    hands, tcps = (
+        np.concatenate(
+            [rng.uniform(centre - size * half, centre + size * half, (ROWS, 3)) for size in (1.0, FARTHER)]
+        )
+        for centre, half in _boxes(model)
+    )
+    seeds = rng.integers(0, 2**64, len(hands), dtype=np.uint64)
+    own = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    answers = function(hands, tcps, drawn_masks(model, seeds))
+    unknown = hands[:1] * np.nan
+    no_answer = function(unknown, tcps[:1], drawn_masks(model, seeds[:1]))
+    if np.isfinite(no_answer).any() or any(a.shape != b.shape for a, b in zip(own, answers, strict=True)):
+        return float("inf")
+    greatest = float(np.abs(np.array(answers) - np.array(own)).max())
+    return greatest if np.isfinite(greatest) else float("inf")
+
+
+def drawn_masks(model: Model, seeds: NDArray[np.uint64]) -> NDArray[np.bool_] | None:
+    """(n, passes, places, width) of what ``LearnedAvoider`` keeps for these seeds; None without dropout."""
+    if model.dropout is Dropout.NONE:
+        return None
+    shape = (model.passes, PLACES[model.dropout], WIDTH)
+    return np.array([masks_of(seed, *shape, model.dropout_probability) for seed in seeds])
+
+
+def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Centre and half size of the seen hands' box, then of the TCPs'."""
+    seen = model.seen
+    for low_m, high_m in ((seen.hand_low_m, seen.hand_high_m), (seen.tcp_low_m, seen.tcp_high_m)):
+        low, high = np.array(low_m), np.array(high_m)
+        yield (low + high) / 2, (high - low) / 2
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """A question that a function is recorded with."""
+
+    names: tuple[str, ...]
+    arguments: tuple[Tensor, ...]
+
+    @classmethod
+    def of(cls, model: Model) -> _Traced:
+        point = torch.zeros((2, 3), dtype=torch.float64)
+        drawn = drawn_masks(model, np.arange(2, dtype=np.uint64))
+        if drawn is None:
+            return cls((HAND, TCP), (point, point.clone()))
+        return cls((HAND, TCP, MASKS), (point, point.clone(), torch.from_numpy(drawn)))
+
+
+def _onnx_bytes(model: Model, metadata: str) -> bytes:
+    """One self-contained ONNX file, without the paths of this machine that PyTorch leaves in it."""
+    question = _Traced.of(model)
+    rows = torch.export.Dim("n")
+    with _quiet():
+        program = torch.onnx.export(
+            WholeFunction(model),
+            question.arguments,
+            dynamo=True,
+            dynamic_shapes=tuple({0: rows} for _ in question.arguments),
+            input_names=list(question.names),
+            output_names=[POSITION, SPREAD],
+            external_data=False,
+            verbose=False,
+        )
+    assert program is not None  # of an export with dynamo
+    proto = program.model_proto
+    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output, *proto.graph.value_info):
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+    proto.graph.ClearField("metadata_props")
+    proto.ClearField("metadata_props")
+    proto.metadata_props.add(key=KEY, value=metadata)
+    data: bytes = proto.SerializeToString(deterministic=True)
+    return data
+
+
+def _torchscript_bytes(model: Model, metadata: str) -> bytes:
+    """The recorded function, and what a program needs to draw its masks as small text files in it."""
+    question = _Traced.of(model)
+    texts = {
+        "safety_harness.json": metadata,
+        "passes": str(model.passes),
+        "places": str(PLACES[model.dropout]),
+        "width": str(WIDTH),
+        "dropout_probability": repr(model.dropout_probability),
+    }
+    buffer = io.BytesIO()
+    with _quiet():
+        traced = torch.jit.trace(WholeFunction(model), question.arguments)  # type: ignore[no-untyped-call]
+        torch.jit.save(traced, buffer, _extra_files=texts)
+    return buffer.getvalue()
+
+
+def _load_onnx(path: Path) -> Function:
+    session = open_session(path)
+
+    def function(
+        hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
+    ) -> Arrays:
+        feed = {HAND: hands, TCP: tcps} | ({} if masks is None else {MASKS: masks})
+        return tuple(session.run((POSITION, SPREAD), feed))
+
+    return function
+
+
+def _load_torchscript(path: Path) -> Function:
+    with _quiet():
+        loaded = torch.jit.load(path, map_location="cpu")  # type: ignore[no-untyped-call]
+
+    def function(
+        hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
+    ) -> Arrays:
+        given = [hands, tcps] if masks is None else [hands, tcps, masks]
+        with torch.no_grad():
+            position, spread = loaded(*map(torch.from_numpy, given))
+        return position.numpy(), spread.numpy()
+
+    return function
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the remarks of PyTorch's exporters about themselves.
+
+    TorchScript is deprecated in favour of torch.export, but the one form that a small C++ program loads
+    without a compiler having run for it; the tracer doubts loops over the layers, which never change.
+    Whether the outcome is right is not left to warnings: it is tried.
+    """
+    logger = logging.getLogger("torch.onnx")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(before)

@@ -1,0 +1,171 @@
+"""Giving way is done, not only decided: away from every hand, as far and as fast as the arm can."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, Progress, progress
+from safety_harness.trace.records import Mode, Outcome, Trigger
+from safety_harness.trace.trace import Trace
+
+LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
+ARRIVED_FRACTION = 0.1  # of the way may be left when the controller takes itself to have arrived
+DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
+READS = ("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A margin [m] with the moment [s] and the words that belong to it."""
+
+    margin_m: float
+    time_s: float
+    what: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovesAway:
+    """Giving way never brings the TCP nearer to any hand, and does take place.
+
+    Planned: the distance from a fixed point to a straight way is convex, so the way leads away
+    from a hand everywhere if it does at its start; its margin is the component of the
+    displacement away from the hand, (p - t) . (t - h)/|t - h|, least over all true hands.  A way
+    shorter than 10 mm is none; what is missing is the negative margin.
+
+    Executed, from the decision to the next one or the end of the repulsion; each counts only
+    where it is negative: (1) the TCP must not come nearer to where the hand was by more than the
+    unavoidable, v^2/(2 a) + 2 v dt for the speed v towards the hand that it had when the decision
+    was made.  (2) It must get on as ``reference`` says that it had time for.  (3) Where the
+    controller goes on because it has arrived, at most a tenth of the way may be left.
+
+    Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
+    for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
+    to move away").
+    """
+
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return "repulsion moves away from every hand"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision's planned and executed way."""
+        problem = unreadable(trace, READS)
+        if problem is not None:
+            return inconclusive(self, problem)
+        findings: list[Finding] = []
+        made = exercised = 0
+        before: Progress | None = None
+        for number, decision in enumerate(trace.decisions):
+            if decision["outcome"] == Outcome.STOP:
+                continue
+            made += 1
+            hands = np.flatnonzero(trace.ticks["hand_present"][decision["tick"]])
+            if len(hands) == 0:
+                continue  # nobody there to move away from
+            if not np.all(np.isfinite(decision["chosen_position_in_base_m"])):
+                findings.append(Finding(np.nan, float(decision["time_s"]), "no position"))
+                continue
+            last = last_tick(trace, number)
+            goes_on = before is not None and decision["trigger"] == Trigger.ANOTHER_HAND
+            done = progress(trace, decision, last, before if goes_on else None)
+            exercised += done.due_m >= LEAST_WAY_M
+            before = done
+            for hand in hands:
+                findings.extend(away_from(trace, decision, int(hand), last))
+            findings.extend(given(trace, number, last, done))
+        if not findings:
+            return inconclusive(
+                self, f"never exercised: {'no hand was there' if made else 'the arm never gave way'}"
+            )
+        worst = next((f for f in findings if not np.isfinite(f.margin_m)), None)
+        worst = worst or min(findings, key=lambda finding: finding.margin_m)
+        return judged(
+            self,
+            trace,
+            margin=worst.margin_m,
+            worst_time_s=worst.time_s,
+            reason=worst.what + (f", worst of {made}" if made > 1 else ""),
+            exercised=exercised,
+        )
+
+
+def last_tick(trace: Trace, number: int) -> int:
+    """The last tick of the repulsion that decision ``number`` began: the first that is none of it."""
+    first = int(trace.decisions[number]["tick"])
+    following = trace.decisions["tick"][number + 1 :]
+    end = int(following[0]) if len(following) else len(trace.ticks) - 1
+    moved_on = np.flatnonzero(trace.ticks["mode"][first : end + 1] != Mode.REPULSING)
+    return first + int(moved_on[0]) if len(moved_on) else end
+
+
+def away_from(trace: Trace, decision: np.void, hand: int, last: int) -> list[Finding]:
+    """What the planned and the executed way say about one hand, held where it was at the decision."""
+    first, time_s = int(decision["tick"]), float(decision["time_s"])
+    settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
+    hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][first : last + 1, :3, 3]  # (n, 3)
+    way = decision["chosen_position_in_base_m"] - tcp_in_base[0]
+    apart = tcp_in_base[0] - hand_in_base
+    distance = float(np.linalg.norm(apart))
+    if distance == 0.0:  # every way leads away from a hand that is at the TCP
+        return [Finding(float(np.linalg.norm(way)), time_s, f"planned way, {name}")]
+    away = apart / distance
+    findings = [Finding(float(way @ away), time_s, f"planned way, {name}")]
+    dt_s = settings.clock.control_period_s
+    towards_mps = max(0.0, -float(velocity_at(trace, first) @ away))
+    braking_mps2 = max(settings.avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
+    unavoidable_m = towards_mps**2 / (2.0 * braking_mps2) + 2.0 * towards_mps * dt_s
+    distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
+    nearest = int(np.argmin(distances))
+    nearer = Finding(
+        float(distances[nearest]) - distance + unavoidable_m + DIP_M,
+        float(trace.time_s[first + nearest]),
+        f"executed way, nearer to {name}",
+    )
+    return [*findings, nearer] if nearer.margin_m < 0.0 else findings
+
+
+def given(trace: Trace, number: int, last: int, done: Progress) -> list[Finding]:
+    """What is wrong with the way itself: too short, not gone, not gone to its end."""
+    decision = trace.decisions[number]
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
+    target_in_base = decision["chosen_position_in_base_m"]
+    length_m = float(np.linalg.norm(target_in_base - tcp_in_base[int(decision["tick"])]))
+    findings = [Finding(length_m - LEAST_WAY_M, float(decision["time_s"]), "hardly any way at all")]
+    findings.append(Finding(done.margin_m, float(trace.time_s[done.worst_tick]), "executed way, too slow"))
+    if arrival_claimed(trace, number, last):
+        left_m = float(np.linalg.norm(target_in_base - tcp_in_base[last]))
+        margin_m = ARRIVED_FRACTION * length_m - left_m
+        findings.append(Finding(margin_m, float(trace.time_s[last]), "executed way, ended too early"))
+    return [finding for finding in findings if not finding.margin_m >= 0.0]
+
+
+def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
+    """Does the controller take itself to have arrived when the repulsion of a decision ends?
+
+    It does if it goes back to servoing (or has lost the object), and if it decides anew for any
+    reason but another hand; not at a protective stop or at the end of the trace.
+    """
+    mode = trace.ticks["mode"][last]
+    if mode == Mode.PROTECTIVE_STOP and last == trace.decisions["tick"][number]:
+        return False  # too near to a singularity, at once
+    following = number + 1
+    if following < len(trace.decisions) and trace.decisions["tick"][following] == last:
+        return bool(trace.decisions["trigger"][following] != Trigger.ANOTHER_HAND)
+    return bool(mode in (Mode.SERVOING, Mode.OBJECT_LOST))
+
+
+def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
+    """(3,) mean velocity [m/s] of the TCP over the tick before, in the base frame; zero at the start."""
+    if tick == 0:
+        return np.zeros(3)
+    positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
+    step: NDArray[np.float64] = positions[1] - positions[0]
+    return step / trace.scenario.settings.clock.control_period_s

@@ -1,0 +1,146 @@
+"""What the avoider was asked, what came of it, and how long it took: the decisions of a run, in words."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.report.words import (
+    CHECK_MEANINGS,
+    OUTCOME_WORDS,
+    TRIGGER_WORDS,
+    count_words,
+    failed_words,
+    flag_words,
+    milliseconds_words,
+    point_words,
+    spread_words,
+)
+from safety_harness.trace.records import Check, Outcome, Trigger
+from safety_harness.trace.trace import Trace
+
+MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
+MOST_FAULT_NOTES = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionRow:
+    """One row of the table of decisions."""
+
+    number: int
+    time: str
+    trigger: str
+    hand: str
+    tcp: str
+    proposed: str
+    spread: str
+    outcome: str
+    failed: str
+    faulty: bool
+    chosen: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tally:
+    """How many decisions were made, and what they led to; ``faults`` had no usable answer."""
+
+    made: int
+    proposed: int
+    opposite: int
+    stops: int
+    faults: int
+
+    @classmethod
+    def of(cls, traces: Iterable[Trace]) -> Tally:
+        """The decisions of all ``traces`` together."""
+        counts: Counter[int] = Counter()
+        faults = 0
+        for trace in traces:
+            counts.update(trace.decisions["outcome"].tolist())
+            faults += int(np.count_nonzero(trace.decisions["fault"] != ""))
+        return cls(
+            made=counts.total(),
+            proposed=counts[Outcome.PROPOSED],
+            opposite=counts[Outcome.OPPOSITE],
+            stops=counts[Outcome.STOP],
+            faults=faults,
+        )
+
+    @property
+    def fault_words(self) -> str:
+        """How often the avoider had no usable answer; empty if it always had one."""
+        return count_words(self.faults, "fault", "faults") if self.faults else ""
+
+    @property
+    def departures(self) -> list[str]:
+        """What went otherwise than the avoider proposed, briefly; nothing if nothing did."""
+        of_all = f"of {count_words(self.made, 'decision', 'decisions')}"
+        ways = (("fell back to the opposite pose", self.opposite), ("stopped the arm", self.stops))
+        return [f"{count} {of_all} {what}" for what, count in ways if count]
+
+
+def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
+    """(name, runs) of every avoider that was asked, in the order in which they first occur."""
+    return list(Counter(trace.provenance.avoider for trace in traces).items())
+
+
+def decision_rows(trace: Trace) -> list[DecisionRow]:
+    """A row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm."""
+    return [
+        DecisionRow(
+            number=number,
+            time=f"{decision['time_s']:.3f}",
+            trigger=TRIGGER_WORDS[Trigger(int(decision["trigger"]))],
+            hand=point_words(decision["hand_position_in_base_m"]),
+            tcp=point_words(decision["tcp_position_in_base_m"]),
+            proposed=point_words(decision["proposed_position_in_base_m"]),
+            spread=spread_words(decision["proposed_spread_m"], float(decision["spread_threshold_m"])),
+            outcome=OUTCOME_WORDS[Outcome(int(decision["outcome"]))],
+            failed=failed_words(
+                Check(int(decision["proposed_failed"])),
+                Check(int(decision["opposite_failed"])),
+                str(decision["fault"]),
+            ),
+            faulty=bool(decision["fault"]),
+            chosen=point_words(decision["chosen_position_in_base_m"]),
+        )
+        for number, decision in enumerate(trace.decisions[:MOST_DECISION_ROWS], start=1)
+    ]
+
+
+def failed_checks(trace: Trace) -> list[tuple[str, str]]:
+    """(name, meaning) of every check that a candidate of this run failed."""
+    flags = trace.decisions["proposed_failed"] | trace.decisions["opposite_failed"]
+    failed = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
+    return [(flag_words(check), CHECK_MEANINGS[check]) for check in Check if check and check & failed]
+
+
+def fault_notes(trace: Trace) -> list[str]:
+    """A sentence on each way in which the avoider gave no usable answer, the first ones first."""
+    decisions = trace.decisions
+    counts = Counter(str(fault) for fault in decisions["fault"] if fault)
+    found = []
+    for fault, count in list(counts.items())[:MOST_FAULT_NOTES]:
+        first = decisions["time_s"][int(np.argmax(decisions["fault"] == fault))]
+        often = f"{count} of {len(decisions)} decisions, first at {first:.3f} s"
+        found.append(f"The avoider gave no usable answer ({often}): {fault}")
+    if len(counts) > MOST_FAULT_NOTES:
+        found.append(f"and in {len(counts) - MOST_FAULT_NOTES} other ways; the trace has them all")
+    return found
+
+
+def latency_words(trace: Trace) -> str:
+    """Median and slowest decision on the wall's clock; empty where nothing was measured.
+
+    A replay does not ask again for an answer that came too late, and records no time for it.
+    """
+    measured_s = trace.decision_latency_s[trace.decision_latency_s > 0.0]
+    if len(measured_s) == 0:
+        return ""
+    slowest = f"slowest decision {milliseconds_words(float(np.max(measured_s)))}"
+    if len(measured_s) == 1:
+        return slowest
+    return f"median decision {milliseconds_words(float(np.median(measured_s)))}, {slowest}"

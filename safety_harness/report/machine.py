@@ -1,0 +1,86 @@
+"""The same evidence as the page, for programs: one JSON file about one or many runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from safety_harness.properties.base import Unit
+from safety_harness.report.decisions import Tally
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.text_file import write_whole
+
+FORMAT = "safety-harness report 1"
+SI_UNITS = {
+    Unit.LENGTH: "m",
+    Unit.ANGLE: "rad",
+    Unit.SPEED: "m/s",
+    Unit.ANGULAR_SPEED: "rad/s",
+    Unit.TIME: "s",
+}
+
+
+def write_json(path: Path, runs: Sequence[JudgedRun], *, interrupted: bool) -> None:
+    """Write what came out of ``runs`` to ``path``, whole or not at all.
+
+    An object with ``format``, ``interrupted`` (more was planned than is here) and ``runs``; each of
+    these says what was run and has its ``claims``.  Margins are in SI units, in full precision, null
+    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no
+    such number.  ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
+    """
+    found = {"format": FORMAT, "interrupted": interrupted, "runs": [_run(run) for run in runs]}
+    write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
+
+
+def _run(run: JudgedRun) -> dict[str, Any]:
+    trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
+    tally = Tally.of([trace])
+    return {
+        "scenario": scenario.name,
+        "title": scenario.title,
+        "file": str(scenario.file) if scenario.file else None,
+        "seed": scenario.seed,
+        "avoider": trace.provenance.avoider,
+        "avoider_sha256": trace.provenance.avoider_sha256 or None,
+        "world": trace.provenance.world,
+        "package_version": trace.provenance.package_version,
+        "source_hash": trace.provenance.source_hash,
+        "complete": trace.complete,
+        "ended": trace.ended,
+        "trace_file": str(file) if file else None,
+        "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
+        "decisions": {
+            "made": tally.made,
+            "proposed": tally.proposed,
+            "opposite": tally.opposite,
+            "stops": tally.stops,
+            "faults": tally.faults,
+        },
+        "claims": _claims(run),
+    }
+
+
+def _claims(run: JudgedRun) -> list[dict[str, Any]]:
+    return [
+        {
+            "claim": claim.sentence,
+            "verdict": evaluation.verdict.value,
+            "expected": claim.expected.value,
+            "margin_si": _number(evaluation.margin),
+            "unit": SI_UNITS[evaluation.unit],
+            "worst_time_s": _number(evaluation.worst_time_s),
+            "reason": evaluation.reason,
+            "exercised": evaluation.exercised,
+        }
+        for claim, evaluation in run.judged_claims()
+    ]
+
+
+def _number(value: float | None) -> float | str | None:
+    if value is None:
+        return None
+    return float(value) if isfinite(value) else str(float(value))

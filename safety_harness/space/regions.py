@@ -1,0 +1,104 @@
+"""Regions that need no numbers: what an avoider has seen in training, and the shells around it (Table 3).
+
+The paper gives the seen hands (nominal +- 300 mm, section 4.1) and no other bound.  Ours, chosen before
+any result, and why:
+
+* Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper: in the
+  default cell all of that box is within reach of the arm and has the object in view.
+* Unseen TCPs lie outside that box and inside one of twice its size.  They border on what was seen (a TCP on
+  its rim that gives way by R = 100 mm ends there) and seven eighths of the larger box are new.  In the
+  default cell the arm reaches all of them; in about a fifth the object is partly out of view.
+* Unseen hands lie outside the seen box and inside one of 1.5 times its size, and no hand's centre is below
+  the table's top.  A hand only shifts the target, by 0.05 of its own displacement (eq. 13), so that little
+  would be learnt further away, and twice the box would have hands among the arm's own links.
+
+A network's file says what it saw in training, and the regions are about that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.exceptions import Place, RegionError
+from safety_harness.geometry.regions import Box, Region
+from safety_harness.settings import Settings, Vector3
+
+SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
+SEEN_HAND_HALF_SIZE_M: Vector3 = (0.300, 0.300, 0.300)
+UNSEEN_TCP_FACTOR = 2.0
+UNSEEN_HAND_FACTOR = 1.5
+REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
+_MODEL_SUFFIX, _ONNX_SUFFIX = ".safetensors", ".onnx"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The boxes of hands and TCPs that an avoider was trained on, in the base frame.
+
+    ``source`` says whose they are.
+    """
+
+    hand: Box
+    tcp: Box
+    source: str
+
+
+def paper_seen(settings: Settings, source: str = "the paper") -> Seen:
+    """The paper's seen space: TCPs about the desired one, hands about the nominal one."""
+    return Seen(
+        hand=Box.about(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
+        tcp=Box.about(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
+        source=source,
+    )
+
+
+def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
+    """What the avoider that a scenario names has seen, by its own file's metadata.
+
+    ``folder`` is where relative files are sought from.  The metadata of a network are read, and no user's
+    program is run for it: what has none counts as trained on the paper's seen space, and ``source``
+    says so.  ModelError for a model file that cannot be used.
+    """
+    if avoider in SHIPPED:
+        return _of_metadata(load_model(shipped_model(avoider)).seen, avoider)
+    path = (folder or Path()) / Path(avoider).expanduser()
+    if avoider.endswith(_MODEL_SUFFIX):
+        return _of_metadata(load_model(path).seen, avoider)
+    if avoider.endswith(_ONNX_SUFFIX):
+        exported = _exported_seen(path)
+        if exported is not None:
+            return _of_metadata(exported, avoider)
+    return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
+
+
+def region_named(name: str, seen: Seen, settings: Settings) -> Region:
+    """One of ``REGIONS``, in the base frame; RegionError with their names for any other."""
+    if name == "seen hand":
+        return Region(seen.hand)
+    if name == "seen tcp":
+        return Region(seen.tcp)
+    if name == "unseen tcp":
+        return Region(seen.tcp.grown(UNSEEN_TCP_FACTOR), seen.tcp)
+    if name == "unseen hand":
+        outer = seen.hand.grown(UNSEEN_HAND_FACTOR)
+        x, y, z = outer.low_m
+        above_table_m = min(max(z, settings.cell.table_height_m), seen.hand.low_m[2])
+        return Region(Box((x, y, above_table_m), outer.high_m), seen.hand)
+    raise RegionError(place=Place(field="in"), expected=f"one of {', '.join(REGIONS)}", got=repr(name))
+
+
+def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
+    return Seen(
+        hand=Box(seen.hand_low_m, seen.hand_high_m), tcp=Box(seen.tcp_low_m, seen.tcp_high_m), source=avoider
+    )
+
+
+def _exported_seen(path: Path) -> SeenSpace | None:
+    """What an ONNX file of ours says; None for one of others.  Imported only here, as is its runtime."""
+    from safety_harness.avoidance.onnx_model import Exported, open_session
+
+    own = dict(open_session(path).get_modelmeta().custom_metadata_map)
+    return Exported.of(path, own[KEY]).seen if KEY in own else None

@@ -1,0 +1,82 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from avoidance.random_models import random_model
+
+from safety_harness.avoidance.model_file import Dropout, save_model
+from safety_harness.avoidance.onnx_model import OnnxAvoider
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
+from safety_harness.cli.export import FORMATS, export
+from safety_harness.learning import export as module
+from safety_harness.learning.export import Format
+from safety_harness.settings import DEFAULTS
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    path = tmp_path / "model.safetensors"
+    save_model(random_model(Dropout.INTER), path)
+    return path
+
+
+def test_a_model_file_becomes_one_that_a_run_can_use(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "model.onnx"
+    assert export(model, out=out) == AS_EXPECTED
+    printed = capsys.readouterr()
+    first, second = printed.out.splitlines()
+    assert first == f"onnx: {out}"
+    assert float(second.split(" by ")[1].split()[0]) < 1e-3
+    assert OnnxAvoider.load(out, DEFAULTS).name == "ONNX model model.onnx"
+    assert printed.err == ""
+
+
+def test_the_command_knows_every_format() -> None:
+    assert set(FORMATS) == {format.value for format in Format}
+
+
+def test_mistakes_are_explained_and_nothing_is_written(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for source, options, said in (
+        (model, {"format": "onxx"}, "'onnx' or 'torchscript'"),
+        (model, {"seed": -1}, "--seed"),
+        (model, {"format": "torchscript"}, "ends in .pt"),
+        (tmp_path / "none.safetensors", {}, "No such file"),
+    ):
+        assert export(source, out=tmp_path / "out.onnx", **options) == BAD_INPUT  # type: ignore[arg-type]
+        assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]
+
+
+def test_a_difference_from_the_original_is_exit_code_2(
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "MOST_DIFFERENT_M", 1e-12)
+    assert export(model, out=tmp_path / "out.pt", format="torchscript") == BAD_INPUT
+    assert "the original's answers" in capsys.readouterr().err
+    assert not (tmp_path / "out.pt").exists()
+
+
+def test_without_pytorch_the_extra_to_install_is_named(
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "safety_harness.learning.export", None)
+    assert export(model, out=tmp_path / "out.onnx") == BAD_INPUT
+    assert "safety-harness[learning]" in capsys.readouterr().err
+
+
+def test_ctrl_c_leaves_nothing(
+    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "difference", interrupted)
+    assert export(model, out=tmp_path / "out.pt", format="torchscript") == INTERRUPTED
+    assert "nothing was exported" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]

@@ -1,0 +1,221 @@
+"""Exported files against the original: other questions than those that they were tried with when written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import subprocess
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+from avoidance.random_models import random_inputs, random_model
+
+from safety_harness.avoidance.avoider import checked
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import KEY, Calibration, Dropout, Model
+from safety_harness.avoidance.onnx_model import OnnxAvoider, open_session
+from safety_harness.exceptions import AvoiderError, ModelError, OutputError
+from safety_harness.learning import export as module
+from safety_harness.learning.export import Format, WholeFunction, difference, drawn_masks, write_export
+from safety_harness.settings import DEFAULTS
+
+ROOT = Path(__file__).parents[2]
+SOURCE = b"the bytes of a model file"
+CALIBRATION = Calibration(
+    interval_multiplier=2.0, spread_threshold_m=0.02, residual_std_m=(0.01, 0.01, 0.01), samples=9
+)
+KINDS = {
+    "deterministic": random_model(Dropout.NONE, seed=1),
+    "ensemble": random_model(Dropout.NONE, members=2, seed=2),
+    "inter": replace(random_model(Dropout.INTER, seed=3), calibration=CALIBRATION),
+    "full": random_model(Dropout.FULL, seed=4, passes=4),
+}
+
+
+class Exports(NamedTuple):
+    files: dict[tuple[str, Format], Path]
+    differences_m: dict[tuple[str, Format], float]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Small networks: a second thread only waits for its turn when tests run side by side."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def exports(tmp_path_factory: pytest.TempPathFactory) -> Exports:
+    folder = tmp_path_factory.mktemp("exports")
+    made = Exports({}, {})
+    for kind, model in KINDS.items():
+        for format in Format:
+            file = folder / "made" / (kind + format.suffix)
+            made.differences_m[kind, format] = write_export(model, SOURCE, file, format, seed=0)
+            made.files[kind, format] = file
+    return made
+
+
+@pytest.mark.parametrize("format", list(Format))
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_an_export_is_the_original_to_a_thousandth_of_a_millimetre(
+    exports: Exports, kind: str, format: Format
+) -> None:
+    assert 0.0 < exports.differences_m[kind, format] < 1e-6
+    load = {Format.ONNX: module._load_onnx, Format.TORCHSCRIPT: module._load_torchscript}[format]
+    assert difference(KINDS[kind], load(exports.files[kind, format]), seed=11) < 1e-6
+
+
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports, kind: str) -> None:
+    learned = LearnedAvoider.of(KINDS[kind])
+    avoider = OnnxAvoider.load(exports.files[kind, Format.ONNX], DEFAULTS)
+    assert avoider.spread_threshold_m == learned.spread_threshold_m
+    hands, tcps, seeds = random_inputs(20, seed=5)
+    for hand, tcp, seed in zip(hands, tcps, seeds, strict=True):
+        ours, theirs = (
+            checked(one.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed)))
+            for one in (learned, avoider)
+        )
+        assert theirs.position_in_base_m == pytest.approx(ours.position_in_base_m, abs=1e-6)
+        assert theirs.spread_m == pytest.approx(ours.spread_m, abs=1e-6)
+    with pytest.raises(AvoiderError, match="not finite"):
+        checked(
+            avoider.propose(
+                hand_position_in_base_m=np.full(3, np.inf), tcp_position_in_base_m=tcps[0], seed=1
+            )
+        )
+
+
+def test_masks_matter_and_are_those_of_each_row_s_own_seed(exports: Exports) -> None:
+    model = KINDS["inter"]
+    hands, tcps, seeds = random_inputs(6, seed=6)
+    function = module._load_onnx(exports.files["inter", Format.ONNX])
+    positions, _ = function(hands, tcps, drawn_masks(model, seeds))
+    others, _ = function(hands, tcps, drawn_masks(model, seeds[::-1].copy()))
+    assert np.abs(positions - others).max() > 1e-4
+    assert positions == pytest.approx(LearnedAvoider.of(model).propose_many(hands, tcps, seeds)[0], abs=1e-6)
+
+
+def test_an_onnx_file_holds_the_model_s_metadata_and_no_path_of_this_machine(exports: Exports) -> None:
+    file = exports.files["inter", Format.ONNX]
+    session = open_session(file)
+    about = json.loads(session.get_modelmeta().custom_metadata_map[KEY])
+    assert about["source_sha256"] == hashlib.sha256(SOURCE).hexdigest()
+    assert about["card"] == KINDS["inter"].card
+    assert about["calibration"]["spread_threshold_m"] == 0.02
+    assert str(ROOT).encode() not in file.read_bytes()
+    assert [(one.name, one.shape) for one in session.get_inputs()] == [
+        ("hand_position_in_base_m", ["n", 3]),
+        ("tcp_position_in_base_m", ["n", 3]),
+        ("masks", ["n", 10, 3, 32]),
+    ]
+
+
+def test_exporting_twice_gives_the_same_onnx_file(exports: Exports, tmp_path: Path) -> None:
+    again = tmp_path / "again.onnx"
+    write_export(KINDS["deterministic"], SOURCE, again, Format.ONNX, seed=1)
+    assert again.read_bytes() == exports.files["deterministic", Format.ONNX].read_bytes()
+
+
+def test_an_export_that_answers_otherwise_is_refused_and_the_file_before_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = random_model(Dropout.NONE, seed=77)
+    write = module._torchscript_bytes
+    monkeypatch.setattr(module, "_torchscript_bytes", lambda model, about: write(other, about))
+    file = tmp_path / "model.pt"
+    file.write_text("before")
+    with pytest.raises(ModelError, match=r"the original's answers to 0\.001 mm; got a difference of"):
+        write_export(KINDS["deterministic"], SOURCE, file, Format.TORCHSCRIPT, seed=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["model.pt"]
+    assert file.read_text() == "before"
+
+
+def function_of(model: Model, *, swallow_nan: bool = False, rows: int | None = None) -> module.Function:
+    def function(hands: np.ndarray, tcps: np.ndarray, masks: np.ndarray | None) -> module.Arrays:
+        if swallow_nan:
+            hands = np.nan_to_num(hands)
+        given = [hands, tcps] if masks is None else [hands, tcps, masks]
+        with torch.no_grad():
+            position, spread = WholeFunction(model)(*map(torch.from_numpy, given))
+        return position.numpy()[:rows], spread.numpy()[:rows]
+
+    return function
+
+
+def test_the_trial_sees_a_swallowed_nan_a_lost_row_and_a_shift_of_a_hundredth_of_a_millimetre() -> None:
+    model = KINDS["ensemble"]
+    assert difference(model, function_of(model), seed=2) < 1e-6
+    assert difference(model, function_of(model, swallow_nan=True), seed=2) == np.inf
+    assert difference(model, function_of(model, rows=5), seed=2) == np.inf
+    x, y, z = model.target_mean
+    shifted = replace(model, target_mean=(x, y + 1e-5, z))
+    assert difference(model, function_of(shifted), seed=2) == pytest.approx(1e-5, rel=0.1)
+    broken = replace(model, target_mean=(x, np.nan, z))
+    assert difference(model, function_of(broken), seed=2) == np.inf
+
+
+def test_a_place_that_cannot_be_written_or_has_another_ending_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="can be written"):
+        write_export(KINDS["deterministic"], SOURCE, tmp_path / "file" / "m.pt", Format.TORCHSCRIPT, seed=0)
+    with pytest.raises(OutputError, match=r"ends in \.onnx; got 'm\.pt'"):
+        write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.pt", Format.ONNX, seed=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_exporting_leaves_warnings_as_they_were(tmp_path: Path) -> None:
+    before = list(warnings.filters)
+    write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.pt", Format.TORCHSCRIPT, seed=0)
+    assert warnings.filters == before
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """examples/cpp/predict.cpp, built as its own comment says."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++ to build the C++ example with")
+    made = tmp_path_factory.mktemp("cpp") / "predict"
+    source = ROOT / "examples/cpp/predict.cpp"
+    about, _, _ = source.read_text().partition("*/")
+    command = about.partition("g++")[2].replace("\\", "").split()
+    torch_folder = torch.__path__[0]
+    options = [word.replace("$T", torch_folder) for word in command]
+    options[options.index("predict.cpp")] = str(source)
+    options[options.index("predict")] = str(made)
+    subprocess.run(["g++", *options, "-Wall", "-Werror"], check=True)
+    return made
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("inter", 2**64 - 1), ("full", 7), ("ensemble", None)])
+def test_the_c_plus_plus_program_predicts_what_python_does(
+    exports: Exports, program: Path, kind: str, seed: int | None
+) -> None:
+    hand, tcp = (0.84, -0.35, 0.10), (0.70, 0.00, 0.35)
+    words = [str(exports.files[kind, Format.TORCHSCRIPT]), *map(repr, hand + tcp)]
+    words += [] if seed is None else [str(seed)]
+    run = subprocess.run([program, *words], check=True, capture_output=True, text=True)
+    printed = {line.split()[0]: [float(x) for x in line.split()[1:]] for line in run.stdout.splitlines()}
+    expected = LearnedAvoider.of(KINDS[kind]).propose(
+        hand_position_in_base_m=np.array(hand), tcp_position_in_base_m=np.array(tcp), seed=seed or 0
+    )
+    assert printed["position_in_base_m"] == pytest.approx(expected.position_in_base_m, abs=1e-6)
+    assert printed["spread_m"] == pytest.approx(expected.spread_m, abs=1e-6)
+    assert expected.spread_m.min() > 1e-4  # or the masks would not have been tried
+
+
+def test_the_c_plus_plus_program_explains_what_it_cannot_do(program: Path, tmp_path: Path) -> None:
+    for words, said in (([], "usage"), ([str(tmp_path / "none.pt"), *"123456"], "none.pt")):
+        run = subprocess.run([program, *words], capture_output=True, text=True)
+        assert run.returncode == 2
+        assert said in run.stderr

@@ -1,0 +1,26 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from safety_harness.learning.proportions import Proportion
+
+
+@pytest.mark.parametrize("trials", [1, 2, 7, 59, 1_000, 30_000])
+def test_the_interval_is_clopper_and_pearson_s(trials: int) -> None:
+    for count in {0, 1, trials // 100, trials // 2, trials - 1, trials}:
+        found = Proportion.of(np.arange(trials) < count)
+        exact = scipy.stats.binomtest(count, trials).proportion_ci(0.95, method="exact")
+        assert (found.count, found.trials, found.share) == (count, trials, count / trials)
+        assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9, abs=1e-12)
+
+
+def test_no_failure_in_fifty_still_leaves_seven_in_a_hundred() -> None:
+    """1 - 0.025^(1/50), by hand."""
+    assert Proportion.of(np.zeros(50, bool)).high == pytest.approx(1 - 0.025 ** (1 / 50))
+
+
+def test_no_trial_is_no_share() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        Proportion.of(np.empty(0, bool))

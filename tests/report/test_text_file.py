@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import factory
+import pytest
+
+import safety_harness.report.text_file as text_file
+from safety_harness.report.html import write_report
+
+WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)
+
+
+def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "deep" / "er" / "report.html"
+    arguments = {"title": "t", "command": "c", "interrupted": False, "generated_at": WHEN}
+    write_report(path, [], **arguments)
+    before = path.read_bytes()
+    assert before.endswith(b"</html>\n")
+
+    def no_room(_: int) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(text_file.os, "fsync", no_room)
+    with pytest.raises(OSError, match="no space"):
+        write_report(path, [factory.truncated_run()], **arguments)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_text_that_cannot_be_encoded_does_not_lose_the_report(tmp_path: Path) -> None:
+    write_report(tmp_path / "r.html", [], title="\udcff", command="c", interrupted=False, generated_at=WHEN)
+    assert "\\udcff" in (tmp_path / "r.html").read_text(encoding="utf-8")
