@@ -15,11 +15,13 @@ from enum import Enum
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
 
+HORIZON_M = 1e3
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
@@ -118,6 +120,11 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
         if rows.any():
             return f"{name} is not finite from {trace.time_s[int(np.argmax(rows))]:.3f} s"
     return None
+
+
+def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
+    """Is a position (3,) of a decision one at all: finite, and on this side of the horizon?"""
+    return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 
 def judged(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, Progress, progress
 from safety_harness.trace.records import Mode, Outcome, Trigger
 from safety_harness.trace.trace import Trace
@@ -69,7 +69,7 @@ class MovesAway:
             hands = np.flatnonzero(trace.ticks["hand_present"][decision["tick"]])
             if len(hands) == 0:
                 continue  # nobody there to move away from
-            if not np.all(np.isfinite(decision["chosen_position_in_base_m"])):
+            if not is_somewhere(decision["chosen_position_in_base_m"]):
                 findings.append(Finding(np.nan, float(decision["time_s"]), "no position"))
                 continue
             last = last_tick(trace, number)

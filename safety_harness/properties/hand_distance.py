@@ -18,6 +18,7 @@ from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
+TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
 READS = (
     "joint_position_rad",
     "joint_velocity_radps",
@@ -58,6 +59,8 @@ class HandDistance:
             return inconclusive(self, problem)
         if not trace.scenario.hands:
             return inconclusive(self, "there is no hand in this scenario")
+        if np.abs(trace.ticks["joint_position_rad"]).max() > TURNED_RAD:
+            return inconclusive(self, "a joint has turned further than any arm can")
         paths = hand_paths(trace)
         stray = first_stray(trace, paths)
         if stray is not None:

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.trace.records import Outcome
@@ -56,7 +56,7 @@ class RepulsivePosesReachable:
                 continue  # nothing was chosen: the arm stops where it is
             count += 1
             truth = trace.ticks[decision["tick"]]
-            if np.all(np.isfinite(position_in_base_m)):
+            if is_somewhere(position_in_base_m):
                 margin = reach_margin(
                     truth["joint_position_rad"],
                     truth["transform_tcp_to_base"][:3, 3],
@@ -91,6 +91,9 @@ def reach_margin(
     if length_m == 0.0:
         return 0.0
     reach_m = _kinematics().reach_along(
-        joint_position_rad, way / length_m, length_m + BEYOND_M, min_singular_value=min_singular_value
+        joint_position_rad,
+        way / length_m,
+        length_m + BEYOND_M,
+        min_singular_value=min_singular_value,
     )
     return reach_m - length_m

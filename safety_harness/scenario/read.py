@@ -15,7 +15,8 @@ from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
-from safety_harness.scenario.nodes import parse_tree
+from safety_harness.scenario.nodes import Node, parse_tree
+from safety_harness.scenario.only_in_spaces import refuse_distributions
 from safety_harness.scenario.read_hands import LONGEST_S, read_hands, read_position
 from safety_harness.scenario.settings_keys import read_group, setting_keys
 from safety_harness.scenario.units import ANGLE, TIME, shown
@@ -67,11 +68,26 @@ def parse_scenario(
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is
     refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
-    root = Field(parse_tree(text, file), file, path="", line=1)
+    tree = parse_tree(text, file)
+    refuse_distributions(Field(tree, file, path="", line=1))
+    name = file.stem if file else "unnamed"
+    return scenario_of(tree, file, recordings, name=name, claims_required=claims_required)
+
+
+def scenario_of(
+    tree: Node,
+    file: Path | None,
+    recordings: Mapping[str, bytes] | None = None,
+    *,
+    name: str,
+    claims_required: bool = True,
+) -> Scenario:
+    """As ``parse_scenario``, for a text that is a tree already."""
+    root = Field(tree, file, path="", line=1)
     given = root.fields(KEYS)
     settings = _settings(given)
     return Scenario(
-        name=file.stem if file else "unnamed",
+        name=name,
         title=_title(given.required("scenario")),
         about=_about(given.optional("about")),
         duration_s=_duration(given.required("duration"), settings),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import typing
 from dataclasses import dataclass, fields, replace
 from enum import Enum
+from functools import lru_cache
 from typing import Any, TypeVar
 
 from safety_harness.scenario.bounds import Bounds, bounds_of
@@ -92,6 +93,7 @@ class SettingKey:
     bounds: Bounds  # of the value, or of each of its numbers
 
 
+@lru_cache
 def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
     """The keys of one settings dataclass, in its order."""
     kinds = typing.get_type_hints(group)

@@ -44,17 +44,27 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
     Only settings that differ from the defaults are written; with ``all_settings`` every one, for
     a text that must outlive a change of the defaults.
     """
-    tree: dict[str, Tree] = {"scenario": _text(scenario.title)}
+    return text_of(tree_of(scenario, all_settings=all_settings))
+
+
+def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
+    """What ``write_scenario`` writes, key by key: texts, mappings and lists of mappings."""
+    tree: dict[str, Tree] = {"scenario": scalar_text(scenario.title)}
     if scenario.about:
-        tree["about"] = _text(scenario.about)
+        tree["about"] = scalar_text(scenario.about)
     tree["duration"] = format_quantity(scenario.duration_s, TIME)
     tree["seed"] = str(scenario.seed)
     tree["tcp start"] = _start(scenario.start)
-    tree["avoider"] = _text(scenario.avoider)
+    tree["avoider"] = scalar_text(scenario.avoider)
     if scenario.hands:
         tree["hands"] = [_hand(hand) for hand in scenario.hands]
     tree.update(_settings(scenario.settings, None if all_settings else DEFAULTS))
-    tree["claims"] = {_text(claim.sentence): claim.expected.value for claim in scenario.claims}
+    tree["claims"] = {scalar_text(claim.sentence): claim.expected.value for claim in scenario.claims}
+    return tree
+
+
+def text_of(tree: Mapping[str, Tree]) -> str:
+    """The YAML text of such a tree."""
     return "\n".join(_lines(tree)) + "\n"
 
 
@@ -73,7 +83,7 @@ def _hand(hand: HandTrajectory) -> dict[str, Tree]:
 
 def _moving_hand(hand: MovingHand) -> dict[str, Tree]:
     return {
-        "hand": _text(hand.name),
+        "hand": scalar_text(hand.name),
         "starts at": write_vector(hand.starts_at_in_base_m, LENGTH),
         "elbow towards": write_vector(hand.elbow_towards_in_base_m, LENGTH),
         "moves": [_move(move) for move in hand.moves],
@@ -105,10 +115,10 @@ def _move(move: HandMove) -> dict[str, Tree]:
 
 def _recorded_hand(hand: RecordedHand) -> dict[str, Tree]:
     tree: dict[str, Tree] = {
-        "recording": _text(hand.recording.as_posix()),
+        "recording": scalar_text(hand.recording.as_posix()),
         "sha256": f'"{hand.motion.sha256}"',
-        "hand": _text(hand.name),
-        "track": _text(hand.track),
+        "hand": scalar_text(hand.name),
+        "track": scalar_text(hand.track),
         "starts at": write_vector(hand.starts_at_in_base_m, LENGTH),
         "turned": format_quantity(hand.turn_rad, ANGLE),
         "speed factor": format_quantity(hand.speed_factor, NUMBER),
@@ -120,7 +130,7 @@ def _recorded_hand(hand: RecordedHand) -> dict[str, Tree]:
     if hand.to_s is not None:
         tree["to"] = format_quantity(hand.to_s, TIME)
     if hand.elbow_track is not None:
-        tree["elbow track"] = _text(hand.elbow_track)
+        tree["elbow track"] = scalar_text(hand.elbow_track)
     if hand.elbow_towards_in_base_m is not None:
         tree["elbow towards"] = write_vector(hand.elbow_towards_in_base_m, LENGTH)
     return tree
@@ -144,7 +154,7 @@ def _group(settings: Settings, default: Settings | None, name: str) -> dict[str,
     return write_group(getattr(settings, name), getattr(default, name) if default is not None else None)
 
 
-def _text(text: str) -> str:
+def scalar_text(text: str) -> str:
     """``text`` as a YAML scalar: bare where nothing in it could be taken for notation."""
     if _PLAIN.fullmatch(text):
         return text

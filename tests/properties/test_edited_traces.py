@@ -83,7 +83,7 @@ def test_a_capsule_that_there_is_not_is_refused_and_no_index_error(claimed: Trac
 
 
 @pytest.mark.filterwarnings("default")  # of arithmetic on nonsense
-def test_whatever_is_in_a_record_no_property_raises_or_holds_by_it(claimed: Trace) -> None:
+def test_whatever_is_in_a_record_no_property_raises_or_gives_an_infinite_margin(claimed: Trace) -> None:
     """Single values replaced by nonsense, each judged by the whole catalogue."""
     rng = np.random.default_rng(11)
     properties = [property_of(claim, claimed.scenario) for claim in EVERY]

@@ -10,7 +10,7 @@ from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHan
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.properties.base import Property
+from safety_harness.properties.base import Property, judged
 from safety_harness.properties.giving_way import MovesAway
 from safety_harness.properties.hand_distance import HandDistance, closest_approach
 from safety_harness.properties.hand_paths import hand_paths
@@ -43,9 +43,9 @@ def truncated(trace: Trace, ticks: int) -> Trace:
     )
 
 
-def with_nan(trace: Trace, field: str) -> Trace:
+def with_value(trace: Trace, field: str, value: float) -> Trace:
     ticks = trace.ticks.copy()
-    ticks[field][len(ticks) // 2] = np.nan
+    ticks[field][len(ticks) // 2] = value
     return replace(trace, ticks=ticks)
 
 
@@ -75,17 +75,42 @@ def test_a_truncated_trace_never_holds(prop: Property, visit: Trace) -> None:
         (DISTANCE, "hand_distance_m"),
         (DISTANCE, "joint_position_rad"),
         (DISTANCE, "hand_position_in_base_m"),
+        (DISTANCE, "elbow_position_in_base_m"),
+        (DISTANCE, "joint_velocity_radps"),
         (MovesAway(), "transform_tcp_to_base"),
+        (MovesAway(), "hand_position_in_base_m"),
+        (MovesAway(), "demanded_joint_velocity_radps"),
         (JointLimits(), "joint_position_rad"),
+        (JointSpeedLimits(), "joint_position_rad"),
         (JointSpeedLimits(), "joint_velocity_radps"),
+        (TcpSpeedLimit(maximum_mps=0.25), "transform_tcp_to_base"),
         (TcpSpeedLimit(maximum_mps=0.25), "tcp_speed_mps"),
         (GainSwitchReached(), "transform_tcp_to_base"),
+        (GainSwitchReached(), "hand_position_in_base_m"),
+        (Converged(), "transform_tcp_to_base"),
         (Converged(), "hand_position_in_base_m"),
         (RepulsivePosesReachable(proposed=False), "time_s"),
+        (RepulsivePosesReachable(proposed=False), "joint_position_rad"),
+        (RepulsivePosesReachable(proposed=True), "transform_tcp_to_base"),
     ],
 )
-def test_a_nan_in_mid_trace_is_no_evidence(prop: Property, field: str, visit: Trace) -> None:
-    assert prop.evaluate(with_nan(visit, field)).verdict is Verdict.INCONCLUSIVE
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_in_mid_trace_is_no_evidence(
+    prop: Property, field: str, value: float, visit: Trace
+) -> None:
+    assert prop.evaluate(with_value(visit, field, value)).verdict is Verdict.INCONCLUSIVE
+
+
+def test_a_hand_that_is_not_there_may_be_infinitely_far(visit: Trace) -> None:
+    assert np.all(np.isinf(visit.ticks["hand_distance_m"][:, 1]))
+    assert DISTANCE.evaluate(visit).verdict is Verdict.HOLDS
+
+
+@pytest.mark.parametrize("margin", [np.nan, np.inf, -np.inf])
+def test_a_margin_that_is_not_finite_is_no_evidence(margin: float, visit: Trace) -> None:
+    evaluation = judged(DISTANCE, visit, margin=margin, worst_time_s=1.0, reason="", exercised=1)
+    assert evaluation.verdict is Verdict.INCONCLUSIVE
+    assert evaluation.margin is None
 
 
 @pytest.mark.parametrize("prop", [DISTANCE, MovesAway(), RepulsivePosesReachable(proposed=True)], ids=str)
@@ -147,12 +172,37 @@ def test_a_joint_beyond_its_limit_is_violated(visit: Trace) -> None:
     assert evaluation.worst_time_s == visit.time_s[7]
 
 
+def test_a_controller_that_turns_on_and_on_violates_a_position_limit() -> None:
+    trace = run(scenario(duration_s=1.0), controller=ConstantSpeed((0.0, 0.0, 2.5, 0.0, 0.0, 0.0)))
+    evaluation = JointLimits().evaluate(trace)
+    assert (evaluation.verdict, evaluation.reason) == (Verdict.VIOLATED, "elbow_joint")
+
+
 def test_a_controller_that_does_nothing_never_switches_its_gain() -> None:
     idle = run(scenario(duration_s=4.0), controller=ConstantSpeed((0.0,) * 6))
     assert GainSwitchReached().evaluate(idle).verdict is Verdict.VIOLATED  # it sees nothing at all
     ticks = idle.ticks.copy()
     ticks["sse"] = 0.0196
     assert GainSwitchReached().evaluate(replace(idle, ticks=ticks)).verdict is Verdict.VIOLATED
+
+
+def test_an_error_below_the_switch_from_the_start_is_no_evidence_that_it_is_reached() -> None:
+    near = GainSwitchReached().evaluate(run(scenario(duration_s=0.5, offset=(0.02, -0.03, 0.02))))
+    assert (near.verdict, near.exercised) == (Verdict.INCONCLUSIVE, 0)
+    far = GainSwitchReached().evaluate(run(scenario(duration_s=2.0, offset=(0.05, -0.05, 0.02))))
+    assert (far.verdict, far.exercised) == (Verdict.HOLDS, 1)
+
+
+def test_an_image_that_is_not_there_yet_does_not_count_as_above_the_switch() -> None:
+    late = replace(DEFAULTS, camera=replace(DEFAULTS.camera, rate_hz=30.0, latency_s=0.05))
+    near = run(scenario(duration_s=0.5, offset=(0.02, -0.03, 0.02), settings=late))
+    assert np.isnan(near.ticks["sse"][0])
+    assert GainSwitchReached().evaluate(near).verdict is Verdict.INCONCLUSIVE
+
+
+def test_a_tcp_that_starts_at_the_desired_pose_is_no_evidence_that_it_converges() -> None:
+    evaluation = Converged().evaluate(run(scenario(duration_s=0.5, offset=(0.0, 0.0, 0.0))))
+    assert (evaluation.verdict, evaluation.exercised) == (Verdict.INCONCLUSIVE, 0)
 
 
 def test_convergence_is_judged_by_pose_after_the_time_of_the_closed_form() -> None:

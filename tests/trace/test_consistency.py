@@ -27,7 +27,7 @@ def test_real_traces_are_consistent_whole_and_cut_short(visit: Trace) -> None:
     quiet = run(scenario(duration_s=0.1))
     assert first_inconsistency(quiet) is None
     cut = replace(
-        visit, ticks=visit.ticks[:50].copy(), decisions=visit.decisions[:0].copy(), ended="interrupted"
+        visit, ticks=visit.ticks[:30].copy(), decisions=visit.decisions[:0].copy(), ended="interrupted"
     )
     assert first_inconsistency(cut) is None
     assert first_inconsistency(replace(cut, ticks=visit.ticks[:0].copy())) is None

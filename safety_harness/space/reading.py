@@ -1,0 +1,303 @@
+"""From the tree of a scenario space to its template and its parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.nodes import Mapping, Scalar, Sequence
+from safety_harness.scenario.only_in_spaces import SPACE_KEY
+from safety_harness.scenario.units import near_miss
+from safety_harness.settings import Vector3
+from safety_harness.space.boxes import Distribution, InBox, InRegion
+from safety_harness.space.distributions import Choice, InShell
+from safety_harness.space.regions import REGIONS
+from safety_harness.space.sentences import (
+    MOST_OPTIONS,
+    Reference,
+    Words,
+    error_of_reference,
+    fixed_quantity,
+    refuse_options,
+    sentence,
+    times,
+)
+from safety_harness.space.template import (
+    Alternatives,
+    Condition,
+    Given,
+    Keyed,
+    Listing,
+    Parameter,
+    Repeated,
+    Template,
+)
+
+MOST_COLUMNS = 256  # of the unit cube
+CHOICES = "choices"
+_FIXED = ("scenario", "about", "claims")  # texts for people and sentences looked up elsewhere
+
+_Use = tuple[int, tuple[Condition, ...]]  # a parameter and what must hold for it to be used here
+
+
+@dataclass
+class _Draft:
+    """A parameter while the file is being read."""
+
+    name: str
+    distribution: Distribution
+    place: Place
+    when: list[tuple[Condition, ...]] = field(default_factory=list)
+
+
+@dataclass
+class _Named:
+    """A value below ``choices``."""
+
+    place: Field
+    template: Template
+    uses: list[_Use]  # what a use of this value uses, its own parameters first of all
+    used: bool = False
+
+
+def read_template(root: Field) -> tuple[Template, tuple[Parameter, ...]]:
+    """The template of a scenario and the parameters in it; ScenarioError for what is not understood."""
+    return _Reader().whole(root)
+
+
+class _Reader:
+    """Reads one file from its beginning to its end."""
+
+    def __init__(self) -> None:
+        self._drafts: list[_Draft] = []
+        self._named: dict[str, _Named] = {}
+        self._uses: list[_Use] = []  # by what is being read: a named value, or the scenario
+        self._time = ""  # which repetition is being read, for names
+
+    def whole(self, root: Field) -> tuple[Template, tuple[Parameter, ...]]:
+        entries = dict(root.entries("a mapping with the keys of a scenario"))
+        if SPACE_KEY not in entries:
+            raise ScenarioError(
+                place=root.place, expected=f'the key "{SPACE_KEY}"', got=", ".join(entries) or "no keys"
+            )
+        if "scenario" in entries:
+            raise entries["scenario"].error(f'the key "{SPACE_KEY}" alone', got='"scenario" as well')
+        if CHOICES in entries:
+            self._choices(entries[CHOICES])
+        assert isinstance(root.node, Mapping)
+        gaps = []
+        for key, _ in root.node.entries:
+            named = Scalar("scenario", key.line) if key.text == SPACE_KEY else key
+            if key.text != CHOICES:
+                below = entries[key.text]
+                gaps.append((named, below.node if named.text in _FIXED else self._template(below, ())))
+        for named_value in self._named.values():
+            if not named_value.used:
+                raise named_value.place.error("a choice that is used below", got="one that is not")
+        return Keyed(tuple(gaps), root.line), self._parameters(root)
+
+    def _choices(self, below: Field) -> None:
+        for name, value in below.entries("a mapping of names and values"):
+            outer, self._uses = self._uses, []
+            template = self._template(value, ())
+            self._named[name] = _Named(value, template, self._uses)
+            self._uses = outer
+            if not self._named[name].uses:
+                raise value.error('a value that varies, such as "one of left, right"')
+
+    def _parameters(self, root: Field) -> tuple[Parameter, ...]:
+        for number, conditions in self._uses:
+            self._drafts[number].when.append(conditions)
+        parameters: list[Parameter] = []
+        column = 0
+        for draft in self._drafts:
+            when = ((),) if () in draft.when else tuple(dict.fromkeys(draft.when))
+            parameters.append(Parameter(draft.name, draft.distribution, column, when, draft.place))
+            column += draft.distribution.columns
+        if not 0 < column <= MOST_COLUMNS:
+            raise root.error(f"from 1 to {MOST_COLUMNS} values that vary", got=f"{column}")
+        return tuple(parameters)
+
+    def _parameter(self, at: Field, distribution: Distribution, context: tuple[Condition, ...]) -> int:
+        if len(self._drafts) >= MOST_COLUMNS:
+            raise at.error(f"at most {MOST_COLUMNS} values that vary", got="more")
+        self._drafts.append(_Draft(at.path + self._time, distribution, at.place))
+        self._uses.append((len(self._drafts) - 1, context))
+        return len(self._drafts) - 1
+
+    def _template(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        if isinstance(at.node, Scalar):
+            return self._scalar(at, context)
+        if isinstance(at.node, Sequence):
+            return self._list(at, context)
+        keys = {key for key, _ in at.entries("a mapping")}
+        if "one of" in keys:
+            return self._one_of(at, context)
+        if "by" in keys:
+            return self._by(at, context)
+        if keys == {"box"} or keys == {"in"} or "shell" in keys:
+            return Given(self._parameter(at, _point(at), context), at.line)
+        gaps = [self._template(child, context) for _, child in at.entries("a mapping")]
+        if all(isinstance(gap, Scalar | Sequence | Mapping) for gap in gaps):
+            return at.node
+        return Keyed(
+            tuple((key, gap) for (key, _), gap in zip(at.node.entries, gaps, strict=True)), at.node.line
+        )
+
+    def _scalar(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        said = sentence(at)
+        if said is None:
+            return at.node
+        if isinstance(said, Reference):
+            return self._use(at, said.name, context).template
+        if isinstance(said, Words):
+            number = self._parameter(at, Choice.even(said.options), context)
+            return Alternatives(number, tuple(Scalar(text, at.line) for text in said.options), at.line)
+        return Given(self._parameter(at, said, context), at.line)
+
+    def _use(self, at: Field, name: str, context: tuple[Condition, ...]) -> _Named:
+        if name not in self._named:
+            raise error_of_reference(at, name, list(self._named))
+        named = self._named[name]
+        named.used = True
+        self._uses += [(number, context + conditions) for number, conditions in named.uses]
+        return named
+
+    def _list(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        items: list[Template] = []
+        for item in at.items("a list"):
+            if isinstance(item.node, Mapping) and any(key.text == "repeat" for key, _ in item.node.entries):
+                items += self._repeat(item, context)
+            else:
+                items.append(self._template(item, context))
+        assert isinstance(at.node, Sequence)
+        if tuple(items) == at.node.items:
+            return at.node
+        return Listing(tuple(items), at.node.line)
+
+    def _repeat(self, at: Field, context: tuple[Condition, ...]) -> list[Template]:
+        given = at.fields(("repeat", "moves"))
+        least, most = times(given.required("repeat"))
+        moves = given.required("moves").items("the list that is repeated", least=1)
+        number = -1
+        if least < most:
+            labels = tuple(f"{count} times" for count in range(least, most + 1))
+            number = self._parameter(given.required("repeat"), Choice.even(labels), context)
+        outer, copies = self._time, []
+        for copy in range(most):
+            self._time = f"{outer}, time {copy + 1}"
+            here = context
+            if copy >= least:
+                here = (*context, Condition(number, copy - least + 1, most - least))
+            copies.append(tuple(self._template(move, here) for move in moves))
+        self._time = outer
+        if number < 0:
+            return [move for copy_ in copies for move in copy_]
+        return [Repeated(number, least, tuple(copies), at.line)]
+
+    def _one_of(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        given = at.fields(("one of", "chances"))
+        options = given.required("one of").items(f"a list of 2 to {MOST_OPTIONS} options")
+        refuse_options(given.required("one of"), tuple(range(len(options))))
+        chances = (1.0,) * len(options)
+        if "chances" in given:
+            chances = _chances(given.required("chances"), len(options))
+        labels = tuple(
+            option.node.text if isinstance(option.node, Scalar) else f"option {number + 1}"
+            for number, option in enumerate(options)
+        )
+        number = self._parameter(at, Choice(labels, chances), context)
+        return self._alternatives(at, number, options, context)
+
+    def _by(self, at: Field, context: tuple[Condition, ...]) -> Template:
+        entries = dict(at.entries("a mapping"))
+        by = entries.pop("by")
+        name = by.scalar("the name of a choice").removeprefix("the ")
+        chosen = self._use(by, name, context).template
+        if not isinstance(chosen, Alternatives) or not all(isinstance(o, Scalar) for o in chosen.options):
+            raise by.error("a choice of words", got=f"{name}, which is something else")
+        words = [option.text for option in chosen.options if isinstance(option, Scalar)]
+        for word, child in entries.items():
+            if word not in words:
+                expected = f"one of the keys {', '.join(words)}"
+                raise child.error(expected, got=f'the key "{word}"', hint=near_miss(word, words))
+        missing = [word for word in words if word not in entries]
+        if missing:
+            raise at.error(f"a value for each of {', '.join(words)}", got=f"none for {missing[0]}")
+        options = tuple(entries[word] for word in words)
+        return self._alternatives(at, chosen.parameter, options, context)
+
+    def _alternatives(
+        self, at: Field, number: int, options: tuple[Field, ...], context: tuple[Condition, ...]
+    ) -> Alternatives:
+        templates = []
+        for choice, option in enumerate(options):
+            templates.append(self._template(option, (*context, Condition(number, choice, choice))))
+        return Alternatives(number, tuple(templates), at.line)
+
+
+def _chances(at: Field, count: int) -> tuple[float, ...]:
+    expected = f"a list of {count} chances, numbers from 0.000001 to 1000000 such as 3 or 25 %"
+    chances = []
+    for item in at.items(expected, count=count):
+        value, unit = fixed_quantity(item)
+        if unit or not 1e-6 <= value <= 1e6:
+            raise item.error(expected)
+        chances.append(value)
+    return tuple(chances)
+
+
+def _point(at: Field) -> Distribution:
+    """The distribution of a point that a mapping says."""
+    entries = dict(at.entries("a mapping"))
+    if "in" in entries:
+        return _region(at, entries["in"])
+    if "box" in entries:
+        return _box(entries["box"])
+    given = at.fields(("shell", "from", "to"))
+    centre, unit = _corner(given.required("shell"))
+    (inner, one), (outer, other) = (fixed_quantity(given.required(key)) for key in ("from", "to"))
+    if not (one == other == unit and 0.0 <= inner < outer):
+        raise at.error("a centre, and two radii of which the second is larger, all of them lengths")
+    return InShell(centre, inner, outer, unit)
+
+
+def _box(at: Field) -> InBox:
+    (low, unit), (high, other) = (_corner(corner) for corner in at.items("two corners", count=2))
+    if unit != other or not all(a < b for a, b in zip(low, high, strict=True)):
+        raise at.error("two corners, each coordinate of the second larger, all of one kind")
+    return InBox(low, high, unit)
+
+
+def _region(at: Field, name: Field) -> InRegion:
+    text = name.scalar("the name of a region")
+    if text not in REGIONS:
+        raise name.error(f"one of {', '.join(REGIONS)}", hint=near_miss(text, REGIONS))
+    if at.path.startswith(f"{CHOICES}."):
+        raise name.error("a region where the point itself stands, not below choices")
+    return InRegion(text)
+
+
+def _corner(at: Field) -> tuple[Vector3, str]:
+    """Three quantities of one kind, and its SI unit."""
+    (x, unit), (y, second), (z, third) = (fixed_quantity(c) for c in at.items("a list of three", count=3))
+    if not unit == second == third:
+        raise at.error("three quantities of one kind")
+    return (x, y, z), unit
+
+
+def with_regions(
+    parameters: tuple[Parameter, ...], resolve: dict[str, InRegion], offsets: dict[str, InRegion]
+) -> tuple[Parameter, ...]:
+    """The parameters with their regions known: ``offsets`` where the TCP start is a shift."""
+
+    def known(parameter: Parameter) -> Parameter:
+        if not isinstance(parameter.distribution, InRegion):
+            return parameter
+        shift = parameter.name.startswith("tcp start") and ".offset" in parameter.name
+        return replace(
+            parameter, distribution=(offsets if shift else resolve)[parameter.distribution.name]
+        )
+
+    return tuple(map(known, parameters))

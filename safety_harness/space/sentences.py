@@ -1,0 +1,135 @@
+"""Distributions as people write them in place of one value: ``from 0.5 m/s to 2 m/s``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from safety_harness.exceptions import ScenarioError
+from safety_harness.scenario import units
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.units import Dimension, near_miss, normal_unit, parse_quantity
+from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform
+
+MOST_OPTIONS = 100
+MOST_TIMES = 20
+
+UNIFORM = "from 0.5 m/s to 2 m/s"
+NORMAL = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
+CHOICE = "one of 20 mm, 50 mm"
+
+_DIMENSIONS = {unit: d for d in vars(units).values() if isinstance(d, Dimension) for unit in d.units}
+_NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?")
+_UNIFORM = re.compile(r"from (.+?) to (.+)")
+_NORMAL = re.compile(r"normal (.+?) ?(?:\+-|\+/-|±) ?(.+?) from (.+?) to (.+)")
+_TIMES = re.compile(r"(?:from )?([0-9]{1,9})(?: to ([0-9]{1,9}))? times?")
+
+
+@dataclass(frozen=True)
+class Words:
+    """``one of A, B``: the options as they are written."""
+
+    options: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """``the NAME``: a value that the file's choices have."""
+
+    name: str
+
+
+Sentence: TypeAlias = Uniform | TruncatedNormal | Words | Reference
+
+
+def sentence(field: Field) -> Sentence | None:
+    """What a single value says that begins like a distribution; None for one that is fixed."""
+    text = " ".join(field.scalar("a value").split())
+    first = text.partition(" ")[0]
+    if first == "from":
+        return _uniform(field, text)
+    if first == "normal":
+        return _normal(field, text)
+    if text.startswith("one of "):
+        return Words(_options(field, text.removeprefix("one of ")))
+    return Reference(text.removeprefix("the ").strip()) if text.startswith("the ") else None
+
+
+def times(field: Field) -> tuple[int, int]:
+    """``from 1 to 4 times``: the least and the most."""
+    expected = f'how often, such as "from 1 to 4 times", at most {MOST_TIMES}'
+    matched = _TIMES.fullmatch(" ".join(field.scalar(expected).split()))
+    if matched is None:
+        raise field.error(expected)
+    least, most = int(matched[1]), int(matched[2] or matched[1])
+    if not least <= most <= MOST_TIMES or most == 0:
+        raise field.error(expected)
+    return least, most
+
+
+def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
+    """Any quantity with its SI unit: the unit that is written says of which dimension it is."""
+    text = field.scalar("a quantity such as 80 mm") if text is None else text
+    number = _NUMBER.match(text.strip())
+    unit = normal_unit(text.strip()[number.end() :]) if number else ""
+    if number is None or (unit and unit not in _DIMENSIONS):
+        raise field.error(
+            "a quantity such as 80 mm or 0.5 m/s", got=units.shown(text), hint=near_miss(unit, _DIMENSIONS)
+        )
+    dimension = _DIMENSIONS[unit] if unit else units.NUMBER
+    return parse_quantity(text, dimension, field.place), dimension.si
+
+
+def _uniform(field: Field, text: str) -> Uniform:
+    matched = _UNIFORM.fullmatch(text)
+    if matched is None:
+        raise field.error(f'both ends, such as "{UNIFORM}"')
+    (low, high), unit = _alike(field, matched[1], matched[2])
+    if not low < high:
+        raise field.error("a lower end, then a higher one")
+    return Uniform(low, high, unit)
+
+
+def _normal(field: Field, text: str) -> TruncatedNormal:
+    matched = _NORMAL.fullmatch(text)
+    if matched is None:
+        raise field.error(f'a mean, a deviation and both ends, such as "{NORMAL}"')
+    (mean, std, low, high), unit = _alike(field, *matched.groups())
+    if not (low < high and std > 0.0):
+        raise field.error("a deviation above zero, and a lower end, then a higher one")
+    try:
+        return TruncatedNormal(mean, std, low, high, unit)
+    except ValueError:
+        expected = f"at least {LEAST_MASS:g} of the normal distribution between its ends"
+        raise field.error(expected) from None
+
+
+def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
+    """The quantities, which must be of one dimension, and its SI unit."""
+    found = [fixed_quantity(field, text) for text in texts]
+    if len({unit for _, unit in found}) > 1:
+        raise field.error("quantities of one kind, each with its unit")
+    return tuple(value for value, _ in found), found[0][1]
+
+
+def _options(field: Field, text: str) -> tuple[str, ...]:
+    options = tuple(option.strip() for option in text.split(","))
+    refuse_options(field, options)
+    if not all(options):
+        raise field.error(f'two or more, such as "{CHOICE}"')
+    return options
+
+
+def refuse_options(field: Field, options: tuple[object, ...]) -> None:
+    """ScenarioError unless there are 2 to MOST_OPTIONS of them, no two the same."""
+    if not 2 <= len(options) <= MOST_OPTIONS:
+        raise field.error(f"from 2 to {MOST_OPTIONS} options", got=f"{len(options)}")
+    if len(set(options)) < len(options):
+        raise field.error("options that differ", hint="for one that is more probable: one of, chances")
+
+
+def error_of_reference(field: Field, name: str, known: list[str]) -> ScenarioError:
+    """What to raise for a name that no choice has."""
+    expected = f"one of the choices {', '.join(known)}" if known else "a name below choices, which has none"
+    return field.error(expected, hint=near_miss(name, known))
