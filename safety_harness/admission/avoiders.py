@@ -20,10 +20,10 @@ from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
 
 NAMES = (*SHIPPED, "opposite pose", "nearest candidate")
-MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
@@ -59,7 +59,7 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-    return PythonFile(path.resolve(), place).avoider(_file_and_name(reference)[1])
+    return PythonFile(path.resolve(), place).avoider(file_and_name(reference)[1])
 
 
 def avoider_sha256(scenario: Scenario) -> str:
@@ -70,7 +70,7 @@ def avoider_sha256(scenario: Scenario) -> str:
 
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, which is executed to resolve it?"""
-    return bool(_file_and_name(reference)[1])
+    return bool(file_and_name(reference)[1])
 
 
 def _folder_of(scenario: Scenario) -> Path | None:
@@ -81,16 +81,8 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     """The file that a reference means, which need not be there; None if it means none."""
     if reference in SHIPPED:
         return shipped_model(reference)
-    file, _ = _file_and_name(reference)
+    file, _ = file_and_name(reference)
     return (folder or Path()) / Path(file).expanduser() if file else None
-
-
-def _file_and_name(reference: str) -> tuple[str, str]:
-    """The file of a reference and the name within it; two empty texts if it means none."""
-    file, _, name = reference.rpartition(":")
-    if file.endswith(".py"):
-        return file, name
-    return (reference, "") if reference.endswith((MODEL_SUFFIX, ONNX_SUFFIX)) else ("", "")
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
@@ -101,7 +93,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     InadmissibleError if what would be written could not be read again.
     """
     place = place or Place(field="--avoider")
-    file, name = _file_and_name(reference)
+    file, name = file_and_name(reference)
     if file:
         path = Path(file).expanduser().resolve()
         reference = os.path.relpath(path, (_folder_of(scenario) or Path()).resolve())

@@ -46,6 +46,11 @@ def explain(error: Exception) -> None:
         say(f"  hint     {error.hint}")
 
 
+def without_repetition(errors: Sequence[InputError]) -> list[InputError]:
+    """Each message once: what is wrong in a file that others extend is the same mistake for all of them."""
+    return list({str(error): error for error in errors}.values())
+
+
 def replay_command(scenario: Scenario, trace: Path) -> list[str]:
     """The command that repeats a run; a program of the user's has to be named anew to be executed."""
     command = ["safety-harness", "replay", str(trace)]

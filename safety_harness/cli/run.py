@@ -24,60 +24,31 @@ from safety_harness.cli.console import (
     result,
     result_lines,
     say,
+    without_repetition,
 )
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
-from safety_harness.exceptions import InputError, OutputError, Place, SafetyHarnessError, ScenarioError
+from safety_harness.exceptions import InputError, OutputError, Place, SafetyHarnessError
 from safety_harness.report.decisions import fault_notes
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import RecordedHand, Scenario
-from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.store import save_trace
 
 REPORT, DATA = "report.html", "report.json"
 TRACES = "traces"
 
 
-def scenario_files(paths: Sequence[Path]) -> list[Path]:
-    """The scenario files that ``paths`` mean: files as they are, folders with all their *.yaml."""
-    files: list[Path] = []
-    for path in paths:
-        if path.is_dir():
-            found = sorted(path.glob("*.yaml"))
-            if not found:
-                raise ScenarioError(
-                    place=Place(file=path), expected="a folder with scenario files (*.yaml)", got="none in it"
-                )
-            files.extend(found)
-        else:
-            files.append(path)
-    return files
-
-
 def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
-    """Read and admit every file, with another avoider if one is given; all mistakes, not only the first."""
+    """Read and admit everything, with another avoider if one is given; all mistakes, not only the first."""
     admitted: list[Admitted] = []
-    errors: list[InputError] = []
-    names: dict[str, Path] = {}
-    try:
-        files = scenario_files(paths)
-    except InputError as error:
-        return [], [error]
-    for file in files:
+    gathered = gather(paths)
+    errors = list(gathered.errors)
+    for scenario in gathered.scenarios:
         try:
-            scenario = read_scenario(file)
-            if scenario.name in names:
-                raise ScenarioError(
-                    place=Place(file=file),
-                    expected="file names that tell the scenarios apart",
-                    got=f"the name {scenario.name!r} again, after {names[scenario.name]}",
-                )
-            names[scenario.name] = file
-            if avoider is not None:
-                scenario = with_avoider(scenario, avoider)
-            admitted.append(admit(scenario))
+            admitted.append(admit(scenario if avoider is None else with_avoider(scenario, avoider)))
         except InputError as error:
             errors.append(error)
-    return admitted, errors
+    return admitted, without_repetition(errors)
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
@@ -101,7 +72,7 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
         say("interrupted: nothing was run")
         return INTERRUPTED
     if errors:
-        for error in _without_repetition(errors):
+        for error in errors:
             explain(error)
         say(f"{len(errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
@@ -114,11 +85,6 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     session = Session(out, shlex.join(_command(paths, out, avoider)), len(admitted))
     session.run_all(admitted)
     return session.finish()
-
-
-def _without_repetition(errors: Sequence[InputError]) -> list[InputError]:
-    """Each message once: a wrong ``--avoider`` is the same mistake for every file."""
-    return list({str(error): error for error in errors}.values())
 
 
 def _command(paths: Sequence[Path], out: Path, avoider: str | None) -> list[str]:

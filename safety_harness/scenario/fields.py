@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from math import pi
 from pathlib import Path
@@ -38,17 +38,22 @@ def is_sentence(text: str) -> bool:
 
 @dataclass(frozen=True)
 class Field:
-    """One value of a scenario file.  ``path`` is what a message calls it: ``hands[0].starts at``."""
+    """One value of a scenario file.  ``path`` is what a message calls it: ``hands[0].starts at``.
+
+    ``file`` is the scenario's own, which relative paths start from; ``origin`` is the one in which
+    the value stands, if that is another.
+    """
 
     node: Node
     file: Path | None
     path: str
     line: int
+    origin: Path | None = None
 
     @property
     def place(self) -> Place:
         """For errors, here and after reading."""
-        return Place(file=self.file, line=self.line, field=self.path or None)
+        return Place(file=self.origin or self.file, line=self.line, field=self.path or None)
 
     def error(self, expected: str, *, got: str | None = None, hint: str = "") -> ScenarioError:
         """The error to raise when this value is not what was expected."""
@@ -141,7 +146,7 @@ class Field:
         if (count is not None and length != count) or length < least or (most is not None and length > most):
             raise self.error(expected)
         return tuple(
-            Field(node, self.file, f"{self.path}[{index}]", node.line)
+            Field(node, self.file, f"{self.path}[{index}]", node.line, node.file)
             for index, node in enumerate(self.node.items)
         )
 
@@ -150,7 +155,7 @@ class Field:
         if not isinstance(self.node, Mapping):
             raise self.error(expected)
         return tuple(
-            (key.text, Field(node, self.file, join(self.path, key.text), key.line))
+            (key.text, Field(node, self.file, join(self.path, key.text), key.line, key.file))
             for key, node in self.node.entries
         )
 
@@ -186,7 +191,7 @@ class Fields:
         """The value of ``key``; ScenarioError when it is missing."""
         if key not in self.by_key:
             present = ", ".join(map(shown, self.by_key))
-            place = Place(file=self.whole.file, line=self.whole.line, field=join(self.whole.path, key))
+            place = replace(self.whole.place, field=join(self.whole.path, key))
             got = f"only {present}" if present else "nothing"
             raise ScenarioError(place=place, expected=f'the key "{key}"', got=got)
         return self.by_key[key]

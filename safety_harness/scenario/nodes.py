@@ -1,4 +1,4 @@
-"""The text of a scenario file as a tree that knows on which line each of its parts stands.
+"""The text of a scenario file as a tree that knows in which file and line each of its parts stands.
 
 YAML 1.2 is read down to its events and no further: no value is constructed, no tag is obeyed,
 nothing is expanded or executed.  What the small language does not need (tags, anchors and
@@ -8,7 +8,7 @@ aliases, several documents, tabs, deep nesting) is refused by name.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ruamel.yaml import YAML
@@ -37,6 +37,7 @@ class Scalar:
 
     text: str
     line: int
+    file: Path | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class Sequence:
 
     items: tuple[Node, ...]
     line: int
+    file: Path | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,7 @@ class Mapping:
 
     entries: tuple[tuple[Scalar, Node], ...]
     line: int
+    file: Path | None = field(default=None, compare=False, repr=False)
 
 
 Node = Scalar | Sequence | Mapping
@@ -99,12 +102,13 @@ class _Builder:
         self._refuse_what_has_no_use(event, path, depth)
         line = _line(event)
         if isinstance(event, SequenceStartEvent):
-            return Sequence(tuple(self._items(path, depth + 1)), line)
+            return Sequence(tuple(self._items(path, depth + 1)), line, self.file)
         if isinstance(event, MappingStartEvent):
-            return Mapping(tuple(self._entries(path, depth + 1)), line)
+            return Mapping(tuple(self._entries(path, depth + 1)), line, self.file)
         assert isinstance(event, ScalarEvent)
         # The last line break of a block text (| or >) belongs to its notation, not to the text.
-        return Scalar(event.value.rstrip("\n") if event.style in ("|", ">") else event.value, line)
+        text = event.value.rstrip("\n") if event.style in ("|", ">") else event.value
+        return Scalar(text, line, self.file)
 
     def _items(self, path: str, depth: int) -> Iterator[Node]:
         index = 0
@@ -118,14 +122,14 @@ class _Builder:
             key = self.node(event, path=path, depth=depth)
             if not isinstance(key, Scalar):
                 raise self._error(key.line, path, "a key of plain words", "a list or a mapping as a key")
-            field = join(path, key.text)
+            below = join(path, key.text)
             if key.text in first_line:
                 got = f'"{key.text}" a second time (first on line {first_line[key.text]})'
-                raise self._error(key.line, field, "each key once", got)
+                raise self._error(key.line, below, "each key once", got)
             first_line[key.text] = key.line
-            value = self.node(next(self.events), path=field, depth=depth)
+            value = self.node(next(self.events), path=below, depth=depth)
             if isinstance(value, Scalar) and not value.text:
-                value = Scalar("", key.line)  # the parser notices a missing value only lines later
+                value = Scalar("", key.line, self.file)  # the parser notices a missing value only lines later
             yield key, value
 
     def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:

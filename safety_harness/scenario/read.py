@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
-from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import refuse_distributions
@@ -22,7 +22,6 @@ from safety_harness.scenario.settings_keys import read_group, setting_keys
 from safety_harness.scenario.units import ANGLE, TIME, shown
 from safety_harness.settings import DEFAULTS, Settings
 
-MAX_BYTES = 1_000_000
 MOST_TICKS = 1_000_000
 LARGEST_SEED = 2**63 - 1
 DEFAULT_AVOIDER = "mc-dropout"
@@ -40,6 +39,9 @@ KEYS = (
     "settings",
     "claims",
 )
+_COMPOSED = dict.fromkeys(
+    COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
+) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
 # The two groups of settings that have a key of their own at the top.
 TOP_GROUPS = {"hand sensor": "hand_sensor", "camera": "camera"}
 SETTINGS_KEYS = {
@@ -50,9 +52,23 @@ SETTINGS_KEYS = {
 
 
 def read_scenario(path: Path) -> Scenario:
-    """The scenario in a file; ScenarioError or RecordingError when it cannot be used as it stands."""
-    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=ScenarioError)
-    return parse_scenario(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+    """The scenario in a file, with what it extends.
+
+    ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
+    which ``read_all_scenarios`` reads.
+    """
+    found = variants(path, Library())
+    if len(found) > 1:
+        raise ScenarioError(
+            place=Place(file=path, field=MATRIX), expected="one scenario", got=f"a matrix of {len(found)}"
+        )
+    return scenario_of_variant(found[0], path)
+
+
+def scenario_of_variant(variant: Variant, file: Path) -> Scenario:
+    """The scenario of one tree that ``file`` stands for."""
+    refuse_distributions(Field(variant.tree, file, path="", line=1))
+    return scenario_of(variant.tree, file, name=variant.name)
 
 
 def parse_scenario(
@@ -60,9 +76,11 @@ def parse_scenario(
     file: Path | None = None,
     recordings: Mapping[str, bytes] | None = None,
     *,
+    name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """The scenario that ``text`` describes; ``file`` names it and is where recordings are sought from.
+    """The scenario that ``text`` describes, which has to be complete in itself; ``file``
+    names it, unless ``name`` does, and is where recordings are sought from.
 
     ``recordings`` are bytes of recordings by their SHA-256, for a text that says ``sha256`` beside
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is
@@ -70,7 +88,7 @@ def parse_scenario(
     """
     tree = parse_tree(text, file)
     refuse_distributions(Field(tree, file, path="", line=1))
-    name = file.stem if file else "unnamed"
+    name = name or (file.stem if file else "unnamed")
     return scenario_of(tree, file, recordings, name=name, claims_required=claims_required)
 
 
@@ -84,7 +102,7 @@ def scenario_of(
 ) -> Scenario:
     """As ``parse_scenario``, for a text that is a tree already."""
     root = Field(tree, file, path="", line=1)
-    given = root.fields(KEYS)
+    given = root.fields(KEYS, hints=_COMPOSED)
     settings = _settings(given)
     return Scenario(
         name=name,

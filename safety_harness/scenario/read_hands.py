@@ -208,8 +208,9 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
 
 def _recording(hand: Fields, path: Path, carried: Mapping[str, bytes]) -> Recording:
     """The carried recording with the SHA-256 that is asked for, else the file beside the scenario."""
-    place = hand.required("recording").place
-    file = (place.file.parent if place.file else Path()) / path
+    field = hand.required("recording")
+    place = field.place
+    file = (field.file.parent if field.file else Path()) / path
     pinned = hand.optional("sha256")
     digest = pinned.scalar("a SHA-256") if pinned else ""
     if pinned and not _SHA256.fullmatch(digest):

@@ -179,7 +179,8 @@ class _Reader:
         try:
             text = self._parts["scenario.yaml"].decode()
             file = Path(run["scenario_file"] or f"{run['scenario_name']}.yaml")
-            return parse_scenario(text, file, recordings, claims_required=False)
+            name = str(run["scenario_name"])
+            return parse_scenario(text, file, recordings, name=name, claims_required=False)
         except (KeyError, UnicodeDecodeError, TypeError) as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:

@@ -13,7 +13,8 @@ import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.replay import judge_again, replay
-from safety_harness.cli.run import run, scenario_files
+from safety_harness.cli.run import run
+from safety_harness.scenario.expand import gather
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 GOOD = """\
@@ -91,7 +92,7 @@ def test_two_files_of_one_name_are_refused(good: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_means_its_yaml_files_in_order() -> None:
-    files = scenario_files([SCENARIOS])
+    files = [scenario.file for scenario in gather([SCENARIOS]).scenarios]
     assert files == sorted(SCENARIOS.glob("*.yaml"))
 
 

@@ -8,7 +8,8 @@ from scenario_strategies import RECORDING
 from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, parse
 
 from safety_harness.exceptions import Place, RecordingError, ScenarioError
-from safety_harness.scenario.read import MAX_BYTES, parse_scenario, read_scenario
+from safety_harness.scenario.compose import MAX_BYTES
+from safety_harness.scenario.read import parse_scenario, read_scenario
 
 
 def test_a_file_is_read_and_named_after_it(tmp_path: Path) -> None:

@@ -1,0 +1,247 @@
+"""Scenario files made of others: ``extends``, ``without`` and ``matrix``, worked out on their trees.
+
+What comes out are ordinary trees, in which every part still knows the file and line where somebody
+wrote it.  Files, bytes, combinations and values are bounded; nothing is executed.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
+from safety_harness.scenario.only_in_spaces import SPACE_KEY
+from safety_harness.scenario.references import avoider_seen_from, seen_from
+from safety_harness.scenario.units import near_miss, shown
+
+EXTENDS, WITHOUT, MATRIX, SUITE = "extends", "without", "matrix", "suite"
+COMPOSING = (EXTENDS, WITHOUT, MATRIX)
+MAX_BYTES = 1_000_000  # of one file
+MOST_BYTES = 20_000_000  # of all the files that one path leads to
+LONGEST_CHAIN = 8
+MOST_COMBINATIONS = 1_000
+MOST_VALUES = 300_000  # of all combinations together, so that reading them ends in seconds
+
+_LABEL = re.compile(r"[\w.+%°-]+(?: [\w.+%°-]+)*")  # it becomes part of a file's name
+_LONGEST_LABEL, _LONGEST_NAME = 40, 150
+_TITLES = {"scenario", SPACE_KEY}  # a file has one of them
+_WHOLE = {"one of", "by", "box", "shell", "in"}  # a distribution replaces another, key by key makes no sense
+_Rewrite = Callable[[str], str]
+
+
+@dataclass
+class Library:
+    """The files that one path leads to: each is read once, all of them together are bounded."""
+
+    _trees: dict[Path, Node] = field(default_factory=dict)
+    _bytes: int = 0
+
+    def tree(self, path: Path, place: Place | None = None) -> Node:
+        """The tree of a file as it stands; ScenarioError, at ``place`` if there is no such file."""
+        key = path.resolve()
+        if key not in self._trees:
+            data = read_bytes(path, most=MAX_BYTES, place=place or Place(file=path), error=ScenarioError)
+            self._bytes += len(data)
+            if self._bytes > MOST_BYTES:
+                raise ScenarioError(
+                    place=place or Place(file=path), expected=f"at most {MOST_BYTES:,} bytes", got="more"
+                )
+            self._trees[key] = parse_tree(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+        return self._trees[key]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One scenario of a file: a tree without any key of composition, and the name that goes with it."""
+
+    name: str
+    tree: Node
+
+
+def variants(path: Path, library: Library) -> tuple[Variant, ...]:
+    """Everything that a scenario file stands for: one tree, or one for each combination of its matrix."""
+    tree = _extended(path, library, ())
+    if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
+        return (Variant(path.stem, tree),)
+    root = Field(tree, path, path="", line=1)
+    matrix = dict(root.entries("a scenario"))[MATRIX]
+    plain = _without(tree, {MATRIX})
+    found = []
+    for combination in itertools.product(*_axes(matrix, plain)):
+        name = f"{path.stem}[{','.join(label for label, _ in combination)}]"
+        if len(name.encode()) > _LONGEST_NAME:
+            raise matrix.error(f"labels that make names of at most {_LONGEST_NAME} bytes", got=shown(name))
+        whole: Node = plain
+        for _, changes in combination:
+            whole = merged(whole, changes)
+        found.append(Variant(name, whole))
+    return tuple(found)
+
+
+def merged(base: Node, over: Node) -> Node:
+    """``over`` on top of ``base``: mappings key by key, anything else in its place."""
+    if not isinstance(base, Mapping) or not isinstance(over, Mapping) or _WHOLE & (_keys(base) | _keys(over)):
+        return over
+    changes = {key.text: (key, value) for key, value in over.entries}
+    entries = []
+    for key, value in base.entries:
+        if key.text in changes:
+            changed, change = changes.pop(key.text)
+            entries.append((changed, merged(value, change)))
+        else:
+            entries.append((key, value))
+    return Mapping((*entries, *changes.values()), over.line, over.file)
+
+
+def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
+    """The tree of a file with what it extends below it; ``chain`` are the files on the way to it."""
+    tree = library.tree(path, place)
+    root = Field(tree, path, path="", line=1)
+    if not isinstance(tree, Mapping):
+        return tree
+    given = dict(root.entries("a scenario"))
+    if EXTENDS not in given:
+        if WITHOUT in given:
+            raise given[WITHOUT].error(f'the key "{EXTENDS}" beside it', got=f'"{WITHOUT}" alone')
+        return tree
+    asked = given[EXTENDS]
+    base_path = path.parent / asked.sentence("the file that this one extends")
+    here = (*chain, path)
+    if base_path.resolve() in [one.resolve() for one in here]:
+        words = " extends ".join(one.name for one in (*here, base_path))
+        raise asked.error("files that do not extend each other in a circle", got=words)
+    if len(here) >= LONGEST_CHAIN:
+        raise asked.error(f"a chain of at most {LONGEST_CHAIN} files", got="a longer one")
+    base = _extended(base_path, library, here, asked.place)
+    if not isinstance(base, Mapping) or SUITE in _keys(base):
+        raise asked.error("a scenario file", got=f"{shown(str(base_path))}, which is none")
+    if base_path.parent.resolve() != path.parent.resolve():
+        base = _moved(base, base_path.parent, path.parent)
+    assert isinstance(base, Mapping)
+    if WITHOUT in given:
+        base = _reduced(base, given[WITHOUT])
+    own = _without(tree, {EXTENDS, WITHOUT})
+    if _TITLES & _keys(own):
+        base = _without(base, _TITLES - _keys(own))
+    return merged(base, own)
+
+
+def _reduced(base: Mapping, without: Field) -> Mapping:
+    """``base`` less the keys and the claims that ``without`` lists."""
+    claims = next((value for key, value in base.entries if key.text == "claims"), None)
+    sentences = _keys(claims) if isinstance(claims, Mapping) else set()
+    dropped = set()
+    for item in without.items("a list of keys and claims of the file that is extended", least=1):
+        word = item.scalar("a key or a claim of the file that is extended")
+        if word not in _keys(base) | sentences:
+            hint = near_miss(word, _keys(base) | sentences)
+            raise item.error("a key or a claim of the file that is extended", hint=hint)
+        dropped.add(word)
+    base = _without(base, dropped)
+    if isinstance(claims, Mapping) and "claims" not in dropped:
+        base = _with(base, "claims", _without(claims, dropped))
+    return base
+
+
+def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
+    """The labels of each axis with what they change, after every check."""
+    expected = "a mapping of axes, each a mapping of labels and what they change"
+    axes: list[list[tuple[str, Node]]] = []
+    changed_by: dict[tuple[str, ...], str] = {}
+    for axis, below in matrix.entries(expected):
+        labels = below.entries("a mapping of labels and what they change")
+        if not labels:
+            raise below.error("at least one label")
+        changes = {path for label, change in labels for path in _changes(_checked(label, change).node)}
+        for path in sorted(changes):
+            for other, by in changed_by.items():
+                if path[: len(other)] == other[: len(path)]:
+                    raise below.error(
+                        f'axes that change different values; "{by}" changes {".".join(other)}',
+                        got=f'"{axis}", which changes {".".join(path)}',
+                    )
+        changed_by.update(dict.fromkeys(changes, axis))
+        axes.append([(label, change.node) for label, change in labels])
+    if not axes:
+        raise matrix.error(expected)
+    count = math.prod(map(len, axes))
+    if count > MOST_COMBINATIONS:
+        raise matrix.error(f"at most {MOST_COMBINATIONS:,} combinations", got=f"{count:,}")
+    largest = _size(plain) + sum(max(_size(change) for _, change in axis) for axis in axes)
+    if count * largest > MOST_VALUES:
+        raise matrix.error(f"at most {MOST_VALUES:,} values in all combinations", got="more")
+    return axes
+
+
+def _checked(label: str, change: Field) -> Field:
+    if not _LABEL.fullmatch(label) or len(label) > _LONGEST_LABEL:
+        expected = f"a label of at most {_LONGEST_LABEL} letters, digits, spaces and . + - % _"
+        raise change.error(expected, got=shown(label))
+    if not isinstance(change.node, Mapping):
+        raise change.error("a mapping of what is changed, {} for nothing")
+    for key, field_ in change.entries("a mapping"):
+        if key in (*COMPOSING, SUITE):
+            raise field_.error("keys of a scenario", got=f'the key "{key}" within a matrix')
+    return change
+
+
+def _changes(node: Node) -> Iterator[tuple[str, ...]]:
+    """The paths of the values that a tree of changes sets."""
+    assert isinstance(node, Mapping)
+    for key, value in node.entries:
+        if isinstance(value, Mapping) and value.entries and not _WHOLE & _keys(value):
+            yield from ((key.text, *path) for path in _changes(value))
+        else:
+            yield (key.text,)
+
+
+def _moved(node: Node, folder: Path, to: Path) -> Node:
+    """A tree in which avoiders and recordings are named as seen from another folder."""
+    words: dict[str, _Rewrite] = {
+        "avoider": lambda text: avoider_seen_from(to, text, folder),
+        "recording": lambda text: seen_from(to, text, folder),
+    }
+    return _rewritten(node, words, None)
+
+
+def _rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None) -> Node:
+    if isinstance(node, Scalar):
+        if rewrite is None or not node.text:
+            return node
+        first, options = ("one of ", node.text[7:]) if node.text.startswith("one of ") else ("", node.text)
+        parts = options.split(", ") if first else [options]
+        return replace(node, text=first + ", ".join(map(rewrite, parts)))
+    if isinstance(node, Sequence):
+        return replace(node, items=tuple(_rewritten(item, words, rewrite) for item in node.items))
+    entries = tuple(
+        (key, _rewritten(value, words, words.get(key.text, rewrite))) for key, value in node.entries
+    )
+    return replace(node, entries=entries)
+
+
+def _keys(mapping: Mapping) -> set[str]:
+    return {key.text for key, _ in mapping.entries}
+
+
+def _without(mapping: Mapping, keys: set[str]) -> Mapping:
+    return replace(mapping, entries=tuple(entry for entry in mapping.entries if entry[0].text not in keys))
+
+
+def _with(mapping: Mapping, key: str, value: Node) -> Mapping:
+    entries = tuple((one, value if one.text == key else old) for one, old in mapping.entries)
+    return replace(mapping, entries=entries)
+
+
+def _size(node: Node) -> int:
+    """How many values a tree has."""
+    if isinstance(node, Scalar):
+        return 1
+    below = node.items if isinstance(node, Sequence) else tuple(value for _, value in node.entries)
+    return 1 + sum(map(_size, below))

@@ -1,0 +1,133 @@
+"""Every scenario that a path leads to: a file, each combination of its matrix, a folder, a suite."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.compose import SUITE, Library, variants
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.read import scenario_of_variant
+
+SUITE_KEYS = (SUITE, "about", "scenarios")
+DEEPEST_SUITE = 8
+MOST_FILES = 1_000
+MOST_SCENARIOS = 10_000
+
+
+@dataclass
+class Gathered:
+    """What several paths lead to: the scenarios, and every mistake on the way to them."""
+
+    scenarios: list[Scenario] = field(default_factory=list)
+    errors: list[InputError] = field(default_factory=list)
+
+
+def read_all_scenarios(path: Path) -> tuple[Scenario, ...]:
+    """Every scenario of a file, a folder or a suite; the first mistake is raised, an InputError."""
+    gathered = gather([path])
+    if gathered.errors:
+        raise gathered.errors[0]
+    return tuple(gathered.scenarios)
+
+
+def gather(paths: Iterable[Path]) -> Gathered:
+    """As ``read_all_scenarios`` for several paths, with all mistakes and not only the first.
+
+    A file counts once, however often it is named; of a matrix only the first mistake is told.
+    """
+    return _Gatherer().everything(paths)
+
+
+class _Gatherer:
+    """Walks through files, folders and suites."""
+
+    def __init__(self) -> None:
+        self._library = Library()
+        self._gathered = Gathered()
+        self._seen: set[Path] = set()
+        self._names: dict[str, Path] = {}
+
+    def everything(self, paths: Iterable[Path]) -> Gathered:
+        for path in paths:
+            self._add(path, None, ())
+        return self._gathered
+
+    def _add(self, path: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        try:
+            for file in _files(path, place):
+                asked_for_itself = file.resolve() in suites and file == path
+                if file.resolve() in self._seen and not asked_for_itself:
+                    continue
+                self._seen.add(file.resolve())
+                if len(self._seen) > MOST_FILES:
+                    raise ScenarioError(
+                        place=place or Place(file=file), expected=f"at most {MOST_FILES:,} files", got="more"
+                    )
+                self._add_file(file, place, suites)
+        except InputError as error:
+            self._gathered.errors.append(error)
+
+    def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        try:
+            tree = self._library.tree(file, place)
+            if isinstance(tree, Mapping) and any(key.text == SUITE for key, _ in tree.entries):
+                self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
+                return
+            for variant in variants(file, self._library):
+                self._take(scenario_of_variant(variant, file))
+        except InputError as error:
+            self._gathered.errors.append(error)
+
+    def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        if file.resolve() in suites:
+            words = " names ".join(one.name for one in (*suites, file))
+            raise ScenarioError(
+                place=place or root.place, expected="suites that do not name each other", got=words
+            )
+        if len(suites) >= DEEPEST_SUITE:
+            expected = f"suites of at most {DEEPEST_SUITE} levels"
+            raise ScenarioError(place=place or root.place, expected=expected, got="a deeper one")
+        given = root.fields(SUITE_KEYS)
+        title = given.required(SUITE)
+        if not title.prose("a title on one line").strip():
+            raise title.error("a title on one line")
+        about = given.optional("about")
+        if about is not None:
+            about.prose("why one would run this", lines=True)
+        for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
+            path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
+            self._add(path, item.place, (*suites, file.resolve()))
+
+    def _take(self, scenario: Scenario) -> None:
+        assert scenario.file is not None
+        if scenario.name in self._names:
+            raise ScenarioError(
+                place=Place(file=scenario.file),
+                expected="file names that tell the scenarios apart",
+                got=f"the name {scenario.name!r} again, after {self._names[scenario.name]}",
+            )
+        if len(self._names) >= MOST_SCENARIOS:
+            expected = f"at most {MOST_SCENARIOS:,} scenarios"
+            raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")
+        self._names[scenario.name] = scenario.file
+        self._gathered.scenarios.append(scenario)
+
+
+def _files(path: Path, place: Place | None) -> Iterator[Path]:
+    """A file as it is, a folder with all its *.yaml."""
+    if not path.is_dir():
+        yield path
+        return
+    found = sorted(path.glob("*.yaml"))
+    if not found:
+        raise ScenarioError(
+            place=place or Place(file=path),
+            expected="a folder with scenario files (*.yaml)",
+            got=f"none in {path}" if place else "none in it",
+        )
+    yield from found

@@ -1,0 +1,31 @@
+"""Texts in a scenario file that mean another file: an avoider's program or model, a recording."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
+
+
+def file_and_name(reference: str) -> tuple[str, str]:
+    """The file of an avoider's reference and the name within it; two empty texts if it means none."""
+    file, _, name = reference.rpartition(":")
+    if file.endswith(".py"):
+        return file, name
+    return (reference, "") if reference.endswith((MODEL_SUFFIX, ONNX_SUFFIX)) else ("", "")
+
+
+def seen_from(folder: Path, path: str, standing_in: Path) -> str:
+    """``path``, relative to the folder ``standing_in``, as ``folder`` has to say it."""
+    if Path(path).is_absolute() or path.startswith("~"):
+        return path
+    return Path(os.path.relpath(standing_in / path, folder)).as_posix()
+
+
+def avoider_seen_from(folder: Path, reference: str, standing_in: Path) -> str:
+    """An avoider's reference likewise; a name without a file stays as it is."""
+    file, name = file_and_name(reference)
+    if not file:
+        return reference
+    return seen_from(folder, file, standing_in) + (f":{name}" if name else "")
