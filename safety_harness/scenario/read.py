@@ -13,6 +13,7 @@ from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
+from safety_harness.scenario.compose import MAX_BYTES as MAX_BYTES  # a public name of this file
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import Node, parse_tree
@@ -79,8 +80,9 @@ def parse_scenario(
     name: str | None = None,
     claims_required: bool = True,
 ) -> Scenario:
-    """The scenario that ``text`` describes, which has to be complete in itself; ``file``
-    names it, unless ``name`` does, and is where recordings are sought from.
+    """The scenario that ``text`` describes, which has to be complete in itself.
+
+    ``file`` names it, unless ``name`` does, and is where recordings are sought from.
 
     ``recordings`` are bytes of recordings by their SHA-256, for a text that says ``sha256`` beside
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is

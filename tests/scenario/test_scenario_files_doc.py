@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,21 @@ import pytest
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario import read, read_hands, units
 from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
+from safety_harness.scenario.compose import COMPOSING
+from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
+from safety_harness.scenario.reference_tables import MOVES
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.scenario.units import Dimension
 from safety_harness.settings import DEFAULTS
 
 ROOT = Path(__file__).parents[2]
+_SPEC = importlib.util.spec_from_file_location("tables", ROOT / "docs/tables.py")
+assert _SPEC is not None
+assert _SPEC.loader is not None
+tables = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(tables)
 TEXT = (ROOT / "docs/scenario-files.md").read_text()
 FILE = ROOT / "scenarios/example.yaml"  # examples stand where the recordings are
 BASE = {
@@ -49,7 +58,7 @@ class Row:
 def rows(heading: str) -> list[Row]:
     """The rows of the first table below a heading."""
     section = TEXT.split(f"{heading}\n", 1)[1].split("\n#", 1)[0]
-    table = section.split("|---", 1)[1].split("\n\n", 1)[0].splitlines()[1:]
+    table = re.split("\n\n|<!-- end", section.split("|---", 1)[1])[0].splitlines()[1:]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
     return [Row(tuple(re.findall("`(.*?)`", first)), value, default) for first, value, default, *_ in cells]
 
@@ -93,9 +102,28 @@ def test_the_note_about_a_recording_is_what_the_example_gives() -> None:
     assert f"`{hand.motion.notes[0]}`" in " ".join(TEXT.split())
 
 
+def test_the_tables_and_the_published_schema_are_what_the_code_knows() -> None:
+    """If not: python docs/tables.py."""
+    assert tables.with_tables(TEXT) == TEXT
+    assert tables.SCHEMA.read_text() == tables.schema_text()
+
+
+def test_the_composed_example_and_the_suite_can_be_read(tmp_path: Path) -> None:
+    for name in ("fast-reach", "hand-visits-and-leaves"):
+        (tmp_path / f"{name}.yaml").write_text((ROOT / f"scenarios/{name}.yaml").read_text())
+    ((composed,), (suite,)) = blocks("yaml composed"), blocks("yaml suite")
+    (tmp_path / "reach.yaml").write_text(composed)
+    (tmp_path / "suite.yaml").write_text(suite)
+    assert [one.name for one in read_all_scenarios(tmp_path / "reach.yaml")] == [
+        f"reach[{sensor},{start}]" for sensor in ("ideal", "late") for start in ("near", "far")
+    ]
+    assert len(read_all_scenarios(tmp_path / "suite.yaml")) == 2
+
+
 @pytest.mark.parametrize(
     ("heading", "keys"),
     [
+        ("## Files made of others", COMPOSING),
         ("## Top of the file", KEYS),
         ("## A hand that moves", read_hands._MOVING_KEYS),
         ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
@@ -112,6 +140,8 @@ def test_the_page_names_every_move() -> None:
     for move, (further, _) in read_hands._MOVES.items():
         (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
         assert tuple(re.findall("`(.*?)`", line)) == further
+        (table,) = (table for table in MOVES if table.name == move)
+        assert table.names == (move, *further)
 
 
 @pytest.mark.parametrize("group", SETTINGS_KEYS)

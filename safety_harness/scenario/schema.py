@@ -1,0 +1,161 @@
+"""The JSON Schema (draft 2020-12) of scenario files, for editors: made from the reference tables.
+
+A schema sees less than the reader: it does not know bounds of values with units, what does not go
+together, or what a recording holds.  What it refuses, the reader refuses as well.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from safety_harness.scenario.reference import (
+    Below,
+    FreeKeys,
+    Key,
+    Quantity,
+    Several,
+    Table,
+    Text,
+    Value,
+    Word,
+    below,
+)
+from safety_harness.scenario.reference_tables import COMPOSED, SUITE, TOP
+from safety_harness.scenario.units import Dimension
+
+Schema = dict[str, Any]
+_NUMBER = r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"
+_SPACED = {"2": "(2|\\^2|²)", "/": " */ *", "deg": "(deg|°)"}  # the ways to write a unit
+_ANY_TEXT: Schema = {"type": ["string", "number", "boolean", "null"]}  # 12 is a text where a text is asked for
+
+
+def scenario_schema() -> Schema:
+    """The whole schema: a scenario, one that extends another, a suite; spaces are left to the reader."""
+    scenario = _table(TOP, further=COMPOSED)
+    required = scenario.pop("required")
+    extending = {"if": {"required": ["extends"]}, "else": {"required": required}}
+    space = {"required": ["scenario space"]}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A scenario file of safety-harness",
+        "type": "object",
+        "if": space,
+        "else": {
+            "if": {"required": ["suite"]},
+            "then": _table(SUITE),
+            "else": {**scenario, "allOf": [extending]},
+        },
+        "$defs": _definitions(),
+    }
+
+
+def _definitions() -> Schema:
+    found: dict[str, Schema] = {}
+    for key in TOP.keys:
+        for table in below(key.value):
+            found[_name(table)] = _table(table)
+    return found
+
+
+def _name(table: Table) -> str:
+    return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
+
+
+def _table(table: Table, further: Table | None = None) -> Schema:
+    keys = (*table.keys, *(further.keys if further else ()))
+    schema: Schema = {
+        "type": "object",
+        "additionalProperties": False,
+        "properties": {key.name: _key(key) for key in keys},
+    }
+    if table.required:
+        schema["required"] = list(table.required)
+    return schema
+
+
+def _key(key: Key) -> Schema:
+    default = f" Default: {key.default}." if key.default else ""
+    return {"description": f"{key.meaning}. Takes: {key.words}.{default}", **_value(key.value)}
+
+
+def _value(value: Value) -> Schema:
+    if isinstance(value, Quantity):
+        return _quantity(value)
+    if isinstance(value, Word):
+        return {"enum": list(value.options)}
+    if isinstance(value, Text):
+        return {"type": "string", "pattern": value.pattern} if value.pattern else _ANY_TEXT
+    if isinstance(value, Several):
+        least, most = (value.count, value.count) if value.count else (value.least, value.most)
+        schema: Schema = {"type": "array", "items": _value(value.of)}
+        if least:
+            schema["minItems"] = least
+        return schema if most is None else {**schema, "maxItems": most}
+    if isinstance(value, FreeKeys):
+        free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
+        return {**free, "minProperties": value.least} if value.least else free
+    return _below(value)
+
+
+def _below(value: Below) -> Schema:
+    """One table, or several: which of them is meant is told by the first key of each."""
+    if not value.tables:
+        return {"type": "object"}
+    references = [{"$ref": f"#/$defs/{_pointer(_name(table))}"} for table in value.tables]
+    if len(references) == 1:
+        return references[0]
+    firsts = [table.keys[0].name for table in value.tables]
+    schema: Schema = {
+        "type": "object",
+        "anyOf": [{"required": [first]} for first in firsts],
+        "allOf": [
+            {"if": _begins(table, value.tables), "then": reference}
+            for table, reference in zip(value.tables, references, strict=True)
+        ],
+    }
+    return schema
+
+
+def _begins(table: Table, others: tuple[Table, ...]) -> Schema:
+    """That a mapping is of this table: it has its first key, and no first key that this table has not."""
+    foreign = [other.keys[0].name for other in others if other.keys[0].name not in table.names]
+    mine: Schema = {"required": [table.keys[0].name]}
+    wider = [other.keys[0].name for other in others if table.keys[0].name in other.names and other is not table]
+    if not wider:
+        return mine
+    return {**mine, "not": {"anyOf": [{"required": [name]} for name in foreign]}}
+
+
+def _pointer(name: str) -> str:
+    return name.replace("~", "~0").replace("/", "~1").replace(" ", "%20")
+
+
+def _quantity(value: Quantity) -> Schema:
+    texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
+    if value.dimension.bare:
+        number: Schema = {"type": "integer" if value.whole else "number"}
+        for word, bound in (("exclusiveMinimum", value.above), ("minimum", value.least), ("maximum", value.most)):
+            if bound is not None:
+                number[word] = bound
+        texts.insert(0, number)
+    if value.or_word:
+        texts.append({"const": value.or_word})
+    return texts[0] if len(texts) == 1 else {"anyOf": texts}
+
+
+def _pattern(dimension: Dimension, whole: bool) -> str:
+    """A number with one of the units, in every spelling that the reader takes."""
+    number = "[+-]?[0-9]+" if whole and dimension.bare else _NUMBER
+    units = "|".join(map(_unit, dimension.units))
+    unit = f" *({units}){'?' if dimension.bare else ''}" if units else ""
+    return f"^ *{number}{unit} *$"
+
+
+def _unit(unit: str) -> str:
+    return "".join(_SPACED.get(part, part) for part in _parts(unit))
+
+
+def _parts(unit: str) -> list[str]:
+    if unit.startswith("deg"):
+        return ["deg", *unit[3:]]
+    return ["1?", *unit] if unit.startswith("/") else list(unit)
