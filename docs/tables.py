@@ -1,4 +1,4 @@
-"""Write what the code knows into the pages: the tables of keys, and the JSON Schema.  Run: python docs/tables.py."""
+"""Write the tables of keys into the pages, and the JSON Schema beside them.  Run: python docs/tables.py."""
 
 from __future__ import annotations
 

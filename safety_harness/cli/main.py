@@ -17,7 +17,9 @@ app = typer.Typer(
     "make the data of a learned avoider, train, evaluate and export it.",
 )
 
-Files = Annotated[list[Path], typer.Argument(help="Scenario files, or folders of *.yaml.", metavar="FILE...")]
+Files = Annotated[
+    list[Path], typer.Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
+]
 Out = Annotated[Path, typer.Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[
     str | None,
@@ -47,6 +49,75 @@ def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None)
     from safety_harness.cli.run import run as run_files
 
     _end(run_files(files, out, avoider))
+
+
+@app.command()
+def validate(files: Files, avoider: OfAvoider = None) -> None:
+    """Read and check scenario files without running them, and tell every mistake of every file.
+
+    A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard
+    error with file, line, what was expected and what came.
+    Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.
+    """
+    from safety_harness.cli.validate import validate as validate_files
+
+    _end(validate_files(files, avoider))
+
+
+@app.command()
+def fmt(
+    files: Files,
+    check: Annotated[
+        bool, typer.Option("--check", help="Change nothing; only say what would change.")
+    ] = False,
+) -> None:
+    """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
+
+    Comments stay, and so do the units that you wrote; the file means what it meant before.
+    Exit code 0; 1: with --check, a file would change; 2: a file cannot be read, others are laid out.
+    """
+    from safety_harness.cli.fmt import format_files
+
+    _end(format_files(files, check=check))
+
+
+@app.command()
+def explain(
+    key: Annotated[list[str] | None, typer.Argument(help="A key, such as: critical distance.")] = None,
+) -> None:
+    """Say what a key of scenario files means: its unit, bounds, default and an example.
+
+    A key that stands in several places is explained for each; "camera.rate" means one of them.
+    Without a key, all are listed.
+    Exit code 0; 2: there is no such key.
+    """
+    from safety_harness.cli.explain import explain_key
+
+    _end(explain_key(key or []))
+
+
+@app.command()
+def new(
+    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
+) -> None:
+    """Write a scenario file with comments to start from; it runs as it is.
+
+    Exit code 0; 2: there is such a file already, or it cannot be written.
+    """
+    from safety_harness.cli.new import new as new_file
+
+    _end(new_file(file))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
+
+    It is also docs/schema/scenario.schema.json. Exit code 0.
+    """
+    from safety_harness.cli.schema import print_schema
+
+    _end(print_schema())
 
 
 @app.command()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import SUITE, Library, variants
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.files import files_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.read import scenario_of_variant
@@ -59,7 +60,7 @@ class _Gatherer:
 
     def _add(self, path: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
         try:
-            for file in _files(path, place):
+            for file in files_of(path, place):
                 asked_for_itself = file.resolve() in suites and file == path
                 if file.resolve() in self._seen and not asked_for_itself:
                     continue
@@ -116,18 +117,3 @@ class _Gatherer:
             raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")
         self._names[scenario.name] = scenario.file
         self._gathered.scenarios.append(scenario)
-
-
-def _files(path: Path, place: Place | None) -> Iterator[Path]:
-    """A file as it is, a folder with all its *.yaml."""
-    if not path.is_dir():
-        yield path
-        return
-    found = sorted(path.glob("*.yaml"))
-    if not found:
-        raise ScenarioError(
-            place=place or Place(file=path),
-            expected="a folder with scenario files (*.yaml)",
-            got=f"none in {path}" if place else "none in it",
-        )
-    yield from found

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
-from safety_harness.exceptions import InputError, Place
+from safety_harness.exceptions import InputError, Place, ScenarioError
 
 
 def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) -> bytes:
@@ -34,3 +35,18 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
             expected="text in UTF-8",
             got=f"the byte 0x{data[reason.start]:02x}, which is not UTF-8 here",
         ) from reason
+
+
+def files_of(path: Path, place: Place | None = None) -> Iterator[Path]:
+    """A file as it is, a folder with all its *.yaml; ScenarioError, at ``place``, for an empty folder."""
+    if not path.is_dir():
+        yield path
+        return
+    found = sorted(path.glob("*.yaml"))
+    if not found:
+        raise ScenarioError(
+            place=place or Place(file=path),
+            expected="a folder with scenario files (*.yaml)",
+            got=f"none in {path}" if place else "none in it",
+        )
+    yield from found

@@ -168,7 +168,9 @@ def markdown(table: Table) -> str:
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key in table.keys:
         rows.append(f"| `{key.name}` | {key.words} | {key.default} | {key.meaning} |")
-        for inner in key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ():
+        for inner in (
+            key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
+        ):
             rows += [
                 f"| `{key.name}`: `{one.name}` | {one.words} | {one.default} | {one.meaning} |"
                 for one in inner.keys

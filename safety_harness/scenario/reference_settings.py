@@ -153,7 +153,7 @@ def group_table(group: str, path: str) -> Table:
 def _key(one: SettingKey, owner: str, default: Any, group: str, path: str) -> Key:
     value = _value(one, default)
     shown = _shown(default, one.dimension)
-    example = f"{one.words[-1]}: {shown}"
+    example = f"{one.words[-1]}: {one.dimension.example if default is None else shown}"
     for name in reversed((*path.split("."), *one.words[:-1])):
         example = f"{name}: {{{example}}}"
     own = f"{owner}.{one.name}" in BY_KEY

@@ -335,7 +335,7 @@ COMPOSED = Table(
             "extends",
             Text(form="path"),
             "none",
-            f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} files in a chain",
+            f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
             "extends: bases/overhead.yaml",
         ),
         _key(

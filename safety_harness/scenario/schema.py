@@ -26,7 +26,9 @@ from safety_harness.scenario.units import Dimension
 Schema = dict[str, Any]
 _NUMBER = r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?"
 _SPACED = {"2": "(2|\\^2|²)", "/": " */ *", "deg": "(deg|°)"}  # the ways to write a unit
-_ANY_TEXT: Schema = {"type": ["string", "number", "boolean", "null"]}  # 12 is a text where a text is asked for
+_ANY_TEXT: Schema = {
+    "type": ["string", "number", "boolean", "null"]
+}  # 12 is a text where a text is asked for
 
 
 def scenario_schema() -> Schema:
@@ -120,7 +122,9 @@ def _begins(table: Table, others: tuple[Table, ...]) -> Schema:
     """That a mapping is of this table: it has its first key, and no first key that this table has not."""
     foreign = [other.keys[0].name for other in others if other.keys[0].name not in table.names]
     mine: Schema = {"required": [table.keys[0].name]}
-    wider = [other.keys[0].name for other in others if table.keys[0].name in other.names and other is not table]
+    wider = [
+        other.keys[0].name for other in others if table.keys[0].name in other.names and other is not table
+    ]
     if not wider:
         return mine
     return {**mine, "not": {"anyOf": [{"required": [name]} for name in foreign]}}
@@ -134,7 +138,11 @@ def _quantity(value: Quantity) -> Schema:
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}
-        for word, bound in (("exclusiveMinimum", value.above), ("minimum", value.least), ("maximum", value.most)):
+        for word, bound in (
+            ("exclusiveMinimum", value.above),
+            ("minimum", value.least),
+            ("maximum", value.most),
+        ):
             if bound is not None:
                 number[word] = bound
         texts.insert(0, number)

@@ -1,0 +1,49 @@
+"""``safety-harness fmt``: scenario files in the one layout."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, explain, result
+from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.scenario.compose import MAX_BYTES
+from safety_harness.scenario.files import decode, files_of, read_bytes
+from safety_harness.scenario.layout import laid_out
+
+
+def format_files(paths: Sequence[Path], *, check: bool) -> int:
+    """Lay every file out, or say which ones would change; returns the exit code."""
+    changed = failed = False
+    for path in paths:
+        try:
+            for file in files_of(path):
+                changed |= _format(file, check=check)
+        except InputError as error:
+            explain(error)
+            failed = True
+    if failed:
+        return BAD_INPUT
+    return DIFFERS if check and changed else AS_EXPECTED
+
+
+def _format(file: Path, *, check: bool) -> bool:
+    """Whether the layout of ``file`` was, or would be, another one."""
+    data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
+    text = laid_out(decode(data, most=MAX_BYTES, file=file, error=ScenarioError), file)
+    if text.encode() == data:
+        return False
+    result(f"{'would change' if check else 'changed'} {file}")
+    if not check:
+        temporary = file.with_name(f".{file.name}.part")
+        try:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+            os.replace(temporary, file)
+        except OSError as error:
+            temporary.unlink(missing_ok=True)
+            expected = "a file that can be written"
+            raise OutputError(
+                place=Place(file=file), expected=expected, got=error.strerror or str(error)
+            ) from error
+    return True
