@@ -59,11 +59,7 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-<<<<<<< HEAD
-    return PythonFile(path.resolve(), place).avoider(file_and_name(reference)[1])
-=======
-    return PythonFile(path, place).avoider(_file_and_name(reference)[1])
->>>>>>> main
+    return PythonFile(path, place).avoider(file_and_name(reference)[1])
 
 
 def avoider_sha256(scenario: Scenario) -> str:
@@ -85,13 +81,8 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     """The file that a reference means, which need not be there; None if it means none."""
     if reference in SHIPPED:
         return shipped_model(reference)
-<<<<<<< HEAD
     file, _ = file_and_name(reference)
-    return (folder or Path()) / Path(file).expanduser() if file else None
-=======
-    file, _ = _file_and_name(reference)
     return ((folder or Path()) / Path(file).expanduser()).resolve() if file else None
->>>>>>> main
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:

@@ -147,7 +147,8 @@ class _Builder:
             key = self._value()
             beside_key = self._beside(self._end_mark())
         value = self._value()
-        beside = "" if value.kind != "scalar" and not value.flow else self._beside(self._end_mark())
+        plain = value.flow or (value.kind == "scalar" and not value.raw)
+        beside = self._beside(self._end_mark()) if plain else ""
         if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
             beside = self._comments.pop(0).text  # beside the sign that begins the prose
         return Entry(key, value, before, beside_key, beside)
