@@ -40,15 +40,23 @@ TRACES = "traces"
 
 def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
     """Read and admit everything, with another avoider if one is given; all mistakes, not only the first."""
-    admitted: list[Admitted] = []
     gathered = gather(paths)
-    errors = list(gathered.errors)
-    for scenario in gathered.scenarios:
+    admitted, errors = admitted_of(gathered.scenarios, avoider)
+    return admitted, without_repetition([*gathered.errors, *errors])
+
+
+def admitted_of(
+    scenarios: Sequence[Scenario], avoider: str | None = None
+) -> tuple[list[Admitted], list[InputError]]:
+    """Those that can be run, and why the others cannot."""
+    admitted: list[Admitted] = []
+    errors: list[InputError] = []
+    for scenario in scenarios:
         try:
             admitted.append(admit(scenario if avoider is None else with_avoider(scenario, avoider)))
         except InputError as error:
             errors.append(error)
-    return admitted, without_repetition(errors)
+    return admitted, errors
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:

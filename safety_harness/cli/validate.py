@@ -7,26 +7,58 @@ from itertools import groupby
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
-from safety_harness.cli.run import read_all
+from safety_harness.admission.spaces import draw_admissible
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    INTERRUPTED,
+    explain,
+    result,
+    say,
+    without_repetition,
+)
+from safety_harness.cli.run import admitted_of
+from safety_harness.exceptions import InputError
+from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.space.read import space_of
+from safety_harness.space.space import ScenarioSpace
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """A line for each file that can be run, every mistake of the others; returns the exit code."""
+    """A line for each file that can be used, every mistake of the others; returns the exit code."""
     try:
-        admitted, errors = read_all(paths, avoider)
+        gathered = gather(paths, spaces=True)
+        admitted, errors = admitted_of(gathered.scenarios, avoider)
+        spaces, errors_of_spaces = _spaces(gathered)
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
+    errors = without_repetition([*gathered.errors, *errors, *errors_of_spaces])
     bad = {error.place.file for error in errors}
     for file, scenarios in groupby(admitted, key=lambda one: one.scenario.file):
         if file not in bad:
             result(f"ok {file}: {_words(list(scenarios))}")
+    for space in spaces:
+        result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
     for error in errors:
         explain(error)
     if errors:
-        say(f"{_count(len(errors), 'mistake')}; {_count(len(admitted), 'scenario')} could be run.")
+        usable = f"{_count(len(admitted), 'scenario')} and {_count(len(spaces), 'space')}"
+        say(f"{_count(len(errors), 'mistake')}; {usable} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
+
+
+def _spaces(gathered: Gathered) -> tuple[list[ScenarioSpace], list[InputError]]:
+    """The spaces of which a draw can be tried, and the mistakes in the others."""
+    found, errors = [], []
+    for variant, file in gathered.spaces:
+        try:
+            space = space_of(variant.tree, file, name=variant.name)
+            draw_admissible(space, seed=0, count=1)
+            found.append(space)
+        except InputError as error:
+            errors.append(error)
+    return found, errors
 
 
 def _words(admitted: Sequence[Admitted]) -> str:

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
-from safety_harness.scenario.compose import SUITE, Library, variants
+from safety_harness.scenario.compose import SUITE, Library, Variant, variants
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import files_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.only_in_spaces import is_space
 from safety_harness.scenario.read import scenario_of_variant
 
 SUITE_KEYS = (SUITE, "about", "scenarios")
@@ -22,9 +23,10 @@ MOST_SCENARIOS = 10_000
 
 @dataclass
 class Gathered:
-    """What several paths lead to: the scenarios, and every mistake on the way to them."""
+    """What several paths lead to: the scenarios, the spaces if asked for, every mistake on the way."""
 
     scenarios: list[Scenario] = field(default_factory=list)
+    spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, which another room reads
     errors: list[InputError] = field(default_factory=list)
 
 
@@ -36,27 +38,34 @@ def read_all_scenarios(path: Path) -> tuple[Scenario, ...]:
     return tuple(gathered.scenarios)
 
 
-def gather(paths: Iterable[Path]) -> Gathered:
+def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     """As ``read_all_scenarios`` for several paths, with all mistakes and not only the first.
 
     A file counts once, however often it is named; of a matrix only the first mistake is told.
+    Scenario spaces are refused unless ``spaces`` asks for them.
     """
-    return _Gatherer().everything(paths)
+    return _Gatherer(spaces).everything(paths)
 
 
 class _Gatherer:
     """Walks through files, folders and suites."""
 
-    def __init__(self) -> None:
+    def __init__(self, spaces: bool) -> None:
+        self._spaces = spaces
         self._library = Library()
         self._gathered = Gathered()
         self._seen: set[Path] = set()
         self._names: dict[str, Path] = {}
 
     def everything(self, paths: Iterable[Path]) -> Gathered:
+        paths = list(paths)
         for path in paths:
             self._add(path, None, ())
-        return self._gathered
+        found = self._gathered
+        if not (found.scenarios or found.spaces or found.errors):
+            place = Place(file=paths[0] if paths else None)
+            found.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
+        return found
 
     def _add(self, path: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
         try:
@@ -80,7 +89,10 @@ class _Gatherer:
                 self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
                 return
             for variant in variants(file, self._library):
-                self._take(scenario_of_variant(variant, file))
+                if self._spaces and is_space(variant.tree):
+                    self._gathered.spaces.append((variant, file))
+                else:
+                    self._take(scenario_of_variant(variant, file))
         except InputError as error:
             self._gathered.errors.append(error)
 

@@ -7,9 +7,10 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.layout_tree import Entry, Written, written_tree
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY
+from safety_harness.scenario.only_in_spaces import SPACE_KEY, is_space
 from safety_harness.scenario.reference import Below, FreeKeys, Several, Table, Value
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
 from safety_harness.scenario.write import scalar_text
@@ -25,11 +26,15 @@ def laid_out(text: str, file: Path | None = None) -> str:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     before = parse_tree(text, file)
     root, comments = written_tree(text)
-    lines = list(_head(root)) + _block(root, _WHOLE_FILE)
-    new = "\n".join(line.rstrip() for line in lines).strip("\n") + "\n"
-    kept = written_tree(new)[1]
-    if meaning(parse_tree(new, file)) != meaning(before) or kept != comments:
-        raise AssertionError(f"the layout of {file} would not mean the same")
+    # The values of a space vary in the order in which they stand, so that this order means something.
+    lines = list(_head(root)) + _block(root, None if is_space(before) else _WHOLE_FILE)
+    new = "\n".join(lines).strip("\n") + "\n"
+    if meaning(parse_tree(new, file)) != meaning(before) or written_tree(new)[1] != comments:
+        raise ScenarioError(
+            place=Place(file=file),
+            expected="a file that can be laid out without a change of what it says",
+            got="one that cannot; it is left as it is",
+        )
     return new
 
 
@@ -160,7 +165,9 @@ def _is_long_prose(value: Written, taken: int) -> bool:
 
 def _scalar(value: Written) -> str:
     """A scalar on one line: quoted only where it has to be."""
-    return value.text if not value.style else scalar_text(value.text)
+    if value.style or "\n" in value.text:
+        return scalar_text(value.text)
+    return value.text
 
 
 def _scalar_lines(value: Written, before: str) -> list[str]:
@@ -169,10 +176,11 @@ def _scalar_lines(value: Written, before: str) -> list[str]:
         header, *lines = value.raw
         widths = [len(line) - len(line.lstrip()) for line in lines if line.strip()]
         first = next((line for line in lines if line.strip()), "")
-        regular = widths and len(first) - len(first.lstrip()) == min(widths)
+        width = min(widths, default=0)
+        regular = widths and len(first) - len(first.lstrip()) == width
         if not regular or any(character.isdigit() for character in header.split("#")[0]):
             return [before + scalar_text(value.text.rstrip("\n"))]
-        return [before + header[0], *(f"  {line[min(widths) :]}".rstrip() for line in lines)]
+        return [before + header[0], *(f"  {line[width:]}" if line[width:] else "" for line in lines)]
     if _is_long_prose(value, len(before)):
         return [f"{before}>", *(f"  {line}" for line in _wrapped(value.text))]
     return [before + _scalar(value)]

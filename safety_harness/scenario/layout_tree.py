@@ -194,5 +194,5 @@ class _Builder:
         raw: tuple[str, ...] = ()
         if style in ("|", ">"):
             source = self._text[event.start_mark.index : event.end_mark.index]
-            raw = tuple(source.rstrip().split("\n"))
+            raw = tuple(source.rstrip("\n").split("\n"))
         return Written("scalar", text=event.value, style=style, raw=raw)

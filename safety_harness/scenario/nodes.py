@@ -87,7 +87,9 @@ def parse_tree(text: str, file: Path | None) -> Node:
 
 
 def join(path: str, key: str) -> str:
-    """The field path of ``key`` within ``path``: ``tcp start.offset``."""
+    """The field path of ``key`` within ``path``: ``tcp start.offset``, always printable."""
+    if not key.isprintable():
+        key = "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in key)
     return f"{path}.{key}" if path else key
 
 

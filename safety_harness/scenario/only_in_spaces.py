@@ -5,13 +5,18 @@ from __future__ import annotations
 import re
 
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.nodes import Mapping, Scalar, Sequence
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
 
 SPACE_KEY = "scenario space"
 _HINT = f'a file that begins with "{SPACE_KEY}:" may have distributions in place of values'
 _SENTENCES = re.compile(r"from [+-]?[0-9.].* to .+|normal .+(\+-|\+/-|±).+|one of .+,.+")
 _KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"in"}, {"repeat", "moves"})
 _PROSE = ("scenario", "about", "claims")
+
+
+def is_space(tree: Node) -> bool:
+    """Whether a tree begins a scenario space."""
+    return isinstance(tree, Mapping) and any(key.text == SPACE_KEY for key, _ in tree.entries)
 
 
 def refuse_distributions(root: Field) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
-from safety_harness.scenario.compose import MAX_BYTES as MAX_BYTES  # a public name of this file
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import Node, parse_tree

@@ -119,15 +119,11 @@ def _below(value: Below) -> Schema:
 
 
 def _begins(table: Table, others: tuple[Table, ...]) -> Schema:
-    """That a mapping is of this table: it has its first key, and no first key that this table has not."""
-    foreign = [other.keys[0].name for other in others if other.keys[0].name not in table.names]
-    mine: Schema = {"required": [table.keys[0].name]}
-    wider = [
-        other.keys[0].name for other in others if table.keys[0].name in other.names and other is not table
-    ]
-    if not wider:
-        return mine
-    return {**mine, "not": {"anyOf": [{"required": [name]} for name in foreign]}}
+    """That a mapping is of this table: it has its first key, not that of another that knows it too."""
+    first = table.keys[0].name
+    wider = [other.keys[0].name for other in others if first in other.names and other is not table]
+    mine: Schema = {"required": [first]}
+    return {**mine, "not": {"anyOf": [{"required": [name]} for name in wider]}} if wider else mine
 
 
 def _pointer(name: str) -> str:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.geometry.regions import Box, Region
+from safety_harness.scenario.compose import MATRIX, Library, variants
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
-from safety_harness.scenario.read import MAX_BYTES
 from safety_harness.space.boxes import InRegion
 from safety_harness.space.probing import try_out
 from safety_harness.space.reading import read_template
@@ -25,8 +24,11 @@ _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settin
 
 def read_space(path: Path) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands."""
-    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=ScenarioError)
-    return parse_space(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+    found = variants(path, Library())
+    if len(found) > 1:
+        got = f"a matrix of {len(found)}"
+        raise ScenarioError(place=Place(file=path, field=MATRIX), expected="one scenario space", got=got)
+    return space_of(found[0].tree, path, name=found[0].name)
 
 
 def parse_space(
