@@ -1,0 +1,201 @@
+"""validate, fmt, explain, new and schema, as their user meets them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
+from safety_harness.cli.explain import explain_key
+from safety_harness.cli.fmt import format_files
+from safety_harness.cli.main import app
+from safety_harness.cli.new import new
+from safety_harness.cli.run import run
+from safety_harness.cli.validate import validate
+from safety_harness.scenario.layout import laid_out
+from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.reference_tables import every_table
+from safety_harness.scenario.schema import scenario_schema
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+GOOD = """\
+scenario: a short run
+duration: 300 ms
+tcp start: {offset: [0 mm, -60 mm, 20 mm]}
+avoider: opposite pose
+claims: {joint speeds within limits: holds}
+"""
+Captured = pytest.CaptureFixture[str]
+
+
+def write(folder: Path, **texts: str) -> None:
+    for name, text in texts.items():
+        (folder / f"{name}.yaml").write_text(text)
+
+
+def test_a_suite_of_a_matrix_is_run_and_every_scenario_has_its_trace(
+    tmp_path: Path, capsys: Captured
+) -> None:
+    write(
+        tmp_path,
+        good=GOOD,
+        two="extends: good.yaml\nmatrix: {seed: {one: {seed: 1}, two: {seed: 2}}}\n",
+        suite="suite: all\nscenarios: [good.yaml, two.yaml]\n",
+    )
+    assert run([tmp_path / "suite.yaml"], tmp_path / "out") == AS_EXPECTED
+    traces = sorted(file.name for file in (tmp_path / "out/traces").iterdir())
+    assert traces == ["good.trace", "two[one].trace", "two[two].trace"]
+    assert "3 of 3 scenarios run" in capsys.readouterr().err
+
+
+def test_the_trace_of_a_matrix_is_complete_in_itself(tmp_path: Path) -> None:
+    from safety_harness.cli.replay import judge_again, replay
+
+    write(tmp_path, base=GOOD, two="extends: base.yaml\nmatrix: {s: {one: {seed: 1}}}\n")
+    run([tmp_path / "two.yaml"], tmp_path / "out")
+    (tmp_path / "base.yaml").unlink()
+    (tmp_path / "two.yaml").unlink()
+    trace = tmp_path / "out/traces/two[one].trace"
+    assert judge_again([trace]) == AS_EXPECTED
+    assert replay(trace) == AS_EXPECTED
+
+
+def test_validate_says_ok_of_scenarios_and_spaces(capsys: Captured) -> None:
+    files = [SCENARIOS / "second-hand.yaml", SCENARIOS / "spaces/unseen-hand.yaml"]
+    assert validate(files) == AS_EXPECTED
+    one, other = capsys.readouterr().out.splitlines()
+    assert one.startswith(f"ok {files[0]}: 2 hands, ")
+    assert other.startswith(f"ok {files[1]}: a space, ")
+
+
+def test_validate_tells_every_mistake_of_every_file(tmp_path: Path, capsys: Captured) -> None:
+    write(
+        tmp_path,
+        bad=GOOD.replace("300 ms", "300 mn"),
+        far=GOOD.replace("-60 mm", "-6 m"),
+        good=GOOD,
+        many=GOOD + "matrix: {a: {x: {seed: 1}, y: {avoider: oposite pose}}}\n",
+        space=GOOD.replace("scenario:", "scenario space:"),
+    )
+    assert validate([tmp_path, tmp_path / "gone.yaml"]) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out.splitlines() == [f"ok {tmp_path / 'good.yaml'}: no hands, 1 claim, 0.3 s, opposite pose"]
+    for name in ("bad.yaml:2", "far.yaml:3", "many.yaml", "gone.yaml", "space.yaml"):
+        assert f"error: {tmp_path / name}" in err
+    assert 'did you mean "min"' in err
+    assert err.splitlines()[-1].startswith("5 mistakes; ")
+
+
+def test_a_mistake_in_an_extended_file_is_told_once(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "bases").mkdir()
+    write(tmp_path / "bases", base=GOOD.replace("300 ms", "300 m"))
+    write(tmp_path, a="extends: bases/base.yaml\n", b="extends: bases/base.yaml\n")
+    assert validate([tmp_path]) == BAD_INPUT
+    assert capsys.readouterr().err.count("base.yaml:2: duration") == 1
+
+
+def test_fmt_lays_out_and_check_only_says_so(tmp_path: Path, capsys: Captured) -> None:
+    untidy = "duration: 1 s\n'scenario': x  # why\n"
+    write(tmp_path, a=untidy, b="scenario: x\n")
+    file = tmp_path / "a.yaml"
+    assert format_files([tmp_path], check=True) == DIFFERS
+    assert file.read_text() == untidy
+    assert capsys.readouterr().out == f"would change {file}\n"
+    assert format_files([tmp_path], check=False) == AS_EXPECTED
+    assert capsys.readouterr().out == f"changed {file}\n"
+    assert file.read_text() == "scenario: x  # why\nduration: 1 s\n"
+    assert format_files([tmp_path], check=True) == AS_EXPECTED
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["a.yaml", "b.yaml"]
+
+
+def test_fmt_leaves_what_it_cannot_read_and_goes_on(tmp_path: Path, capsys: Captured) -> None:
+    write(tmp_path, a="a: b: c\n", b="scenario:   x\n")
+    assert format_files([tmp_path / "a.yaml", tmp_path / "b.yaml"], check=False) == BAD_INPUT
+    assert (tmp_path / "a.yaml").read_text() == "a: b: c\n"
+    assert (tmp_path / "b.yaml").read_text() == "scenario: x\n"
+    assert f"error: {tmp_path / 'a.yaml'}:1" in capsys.readouterr().err
+
+
+def test_explain_gives_meaning_unit_bounds_default_and_example(capsys: Captured) -> None:
+    assert explain_key(["critical", "distance"]) == AS_EXPECTED
+    assert capsys.readouterr().out.splitlines() == [
+        "critical distance, of avoidance",
+        "  means    from the TCP to a predicted hand; zero is no avoidance at all",
+        "  takes    length, 0 m to 3 m (units: m, cm, mm)",
+        "  default  400 mm",
+        "  example  settings: {avoidance: {critical distance: 400 mm}}",
+    ]
+
+
+def test_a_key_of_several_places_is_explained_for_each_or_for_the_one_that_is_named(capsys: Captured) -> None:
+    explain_key(["rate"])
+    assert capsys.readouterr().out.count("rate, of ") == 2
+    explain_key(["camera.rate"])
+    assert capsys.readouterr().out.count("rate, of ") == 1
+
+
+def test_an_unknown_key_gets_a_near_miss(capsys: Captured) -> None:
+    assert explain_key(["critcal distance"]) == BAD_INPUT
+    assert 'did you mean "critical distance"' in capsys.readouterr().err
+
+
+def test_every_key_can_be_explained_and_is_listed(capsys: Captured) -> None:
+    explain_key([])
+    listed = capsys.readouterr().out
+    for table in every_table():
+        for key in table.keys:
+            assert key.name in listed
+            assert explain_key([f"{table.name}.{key.name}"]) == AS_EXPECTED
+            out = capsys.readouterr().out
+            assert all(f"\n  {word} " in out for word in ("means", "takes", "default", "example")), key
+            assert "`" not in out
+
+
+def test_every_example_of_a_setting_can_be_read() -> None:
+    for table in every_table():
+        if table.path.startswith(("settings.", "camera", "hand sensor", "tcp start")):
+            for key in table.keys:
+                base = "\n".join(line for line in GOOD.splitlines() if not line.startswith("tcp start"))
+                start = "" if table.path == "tcp start" else "\ntcp start: {offset: [0 mm, 0 mm, 0 mm]}"
+                if key.name != "restart delay":
+                    parse_scenario(f"{base}{start}\n{key.example}\n")
+
+
+def test_new_writes_a_file_that_runs_as_it_is_and_is_laid_out_well(tmp_path: Path, capsys: Captured) -> None:
+    file = tmp_path / "mine.yaml"
+    assert new(file) == AS_EXPECTED
+    assert f"safety-harness run {file}" in file.read_text()
+    assert laid_out(file.read_text()) == file.read_text()
+    assert run([file], tmp_path / "out") == AS_EXPECTED
+
+
+def test_new_overwrites_nothing(tmp_path: Path, capsys: Captured) -> None:
+    write(tmp_path, mine="keep me\n")
+    assert new(tmp_path / "mine.yaml") == BAD_INPUT
+    assert (tmp_path / "mine.yaml").read_text() == "keep me\n"
+    assert new(tmp_path / "gone" / "mine.yaml") == BAD_INPUT
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_the_schema_is_printed_as_json() -> None:
+    done = CliRunner().invoke(app, ["schema"])
+    assert done.exit_code == AS_EXPECTED
+    assert json.loads(done.stdout) == scenario_schema()
+
+
+@pytest.mark.parametrize("command", ["validate", "fmt", "explain", "new", "schema"])
+def test_help_teaches_exit_codes(command: str) -> None:
+    done = CliRunner().invoke(app, [command, "--help"])
+    assert "Exit code 0" in " ".join(done.stdout.split())
+
+
+def test_the_commands_reach_their_functions(tmp_path: Path) -> None:
+    write(tmp_path, a=GOOD)
+    file = str(tmp_path / "a.yaml")
+    assert CliRunner().invoke(app, ["validate", file]).exit_code == AS_EXPECTED
+    assert CliRunner().invoke(app, ["fmt", "--check", file]).exit_code == AS_EXPECTED
+    assert CliRunner().invoke(app, ["explain", "seed"]).exit_code == AS_EXPECTED
+    assert CliRunner().invoke(app, ["new", file]).exit_code == BAD_INPUT
