@@ -227,7 +227,7 @@ def _recording(hand: Fields, path: Path, carried: Mapping[str, bytes]) -> Record
     return _parsed(data, file)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _parsed(data: bytes, file: Path) -> Recording:
     """Parsed once for all the scenarios that repeat the same bytes."""
     return parse_recording(data, file)

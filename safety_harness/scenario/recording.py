@@ -111,7 +111,7 @@ def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) 
         )
 
 
-@lru_cache(maxsize=4)  # the variations of one recording differ in where and how fast it is repeated
+@lru_cache(maxsize=32)  # the variations of one recording differ in where and how fast it is repeated
 def _mended(
     recording: Recording,
     name: str,
