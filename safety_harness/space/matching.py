@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
+import numpy as np
+
 from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario import nodes
 from safety_harness.scenario.fields import Field
@@ -57,8 +59,9 @@ class _Matcher:
         texts = _listed(written) if distribution.columns > 1 else [written]
         values = [_number(text, distribution.unit) for text in texts or ()]
         if len(values) == distribution.columns and None not in values:
-            chosen = _with(found, template.parameter, tuple(value for value in values if value is not None))
-            if chosen is not None:
+            known = tuple(value for value in values if value is not None)
+            chosen = _with(found, template.parameter, known)
+            if chosen is not None and distribution.log_density(np.array([known]))[0] > -np.inf:
                 yield chosen
 
     def _items(
