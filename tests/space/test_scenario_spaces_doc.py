@@ -16,6 +16,7 @@ from safety_harness.space.regions import REGIONS, UNSEEN_HAND_FACTOR, UNSEEN_TCP
 from safety_harness.space.sentences import MOST_OPTIONS, MOST_TIMES
 
 TEXT = (ROOT / "docs/scenario-spaces.md").read_text()
+PROMISE = re.compile(r"^print.*  # (10 .*) \.\.\.$", re.M)
 BASE = {
     "scenario space": "scenario space: an example",
     "duration": "duration: 1 s",
@@ -47,8 +48,12 @@ def test_every_python_example_runs_and_prints_what_it_says(
     monkeypatch.chdir(ROOT)
     exec(compile(example, "scenario-spaces.md", "exec"), {})
     printed = capsys.readouterr().out
-    for promised in re.findall(r"^print.*  # (10 .*) \.\.\.$", example, re.M):
+    for promised in PROMISE.findall(example):
         assert promised in printed
+
+
+def test_one_example_promises_what_it_prints() -> None:
+    assert [len(PROMISE.findall(example)) for example in blocks("python")] == [1, 0, 0]
 
 
 def test_there_are_examples_and_the_first_is_complete() -> None:
