@@ -71,7 +71,7 @@ def _height(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: ND
 
 @compiled
 def _over(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]) -> bool:
-    """Is a point in the prism along ``normal`` over a polygon?  Even-odd rule, seen along its largest axis."""
+    """Is a point in the prism along ``normal`` over a polygon?  Even-odd rule, along the largest axis."""
     drop = 0
     for i in range(1, 3):
         if abs(normal[i]) > abs(normal[drop]):

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
 from safety_harness.scenario.faults import (
     MOST_FALSE_HANDS,
     MOST_FAULTS,
@@ -30,6 +29,7 @@ from safety_harness.scenario.faults import (
     Joint,
     JointStuck,
 )
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
 from safety_harness.scenario.settings_keys import write_vector
 from safety_harness.scenario.units import ANGLE, LENGTH, TIME, Dimension, format_quantity, near_miss, shown
 

@@ -108,9 +108,7 @@ def _alike(node: nodes.Node, written: Tree) -> bool:
         if not isinstance(written, Mapping) or not _same_keys(node.entries, written):
             return False
         return all(
-            _alike(child, written[key])
-            for key_, child in node.entries
-            if (key := scalar_text(key_.text)) in written
+            _alike(child, written[key]) for key_, child in node.entries if (key := scalar_text(key_.text)) in written
         )
     if isinstance(node, nodes.Sequence):
         listed = _listed(written)

@@ -296,6 +296,8 @@ def with_regions(
         if not isinstance(parameter.distribution, InRegion):
             return parameter
         shift = parameter.name.startswith("tcp start") and ".offset" in parameter.name
-        return replace(parameter, distribution=(offsets if shift else resolve)[parameter.distribution.name])
+        return replace(
+            parameter, distribution=(offsets if shift else resolve)[parameter.distribution.name]
+        )
 
     return tuple(map(known, parameters))
