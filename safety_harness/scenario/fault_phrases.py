@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from safety_harness.scenario.faults import (
@@ -188,9 +189,11 @@ def fault_words(fault: Fault) -> str:
     """A fault as a sentence for people: "hand sensor is late by 0.2 s, from 1 s until 3 s"."""
     phrase = _BY_KIND[type(fault)]
     words = f"{phrase.subject} {phrase.predicate}"
-    for key in phrase.keys:
+    if isinstance(fault, JointStuck):
+        words = f"{fault.joint.value} joint {phrase.predicate}"
+    for key in (key for key in phrase.keys if key.dimension is not None):
         value = getattr(fault, key.name)
-        words += f" {key.word} " + (key.write(value) if key.several or not key.dimension else f"{value:g} s")
-    if fault.end_s == float("inf"):
+        words += f" {key.word} " + (key.write(value) if key.several else f"{value:g} s")
+    if fault.end_s == inf:
         return words + (f", from {fault.from_s:g} s" if fault.from_s else ", all the time")
     return f"{words}, from {fault.from_s:g} s until {fault.end_s:g} s"
