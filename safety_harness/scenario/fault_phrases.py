@@ -176,8 +176,7 @@ def write_fault(fault: Fault) -> dict[str, str]:
     phrase = _BY_KIND[type(fault)]
     tree = {phrase.subject: phrase.predicate}
     tree.update({key.word: key.write(getattr(fault, key.name)) for key in phrase.keys})
-    if fault.from_s != 0.0:
-        tree["from"] = format_quantity(fault.from_s, TIME)
+    tree["from"] = format_quantity(fault.from_s, TIME)
     if fault.for_s is not None:
         tree["for"] = format_quantity(fault.for_s, TIME)
     if fault.until_s is not None:

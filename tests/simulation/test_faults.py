@@ -288,6 +288,18 @@ def test_a_camera_turned_about_its_axis_sees_the_object_turned_back() -> None:
     assert knocked[:2] == pytest.approx(np.array([[c, s], [-s, c]]) @ healthy[:2], abs=1e-9)
 
 
+def test_a_knocked_camera_that_watches_the_hands_misplaces_them_too() -> None:
+    """The camera has moved 50 mm along base -y and is not known to: hands seem to be 50 mm towards +y."""
+    settings = replace(DEFAULTS, hand_sensor=replace(DEFAULTS.hand_sensor, kind=HandSensorKind.EYE_IN_HAND))
+    still = replace(NEAR, starts_at_in_base_m=(0.72, -0.1, -0.1), moves=())
+    what = scenario(still, duration_s=0.01, settings=settings)
+    healthy, knocked = run(what), with_faults(what, CameraKnocked(shifted_in_tcp_m=(0.0, 0.05, 0.0)))
+    apart = (
+        knocked.ticks["predicted_hand_in_base_m"][-1, 0] - healthy.ticks["predicted_hand_in_base_m"][-1, 0]
+    )
+    assert apart == pytest.approx([0.0, 0.05, 0.0], abs=4e-3)
+
+
 def test_hands_are_transparent_without_the_fault_and_hide_the_object_with_it() -> None:
     what = scenario(NEAR, duration_s=2.0)
     healthy, hidden = without(what, "hidden"), with_faults(what, CameraHidden())
