@@ -45,6 +45,8 @@ def test_every_verdict_is_the_expected_one(file: Path) -> None:
         ("object-lost-and-found", L, R),
         ("nothing-reachable", P, S),
         ("cornered", P, S),
+        ("lost-between-two-hands", L, P),
+        ("lost-between-two-hands", P, L),
     ],
 )
 def test_a_row_of_the_state_table_happens_in_its_scenario(name: str, before: Mode, after: Mode) -> None:

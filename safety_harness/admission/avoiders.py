@@ -59,7 +59,7 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-    return PythonFile(path.resolve(), place).avoider(_file_and_name(reference)[1])
+    return PythonFile(path, place).avoider(_file_and_name(reference)[1])
 
 
 def avoider_sha256(scenario: Scenario) -> str:
@@ -82,7 +82,7 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     if reference in SHIPPED:
         return shipped_model(reference)
     file, _ = _file_and_name(reference)
-    return (folder or Path()) / Path(file).expanduser() if file else None
+    return ((folder or Path()) / Path(file).expanduser()).resolve() if file else None
 
 
 def _file_and_name(reference: str) -> tuple[str, str]:

@@ -102,7 +102,7 @@ def judge_again(paths: Sequence[Path]) -> int:
     for path in paths:
         try:
             trace = load_trace(path)
-            run = JudgedRun(trace=trace, evaluations=judge(trace), replay_command="", notes=())
+            run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", notes=())
         except InputError as error:
             explain(error)
             return BAD_INPUT

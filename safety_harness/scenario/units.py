@@ -162,7 +162,12 @@ def _si_value(number: str, factor: _Factor) -> float | None:
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):
         return None
     try:
-        magnitude = math.radians(float(number)) if factor is None else float(Fraction(number) * factor)
+        if factor is None:
+            magnitude = math.radians(float(number))
+        elif factor == 1:
+            magnitude = float(number)  # which rounds once as well
+        else:
+            magnitude = float(Fraction(number) * factor)
     except OverflowError:
         return None
     if not math.isfinite(magnitude):

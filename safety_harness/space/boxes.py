@@ -36,7 +36,10 @@ class InBox:
     @property
     def simplest(self) -> tuple[float, ...]:
         """The centre."""
-        return tuple((low + high) / 2.0 for low, high in zip(self.low, self.high, strict=True))
+        return tuple(
+            min(max(round((low + high) / 2.0, 12) + 0.0, low), high)
+            for low, high in zip(self.low, self.high, strict=True)
+        )
 
     def values_at(self, u: Vector) -> Vector:
         """(n, 3) -> (n, 3), coordinate by coordinate."""
@@ -78,10 +81,10 @@ class InRegion:
         """The box's centre; of a shell, the middle of the hole's nearest side."""
         outer, hole = self.known.outer, self.known.hole
         inner = outer if hole is None else hole
-        centre = [(low + high) / 2.0 for low, high in zip(inner.low_m, inner.high_m, strict=True)]
+        centre = inner.centre_m
         if hole is None:
-            return tuple(centre)
-        sides = []
+            return centre
+        sides: list[tuple[float, int, tuple[float, ...]]] = []
         for axis in range(3):
             for face, beyond in ((hole.high_m, outer.high_m), (hole.low_m, outer.low_m)):
                 if face[axis] != beyond[axis]:

@@ -56,7 +56,20 @@ def log_density_at(parameters: Sequence[Parameter], values: Vector) -> Vector:
 
 def used_by(parameters: Sequence[Parameter], values: Vector) -> list[NDArray[np.bool_]]:
     """For each parameter (n,): which of the scenarios use it."""
-    return [_used(parameters, parameter, values) for parameter in parameters]
+    return [uses(parameters, parameter, values) for parameter in parameters]
+
+
+def uses(parameters: Sequence[Parameter], parameter: Parameter, values: Vector) -> NDArray[np.bool_]:
+    """(n, d) values -> (n,): which of the scenarios use this parameter."""
+    used = np.zeros(len(values), bool)
+    for conditions in parameter.when:
+        if not conditions:
+            return np.ones(len(values), bool)
+        all_hold = np.ones(len(values), bool)
+        for condition in conditions:
+            all_hold &= _holds(parameters, condition, values)
+        used |= all_hold
+    return used
 
 
 def dimension_of(parameters: Sequence[Parameter]) -> int:
@@ -67,18 +80,6 @@ def dimension_of(parameters: Sequence[Parameter]) -> int:
 def continuous(parameter: Parameter) -> bool:
     """Whether single values of it have a probability of zero."""
     return not isinstance(parameter.distribution, Choice)
-
-
-def _used(parameters: Sequence[Parameter], parameter: Parameter, values: Vector) -> NDArray[np.bool_]:
-    used = np.zeros(len(values), bool)
-    for conditions in parameter.when:
-        if not conditions:
-            return np.ones(len(values), bool)
-        all_hold = np.ones(len(values), bool)
-        for condition in conditions:
-            all_hold &= _holds(parameters, condition, values)
-        used |= all_hold
-    return used
 
 
 def _holds(parameters: Sequence[Parameter], condition: Condition, values: Vector) -> NDArray[np.bool_]:

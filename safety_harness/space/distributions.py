@@ -156,7 +156,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class InShell:
-    """A point between two spheres about a centre, uniform in volume.  ValueError unless 0 <= inner < outer."""
+    """A point between two spheres about a centre, uniform in volume.
+
+    ValueError unless 0 <= inner < outer.
+    """
 
     centre: Vector3
     inner: float
@@ -190,7 +193,8 @@ class InShell:
         volume = (r**3 - self.inner**3) / (self.outer**3 - self.inner**3)
         height = np.divide(z, r, out=np.zeros_like(z), where=r > 0.0)
         azimuth = np.mod(np.arctan2(y, x) / (2.0 * math.pi), 1.0)
-        return np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
+        u: Vector = np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
+        return u
 
     def log_density(self, values: Vector) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside (but for rounding)."""

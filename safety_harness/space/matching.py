@@ -45,9 +45,12 @@ class _Matcher:
             if listed is not None:
                 exactly = strict or any(isinstance(item, Repeated) for item in template.items)
                 yield from self._items(template.items, listed, found, exactly)
-        elif isinstance(template, Keyed) and isinstance(written, Mapping):
-            if not strict or _same_keys(template.entries, written):
-                yield from self._entries(template.entries, written, found, strict)
+        elif (
+            isinstance(template, Keyed)
+            and isinstance(written, Mapping)
+            and (not strict or _same_keys(template.entries, written))
+        ):
+            yield from self._entries(template.entries, written, found, strict)
 
     def _given(self, template: Given, written: Tree, found: Found) -> Iterator[Found]:
         distribution = self._parameters[template.parameter].distribution
@@ -107,9 +110,7 @@ def _alike(node: nodes.Node, written: Tree) -> bool:
     if isinstance(node, nodes.Mapping):
         if not isinstance(written, Mapping) or not _same_keys(node.entries, written):
             return False
-        return all(
-            _alike(child, written[key]) for key_, child in node.entries if (key := scalar_text(key_.text)) in written
-        )
+        return all(_alike(child, written[scalar_text(key.text)]) for key, child in node.entries)
     if isinstance(node, nodes.Sequence):
         listed = _listed(written)
         return (

@@ -33,7 +33,7 @@ class Between:
         """(n,) in [0, 1] -> (n,) z with P(Z <= z) = u, rising, its ends the bounds themselves."""
         below, above = self._ends
         p = np.clip(below + (1.0 - u if self._mirrored else u) * (above - below), _SMALLEST, _LARGEST)
-        z = _INVERSE(p).astype(float)
+        z = np.asarray(_INVERSE(p), float)
         z = np.clip(-z if self._mirrored else z, self.low, self.high)
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, z))
 
@@ -58,5 +58,5 @@ class Between:
 
 def _lower_tail(z: Vector) -> Vector:
     """P(Z <= z) for a standard normal Z."""
-    tail: Vector = 0.5 * _ERFC(-np.asarray(z, float) / math.sqrt(2.0)).astype(float)
+    tail: Vector = 0.5 * np.asarray(_ERFC(-z / math.sqrt(2.0)), float)
     return tail

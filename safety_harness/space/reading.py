@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import Field
@@ -285,19 +285,3 @@ def _corner(at: Field) -> tuple[Vector3, str]:
     if not unit == second == third:
         raise at.error("three quantities of one kind")
     return (x, y, z), unit
-
-
-def with_regions(
-    parameters: tuple[Parameter, ...], resolve: dict[str, InRegion], offsets: dict[str, InRegion]
-) -> tuple[Parameter, ...]:
-    """The parameters with their regions known: ``offsets`` where the TCP start is a shift."""
-
-    def known(parameter: Parameter) -> Parameter:
-        if not isinstance(parameter.distribution, InRegion):
-            return parameter
-        shift = parameter.name.startswith("tcp start") and ".offset" in parameter.name
-        return replace(
-            parameter, distribution=(offsets if shift else resolve)[parameter.distribution.name]
-        )
-
-    return tuple(map(known, parameters))

@@ -11,10 +11,13 @@ from examples import VISIT, TowardsTheHand, run, scenario
 
 from safety_harness.admission.claims import CATALOGUE, property_of
 from safety_harness.admission.trial import judge
+from safety_harness.cli.console import BAD_INPUT
+from safety_harness.cli.replay import judge_again
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.consistency import first_untruth
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.records import DECISION, TICK
+from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
 EVERY = tuple(Claim(sentence=example, expected=Verdict.HOLDS) for example, _, _ in CATALOGUE)
@@ -102,6 +105,17 @@ def test_whatever_is_in_a_record_no_property_raises_or_gives_an_infinite_margin(
         for prop in properties:
             evaluation = prop.evaluate(changed)
             assert evaluation.margin is None or np.isfinite(evaluation.margin)
+
+
+def test_the_command_line_says_what_was_edited_and_ends_with_2(
+    claimed: Trace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its hashes are written anew: only what it says gives it away, on reading or on judging."""
+    for field, value in (("mode", 9), ("tcp_speed_mps", 0.0)):
+        file = tmp_path / f"{field}.trace"
+        save_trace(with_tick(claimed, field, 60, value), file)
+        assert judge_again([file]) == BAD_INPUT
+        assert f"{field} at tick 60" in capsys.readouterr().err
 
 
 def test_a_broken_avoider_in_a_true_trace_is_still_judged() -> None:
