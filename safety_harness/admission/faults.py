@@ -27,12 +27,12 @@ def check_faults(scenario: Scenario) -> None:
             )
     settings = scenario.settings
     for kind, camera in ((HandSensorLate, settings.hand_sensor), (CameraLate, settings.camera)):
-        late = [(n, fault.by_s) for n, fault in enumerate(scenario.faults) if isinstance(fault, kind)]
-        total_s = camera.latency_s + sum(by_s for _, by_s in late)
+        late = [(n, fault.delay_s) for n, fault in enumerate(scenario.faults) if isinstance(fault, kind)]
+        total_s = camera.latency_s + sum(delay_s for _, delay_s in late)
         period_s = max(1.0 / camera.rate_hz if camera.rate_hz else 0.0, settings.clock.control_period_s)
         if late and total_s / period_s + 2.0 > RING:
             raise InadmissibleError(
-                place=scenario.place(f"faults[{late[-1][0]}].by"),
+                place=scenario.place(f"faults[{late[-1][0]}].delay"),
                 expected=f"at most {RING - 2} pictures under way at a time, all latencies together",
                 got=f"{total_s:g} s, which is {total_s / period_s:.0f} pictures",
                 hint="a camera with a lower rate has fewer under way",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
-from safety_harness.scenario.fault_table import FaultKind, acting, late_by_s
+from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
 
 LATE, SILENT, NAN = FaultKind.AVOIDER_LATE, FaultKind.AVOIDER_SILENT, FaultKind.AVOIDER_NAN
 
@@ -63,7 +63,7 @@ def faulty(faults: NDArray[np.void], avoider: Avoider, time_s: float) -> Avoider
 
 def answer_delay_s(faults: NDArray[np.void], time_s: float) -> float:
     """How long an answer to a question of ``time_s`` takes; infinity for one that never comes."""
-    return inf if acting(faults, SILENT, time_s) else float(late_by_s(faults, LATE, time_s))
+    return inf if acting(faults, SILENT, time_s) else float(delay_s(faults, LATE, time_s))
 
 
 def avoider_faults(faults: NDArray[np.void], time_s: float) -> int:

@@ -1,4 +1,4 @@
-"""How faults are written in a scenario file: ``- hand sensor: is late``, ``by: 200 ms``.
+"""How faults are written in a scenario file: ``- hand sensor: is late``, ``delay: 200 ms``.
 
 One table serves reading, writing and reports; docs/scenario-files.md has it for people.
 """
@@ -80,13 +80,16 @@ class Phrase:
     optional: bool = False
 
 
-_BY = Key("by", "by_s", TIME, LATEST_S)
+_DELAY = Key("delay", "delay_s", TIME, LATEST_S)
 PHRASES: tuple[Phrase, ...] = (
     Phrase("hand sensor", "sees nothing", HandSensorBlind),
     Phrase("hand sensor", "freezes", HandSensorFrozen),
-    Phrase("hand sensor", "is late", HandSensorLate, (_BY,)),
+    Phrase("hand sensor", "is late", HandSensorLate, (_DELAY,)),
     Phrase(
-        "hand sensor", "is off", HandSensorOff, (Key("by", "by_in_base_m", LENGTH, FARTHEST_OFF_M, True),)
+        "hand sensor",
+        "is off",
+        HandSensorOff,
+        (Key("offset", "offset_in_base_m", LENGTH, FARTHEST_OFF_M, True),),
     ),
     Phrase(
         "hand sensor",
@@ -96,7 +99,7 @@ PHRASES: tuple[Phrase, ...] = (
     ),
     Phrase("camera", "sees nothing", CameraBlind),
     Phrase("camera", "freezes", CameraFrozen),
-    Phrase("camera", "is late", CameraLate, (_BY,)),
+    Phrase("camera", "is late", CameraLate, (_DELAY,)),
     Phrase(
         "camera",
         "is knocked",
@@ -109,7 +112,7 @@ PHRASES: tuple[Phrase, ...] = (
     ),
     Phrase("camera", "is hidden by hands", CameraHidden),
     Phrase("joint", "is stuck", JointStuck, (Key("which", "joint", None),)),
-    Phrase("avoider", "is late", AvoiderLate, (_BY,)),
+    Phrase("avoider", "is late", AvoiderLate, (_DELAY,)),
     Phrase("avoider", "never answers", AvoiderSilent),
     Phrase("avoider", "answers NaN", AvoiderNaN),
 )
@@ -185,14 +188,15 @@ def write_fault(fault: Fault) -> dict[str, str]:
 
 
 def fault_words(fault: Fault) -> str:
-    """A fault as a sentence for people: "hand sensor is late by 0.2 s, from 1 s until 3 s"."""
+    """A fault as a sentence for people: "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
     phrase = _BY_KIND[type(fault)]
     words = f"{phrase.subject} {phrase.predicate}"
     if isinstance(fault, JointStuck):
         words = f"{fault.joint.value} joint {phrase.predicate}"
-    for key in (key for key in phrase.keys if key.dimension is not None):
-        value = getattr(fault, key.name)
-        words += f" {key.word} " + (key.write(value) if key.several else f"{value:g} s")
+    values = [(key, getattr(fault, key.name)) for key in phrase.keys if key.dimension is not None]
+    if values:
+        told = (f"{key.word} {key.write(value) if key.several else f'{value:g} s'}" for key, value in values)
+        words += f" ({', '.join(told)})"
     if fault.end_s == inf:
         return words + (f", from {fault.from_s:g} s" if fault.from_s else ", all the time")
     return f"{words}, from {fault.from_s:g} s until {fault.end_s:g} s"

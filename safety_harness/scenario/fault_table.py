@@ -74,7 +74,7 @@ FAULT = np.dtype(
         ("kind", np.int64),
         ("from_s", np.float64),
         ("end_s", np.float64),
-        ("by_s", np.float64),  # of what is late
+        ("delay_s", np.float64),  # of what is late
         ("vector_m", np.float64, (3,)),  # a false hand's place or an offset in base, a shift in the TCP frame
         ("turned_rad", np.float64, (3,)),  # in the camera frame
         ("joint", np.int64),
@@ -90,9 +90,9 @@ def fault_table(faults: Sequence[Fault]) -> NDArray[np.void]:
         record["kind"] = KINDS[type(fault)]
         record["from_s"], record["end_s"] = fault.from_s, fault.end_s
         if isinstance(fault, HandSensorLate | CameraLate | AvoiderLate):
-            record["by_s"] = fault.by_s
+            record["delay_s"] = fault.delay_s
         elif isinstance(fault, HandSensorOff):
-            record["vector_m"] = fault.by_in_base_m
+            record["vector_m"] = fault.offset_in_base_m
         elif isinstance(fault, FalseHand):
             record["vector_m"] = fault.position_in_base_m
         elif isinstance(fault, CameraKnocked):
@@ -122,10 +122,10 @@ def acting(faults: NDArray[np.void], kind: int, time_s: float) -> int:
 
 
 @compiled
-def late_by_s(faults: NDArray[np.void], kind: int, time_s: float) -> float:
+def delay_s(faults: NDArray[np.void], kind: int, time_s: float) -> float:
     """Sum of what the faults of that kind that act at ``time_s`` are late by."""
     total = 0.0
     for k in range(faults.shape[0]):
         if acts(faults, k, kind, time_s):
-            total += faults[k].by_s
+            total += faults[k].delay_s
     return total

@@ -55,16 +55,16 @@ class HandSensorFrozen(Timed):
 
 @dataclass(frozen=True, kw_only=True)
 class HandSensorLate(Timed):
-    """Its pictures arrive later by ``by_s``, in their order."""
+    """Its pictures arrive later by ``delay_s``, in their order."""
 
-    by_s: float
+    delay_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandSensorOff(Timed):
-    """It measures every hand at a place that is off by ``by_in_base_m``."""
+    """It measures every hand at a place that is off by ``offset_in_base_m``."""
 
-    by_in_base_m: Vector3
+    offset_in_base_m: Vector3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +86,9 @@ class CameraFrozen(Timed):
 
 @dataclass(frozen=True, kw_only=True)
 class CameraLate(Timed):
-    """Its pictures arrive later by ``by_s``, in their order."""
+    """Its pictures arrive later by ``delay_s``, in their order."""
 
-    by_s: float
+    delay_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +117,9 @@ class JointStuck(Timed):
 
 @dataclass(frozen=True, kw_only=True)
 class AvoiderLate(Timed):
-    """An answer to what is asked now counts ``by_s`` later; at the decision deadline there is none."""
+    """An answer to what is asked now counts ``delay_s`` later; at the decision deadline there is none."""
 
-    by_s: float
+    delay_s: float
 
 
 @dataclass(frozen=True, kw_only=True)

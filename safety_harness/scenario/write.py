@@ -16,7 +16,6 @@ from safety_harness.scenario.model import (
     MovingHand,
     ReachForTcp,
     RecordedHand,
-    Robot,
     Scenario,
     TcpStart,
     Wait,
@@ -56,8 +55,7 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
         tree["about"] = scalar_text(scenario.about)
     tree["duration"] = format_quantity(scenario.duration_s, TIME)
     tree["seed"] = str(scenario.seed)
-    if all_settings or scenario.robot is not Robot.UR10:
-        tree["robot"] = scenario.robot.value
+    tree["robot"] = scenario.robot.value
     tree["tcp start"] = _start(scenario.start)
     tree["avoider"] = scalar_text(scenario.avoider)
     if scenario.hands:

@@ -16,7 +16,7 @@ from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import compose_into, inverse_transform
 from safety_harness.perception.hand_boxes import box_in_image, sphere_box
 from safety_harness.perception.tracking import MAX_DETECTIONS
-from safety_harness.scenario.fault_table import FaultKind, acting, acts, late_by_s
+from safety_harness.scenario.fault_table import FaultKind, acting, acts, delay_s
 from safety_harness.simulation.cameras import RING
 from safety_harness.simulation.exact_views import sensor_pose
 
@@ -84,7 +84,7 @@ def spoil_object_frame(
             before = frames[(s.object_frames - 2) % RING]
             frame.visible = before.visible
             frame.moments[:] = before.moments
-    frame.late_s = late_by_s(faults, CAMERA_LATE, time_s)
+    frame.late_s = delay_s(faults, CAMERA_LATE, time_s)
     return bits | blind | frozen | acting(faults, CAMERA_LATE, time_s)
 
 
@@ -152,7 +152,7 @@ def spoil_hand_frame(
             before = frames[(s.hand_frames - 2) % RING]
             frame.count = before.count
             frame.boxes[:, :] = before.boxes
-    frame.late_s = late_by_s(faults, HAND_SENSOR_LATE, time_s)
+    frame.late_s = delay_s(faults, HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
 
 

@@ -54,7 +54,7 @@ hands:
     fastest jump: 4 m/s
 faults:
   - hand sensor: is late
-    by: 120 ms
+    delay: 120 ms
     from: 1 s
     for: 500 ms
   - hand sensor: sees a false hand

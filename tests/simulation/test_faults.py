@@ -52,16 +52,16 @@ NEAR = MovingHand(  # comes nearer and passes between camera and object
 FAULTS: tuple[Fault, ...] = (
     HandSensorBlind(),
     HandSensorFrozen(),
-    HandSensorLate(by_s=0.2),
-    HandSensorOff(by_in_base_m=(0.02, -0.03, 0.05)),
+    HandSensorLate(delay_s=0.2),
+    HandSensorOff(offset_in_base_m=(0.02, -0.03, 0.05)),
     FalseHand(position_in_base_m=(0.8, 0.2, 0.3)),
     CameraBlind(),
     CameraFrozen(),
-    CameraLate(by_s=0.2),
+    CameraLate(delay_s=0.2),
     CameraKnocked(turned_in_camera_rad=(0.0, 0.02, 0.0), shifted_in_tcp_m=(0.0, 0.0, 0.01)),
     CameraHidden(),
     JointStuck(joint=Joint.ELBOW),
-    AvoiderLate(by_s=0.08),
+    AvoiderLate(delay_s=0.08),
     AvoiderSilent(),
     AvoiderNaN(),
 )
@@ -168,10 +168,10 @@ def test_a_sensor_that_is_frozen_from_the_beginning_never_saw_a_hand() -> None:
 def test_a_late_picture_arrives_so_much_later_and_none_overtakes_it() -> None:
     """No picture arrives for 200 ms; the first after it is the one that was taken when that began."""
     what = scenario(VISIT, duration_s=1.0)
-    trace = with_faults(what, HandSensorLate(by_s=0.2))
+    trace = with_faults(what, HandSensorLate(delay_s=0.2))
     first = int(np.argmax(trace.ticks["track_valid"].any(axis=1)))
     assert first == round(0.2 / PERIOD_S)
-    eased = with_faults(what, HandSensorLate(by_s=0.2, until_s=0.4))
+    eased = with_faults(what, HandSensorLate(delay_s=0.2, until_s=0.4))
     # the last late one of tick 49 arrives at tick 74, with all that waited behind it
     healthy = without(what, "short visit")
     later = slice(round(0.6 / PERIOD_S) + 12, None)
@@ -185,7 +185,7 @@ def test_a_late_picture_arrives_so_much_later_and_none_overtakes_it() -> None:
 def test_a_sensor_that_is_off_is_off_by_that_in_base() -> None:
     by = np.array([0.02, -0.03, 0.05])
     what = scenario(replace(VISIT, moves=()), duration_s=0.5)
-    trace = with_faults(what, HandSensorOff(by_in_base_m=tuple(by)))
+    trace = with_faults(what, HandSensorOff(offset_in_base_m=tuple(by)))
     seen = trace.ticks["predicted_hand_in_base_m"][-1, 0] - trace.ticks["hand_position_in_base_m"][-1, 0]
     bias = run(what).ticks["predicted_hand_in_base_m"][-1, 0] - trace.ticks["hand_position_in_base_m"][-1, 0]
     assert seen - bias == pytest.approx(by, abs=1.5e-3)  # the pinhole conversion errs by the angle of view
@@ -255,7 +255,7 @@ def test_a_camera_that_is_frozen_from_the_beginning_never_saw_the_object() -> No
 
 def test_a_late_camera_shows_what_was_so_long_ago() -> None:
     """The features of the same poses, 25 ticks later."""
-    trace = with_faults(scenario(duration_s=2.0), CameraLate(by_s=0.2))
+    trace = with_faults(scenario(duration_s=2.0), CameraLate(delay_s=0.2))
     assert not trace.ticks["object_visible"][:25].any()
     again = run(scenario(duration_s=0.008))
     assert np.array_equal(trace.ticks["features"][25], again.ticks["features"][0])
@@ -355,7 +355,7 @@ def test_a_stuck_joint_is_held_behind_the_drives() -> None:
 
 def test_a_late_answer_counts_so_much_later_and_the_arm_goes_on_meanwhile() -> None:
     what = scenario(VISIT, duration_s=2.0)
-    healthy, late = without(what, "visit"), with_faults(what, AvoiderLate(by_s=0.08))
+    healthy, late = without(what, "visit"), with_faults(what, AvoiderLate(delay_s=0.08))
     asked = int(healthy.decisions["tick"][0])
     assert late.decisions["tick"][0] == asked + 10
     assert (late.ticks["mode"][asked : asked + 10] == Mode.SERVOING).all()
@@ -373,7 +373,7 @@ def test_a_late_answer_counts_so_much_later_and_the_arm_goes_on_meanwhile() -> N
     )
 
 
-@pytest.mark.parametrize("fault", [AvoiderSilent(), AvoiderLate(by_s=0.101), AvoiderLate(by_s=5.0)])
+@pytest.mark.parametrize("fault", [AvoiderSilent(), AvoiderLate(delay_s=0.101), AvoiderLate(delay_s=5.0)])
 def test_beyond_the_deadline_there_is_no_answer_and_the_deadline_has_passed(fault: Fault) -> None:
     what = scenario(VISIT, duration_s=2.0)
     healthy, silent = without(what, "visit"), with_faults(what, fault)
@@ -386,13 +386,13 @@ def test_beyond_the_deadline_there_is_no_answer_and_the_deadline_has_passed(faul
 
 def test_an_answer_at_the_deadline_is_in_time() -> None:
     what = scenario(VISIT, duration_s=2.0)
-    assert with_faults(what, AvoiderLate(by_s=0.1)).decisions["outcome"][0] == Outcome.PROPOSED
+    assert with_faults(what, AvoiderLate(delay_s=0.1)).decisions["outcome"][0] == Outcome.PROPOSED
 
 
 def test_an_answer_counts_though_the_hand_has_left_meanwhile() -> None:
     settings = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, decision_deadline_s=2.0))
     what = scenario(VISIT, duration_s=3.5, settings=settings)
-    trace = with_faults(what, AvoiderLate(by_s=1.6))
+    trace = with_faults(what, AvoiderLate(delay_s=1.6))
     decision = trace.decisions[0]
     gone_m = trace.ticks["predicted_distance_m"][decision["tick"]]
     assert gone_m > DEFAULTS.avoidance.critical_distance_m

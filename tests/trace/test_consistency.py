@@ -90,7 +90,7 @@ def test_a_flag_that_is_neither_0_nor_1_is_named(visit: Trace) -> None:
 
 
 def test_a_fault_acts_within_its_time_and_a_late_avoider_until_the_deadline(visit: Trace) -> None:
-    faults = (CameraBlind(from_s=0.16, until_s=0.32), AvoiderLate(by_s=0.05, from_s=0.16, until_s=0.32))
+    faults = (CameraBlind(from_s=0.16, until_s=0.32), AvoiderLate(delay_s=0.05, from_s=0.16, until_s=0.32))
     judged = replace(visit, scenario=replace(visit.scenario, faults=faults))
     assert first_inconsistency(judged) is None
     for tick, bits, good in (
