@@ -68,6 +68,14 @@ def avoider_sha256(scenario: Scenario) -> str:
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def command_line_reference(scenario: Scenario) -> str:
+    """The scenario's avoider as one would name it on the command line, in the working directory."""
+    file, name = _file_and_name(scenario.avoider)
+    if not file:
+        return scenario.avoider
+    return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+
+
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, which is executed to resolve it?"""
     return bool(_file_and_name(reference)[1])

@@ -10,6 +10,7 @@ from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.nodes import Mapping as Tree
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
 from safety_harness.scenario.read import MAX_BYTES
@@ -27,6 +28,13 @@ def read_space(path: Path) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands."""
     data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=ScenarioError)
     return parse_space(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+
+
+def is_space(path: Path) -> bool:
+    """Whether the file says that it is a space; ScenarioError if it is no file with a tree in it."""
+    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=ScenarioError)
+    tree = parse_tree(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+    return isinstance(tree, Tree) and any(key.text == SPACE_KEY for key, _ in tree.entries)
 
 
 def parse_space(

@@ -168,7 +168,7 @@ class ScenarioSpace:
         written = tree_of(scenario, all_settings=self._varies_settings)
         for count, found in enumerate(matches(self.template, written, self.parameters)):
             if count == _MOST_READINGS:
-                return
+                raise self._error(f"a scenario that comes about in at most {_MOST_READINGS:,} ways", "more")
             values = np.full(self.dimension, np.nan)
             for number, of_parameter in found.items():
                 values[self.parameters[number].columns] = of_parameter
