@@ -13,7 +13,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Verify a hand-avoidance controller of a UR10: run scenarios, judge them, report; "
+    help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, report; "
     "make the data of a learned avoider, train, evaluate and export it.",
 )
 
@@ -38,7 +38,7 @@ ModelFiles = Annotated[
 
 @app.command()
 def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
-    """Run scenario files on the PyBullet UR10, judge their claims and write a report.
+    """Run scenario files in PyBullet, judge their claims and write a report.
 
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
     Exit code 0: every verdict as its file expects; 1: any differs, or a run failed; 2: bad input,
