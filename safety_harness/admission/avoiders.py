@@ -10,7 +10,9 @@ import hashlib
 import os
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from safety_harness.admission.python_file import PythonFile
 from safety_harness.avoidance.avoider import Avoider
@@ -22,6 +24,9 @@ from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
+
+if TYPE_CHECKING:
+    from safety_harness.avoidance.learned import LearnedAvoider
 
 NAMES = (*SHIPPED, "opposite pose", "nearest candidate")
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
@@ -68,6 +73,14 @@ def avoider_sha256(scenario: Scenario) -> str:
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def command_line_reference(scenario: Scenario) -> str:
+    """The scenario's avoider as one would name it on the command line, in the working directory."""
+    file, name = file_and_name(scenario.avoider)
+    if not file:
+        return scenario.avoider
+    return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+
+
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, which is executed to resolve it?"""
     return bool(file_and_name(reference)[1])
@@ -107,12 +120,23 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
     """Imported only here: a run with another avoider need not wait for it."""
-    from safety_harness.avoidance.learned import LearnedAvoider
-    from safety_harness.avoidance.model_file import load_model, refuse_foreign_seen_space
+    from safety_harness.avoidance.model_file import refuse_foreign_seen_space
 
-    model = load_model(path)
-    refuse_foreign_seen_space(model.seen, settings, path)
-    return LearnedAvoider.of(model)
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        digest = ""  # loading says what is wrong
+    avoider = _learned(path, digest)
+    refuse_foreign_seen_space(avoider.model.seen, settings, path)
+    return avoider
+
+
+@lru_cache(maxsize=4)  # a folder of scenarios names the same one or two over and over
+def _learned(path: Path, sha256: str) -> LearnedAvoider:
+    from safety_harness.avoidance.learned import LearnedAvoider
+    from safety_harness.avoidance.model_file import load_model
+
+    return LearnedAvoider.of(load_model(path))
 
 
 def _from_onnx_file(path: Path, settings: Settings) -> Avoider:

@@ -43,16 +43,15 @@ class Preview:
     @property
     def tcp_in_base_m(self) -> Floats:
         """(3,) the TCP start."""
-        return self.links_in_base_m[-1]
+        tcp: Floats = self.links_in_base_m[-1]
+        return tcp
 
 
 def preview_of(admitted: Admitted) -> Preview:
     """The scene of an admitted scenario."""
     scenario, arm = admitted.scenario, admitted.arm
     transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(
-        arm.joint_origins, arm.joint_axes, arm.flange, admitted.joint_position_rad, transforms
-    )
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, admitted.joint_position_rad, transforms)
     return Preview(
         scenario=scenario,
         links_in_base_m=transforms[:, :3, 3].copy(),
@@ -80,5 +79,6 @@ def object_image_px(scenario: Scenario, transform_tcp_to_base: Floats) -> Floats
     camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(camera, calibrated=False)
     base_to_camera = inverse_transform(camera_to_base)
     corners = object_polygon_in_base(scenario.settings) @ base_to_camera[:3, :3].T + base_to_camera[:3, 3]
-    image: Floats = camera.focal_px * corners[:, :2] / corners[:, 2:]
-    return image + np.array(principal_point_px(camera.width_px, camera.height_px))
+    centre_px = np.array(principal_point_px(camera.width_px, camera.height_px))
+    image: Floats = camera.focal_px * corners[:, :2] / corners[:, 2:] + centre_px
+    return image

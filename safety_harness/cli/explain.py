@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result
@@ -76,8 +77,5 @@ def _dimension(value: Value) -> Dimension | None:
 
 def _plain(text: str) -> str:
     """A cell of the page's table without the page's marks."""
-    return (
-        text.replace("`", "")
-        .replace("([avoiders](avoiders.md))", "(see docs/avoiders.md)")
-        .replace("([avoiders](avoiders.md#the-gate))", "(see docs/avoiders.md)")
-    )
+    text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
+    return re.sub(r"\[[^]]*\]\(([a-z-]+\.md)[^)]*\)", r"see docs/\1", text)

@@ -1,4 +1,4 @@
-"""A picture of what a scenario, or many draws of a space, would try: from above, from the side, in the camera."""
+"""A picture of what a scenario, or many draws of a space, would try: above, side and camera views."""
 
 from __future__ import annotations
 
@@ -94,13 +94,17 @@ def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
     faint = 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
     for preview in previews:
         axes.fill(*preview.start_image_px.T, facecolor="none", edgecolor=TCP, linewidth=1.5, alpha=faint)
-    axes.fill(*previews[0].desired_image_px.T, facecolor="none", edgecolor=TEXT, linestyle="--", linewidth=1.5)
+    axes.fill(
+        *previews[0].desired_image_px.T, facecolor="none", edgecolor=TEXT, linestyle="--", linewidth=1.5
+    )
     axes.set_xlim(0, camera.width_px)
     axes.set_ylim(camera.height_px, 0)
     axes.set_aspect("equal")
     axes.set_xlabel("u, px")
     axes.set_ylabel("v, px")
-    axes.set_title("In the servoing camera: object at the start, and desired (dashed)", loc="left", fontsize=11)
+    axes.set_title(
+        "In the servoing camera: object at the start, and desired (dashed)", loc="left", fontsize=11
+    )
 
 
 def _write_legend(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:

@@ -13,8 +13,9 @@ from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
+from safety_harness.scenario.fault_phrases import read_faults
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
-from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, TcpStart, Verdict
+from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Robot, Scenario, TcpStart, Verdict
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import refuse_distributions
 from safety_harness.scenario.read_hands import LONGEST_S, read_hands, read_position
@@ -31,9 +32,11 @@ KEYS = (
     "about",
     "duration",
     "seed",
+    "robot",
     "tcp start",
     "avoider",
     "hands",
+    "faults",
     "hand sensor",
     "camera",
     "settings",
@@ -105,17 +108,20 @@ def scenario_of(
     root = Field(tree, file, path="", line=1)
     given = root.fields(KEYS, hints=_COMPOSED)
     settings = _settings(given)
+    duration_s = _duration(given.required("duration"), settings)
     return Scenario(
         name=name,
         title=_title(given.required("scenario")),
         about=_about(given.optional("about")),
-        duration_s=_duration(given.required("duration"), settings),
+        duration_s=duration_s,
         seed=_seed(given.optional("seed")),
         start=_tcp_start(given.required("tcp start")),
         hands=read_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
         avoider=_avoider(given.optional("avoider")),
         claims=_claims(given.required("claims"), required=claims_required),
         settings=settings,
+        robot=_robot(given.optional("robot")),
+        faults=read_faults(given.optional("faults"), duration_s=duration_s),
         file=file,
         places=places(root),
     )
@@ -143,6 +149,10 @@ def _duration(field: Field, settings: Settings) -> float:
 
 def _seed(field: Field | None) -> int:
     return field.integer(least=0, most=LARGEST_SEED) if field else 0
+
+
+def _robot(field: Field | None) -> Robot:
+    return field.choice(Robot) if field else Robot.UR10
 
 
 def _tcp_start(field: Field) -> TcpStart:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
+from safety_harness.scenario.faults import MOST_FAULTS
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.read import DEFAULT_AVOIDER, LARGEST_SEED, SETTINGS_KEYS, TOP_GROUPS
 from safety_harness.scenario.read_hands import (
     DEFAULT_FASTEST_JUMP_MPS,
@@ -28,6 +29,7 @@ from safety_harness.scenario.reference import (
     below,
     nice,
 )
+from safety_harness.scenario.reference_faults import fault_tables
 from safety_harness.scenario.reference_settings import group_table
 from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME
 
@@ -274,6 +276,13 @@ TOP = Table(
             said="whole number from 0 to 2^63 - 1",
         ),
         _key(
+            "robot",
+            Word(options=tuple(robot.value for robot in Robot)),
+            Robot.UR10.value,
+            "the arm in the cell ([robots](#robot))",
+            "robot: UR5",
+        ),
+        _key(
             "tcp start",
             Below(tables=(TCP_START,)),
             REQUIRED,
@@ -295,6 +304,13 @@ TOP = Table(
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
             "    elbow towards: [1.6 m, -1.2 m, 300 mm]\n    moves:\n      - wait: 1 s",
+        ),
+        _key(
+            "faults",
+            Several(of=Below(tables=fault_tables()), form=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS),
+            "none",
+            "what goes wrong, and when",
+            "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
         ),
         _key(
             "hand sensor",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -28,7 +29,7 @@ class InBox:
     def __post_init__(self) -> None:
         _ = self.sides
 
-    @property
+    @cached_property
     def sides(self) -> tuple[Uniform, ...]:
         """Each coordinate by itself."""
         return tuple(Uniform(low, high) for low, high in zip(self.low, self.high, strict=True))
@@ -114,10 +115,11 @@ class InRegion:
 
     def log_density(self, values: Vector) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside."""
-        volume_m3 = math.fsum(piece.volume_m3 for piece in self.known.pieces)
+        low, high, _ = self._pieces
+        volume_m3 = math.fsum(np.prod(high - low, axis=1))
         return np.where(self.known.contains(values), -math.log(volume_m3), -np.inf)
 
-    @property
+    @cached_property
     def _pieces(self) -> tuple[Vector, Vector, Vector]:
         """Corners (k, 3) and the edges (k + 1,) of the boxes' shares of the first coordinate."""
         pieces = self.known.pieces

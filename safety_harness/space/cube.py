@@ -39,7 +39,8 @@ def cube_at(parameters: Sequence[Parameter], values: Vector) -> Vector:
     """(n, d) values within their distributions -> (n, d) in the unit cube."""
     u = np.full_like(values, UNUSED)
     for parameter, used in zip(parameters, used_by(parameters, values), strict=True):
-        u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
+        if used.any():
+            u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
     return u
 
 
@@ -50,7 +51,8 @@ def log_density_at(parameters: Sequence[Parameter], values: Vector) -> Vector:
     """
     density = np.zeros(len(values))
     for parameter, used in zip(parameters, used_by(parameters, values), strict=True):
-        density[used] += parameter.distribution.log_density(values[used, parameter.columns])
+        if used.any():
+            density[used] += parameter.distribution.log_density(values[used, parameter.columns])
     return density
 
 

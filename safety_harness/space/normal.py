@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -49,7 +50,7 @@ class Between:
         """Bounds mostly above the mean are computed below it, where small numbers keep their digits."""
         return self.low + self.high > 0.0
 
-    @property
+    @cached_property
     def _ends(self) -> tuple[float, float]:
         low, high = (-self.high, -self.low) if self._mirrored else (self.low, self.high)
         below, above = _lower_tail(np.array([low, high]))

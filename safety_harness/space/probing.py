@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
-from safety_harness.space import cube
 from safety_harness.space.boxes import InRegion
+from safety_harness.space.cube import without_unused
 from safety_harness.space.distributions import Choice
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.template import Parameter
@@ -53,7 +53,7 @@ def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector
     for value, read_back in trials:
         values = raw.copy()
         values[parameter.columns] = value
-        yield cube.without_unused(space.parameters, values[None])[0], read_back
+        yield without_unused(space.parameters, values[None])[0], read_back
 
 
 def _refuse_unseen(space: ScenarioSpace, parameter: Parameter, scenario: Scenario) -> None:

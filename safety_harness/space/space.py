@@ -21,7 +21,14 @@ from safety_harness.scenario.read import TOP_GROUPS, scenario_of
 from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.space import cube
+from safety_harness.space.cube import (
+    continuous,
+    dimension_of,
+    without_unused,
+)
+from safety_harness.space.cube import cube_at as cube_of_values
+from safety_harness.space.cube import log_density_at as log_density_of_values
+from safety_harness.space.cube import values_at as values_of_cube
 from safety_harness.space.matching import matches
 from safety_harness.space.template import Keyed, Parameter, Template, filled
 
@@ -67,7 +74,7 @@ class ScenarioSpace:
     @property
     def dimension(self) -> int:
         """How many coordinates the unit cube has: the same for every scenario of the space."""
-        return cube.dimension_of(self.parameters)
+        return dimension_of(self.parameters)
 
     @property
     def has_seed(self) -> bool:
@@ -83,7 +90,7 @@ class ScenarioSpace:
     def simplest_values(self) -> Vector:
         """(d,) values of ``simplest``, NaN where it does not use them."""
         values = np.concatenate([parameter.distribution.simplest for parameter in self.parameters])
-        row: Vector = cube.without_unused(self.parameters, values[None])[0]
+        row: Vector = without_unused(self.parameters, values[None])[0]
         return row
 
     def draw(self, seed: int, k: int) -> Scenario:
@@ -108,14 +115,14 @@ class ScenarioSpace:
         self._refuse_other_shape(u)
         if not np.all((u >= 0.0) & (u <= 1.0)):
             raise self._error("coordinates from 0 to 1", f"{u.min()} to {u.max()}")
-        return cube.values_at(self.parameters, u)
+        return values_of_cube(self.parameters, u)
 
     def cube_at(self, values: Vector) -> Vector:
         """(n, d) values -> (n, d) points of the unit cube; ScenarioError for values outside the space."""
         outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
         if len(outside):
             raise self._error("values within their distributions", f"others in row {outside[0]}")
-        return cube.cube_at(self.parameters, values)
+        return cube_of_values(self.parameters, values)
 
     def log_density_at(self, values: Vector) -> Vector:
         """(n, d) values -> (n,) natural logarithm of the density, -inf outside.
@@ -123,7 +130,7 @@ class ScenarioSpace:
         The measure is the product of lengths, volumes (SI) and counts over the parameters that are used.
         """
         self._refuse_other_shape(values)
-        return cube.log_density_at(self.parameters, values)
+        return log_density_of_values(self.parameters, values)
 
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
         """The scenario of values (d,), as ``values_at`` gives them."""
@@ -168,7 +175,7 @@ class ScenarioSpace:
         written = tree_of(scenario, all_settings=self._varies_settings)
         for count, found in enumerate(matches(self.template, written, self.parameters)):
             if count == _MOST_READINGS:
-                return
+                raise self._error(f"a scenario that comes about in at most {_MOST_READINGS:,} ways", "more")
             values = np.full(self.dimension, np.nan)
             for number, of_parameter in found.items():
                 values[self.parameters[number].columns] = of_parameter
@@ -186,7 +193,7 @@ class ScenarioSpace:
         return sum(
             parameter.distribution.columns
             for parameter in self.parameters
-            if cube.continuous(parameter) and np.isfinite(values[parameter.column])
+            if continuous(parameter) and np.isfinite(values[parameter.column])
         )
 
     @property

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import LARGEST_SEED
-from safety_harness.space import cube
 from safety_harness.space.boxes import Distribution, InBox, InRegion
+from safety_harness.space.cube import uses, without_unused
 from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
 from safety_harness.space.space import ScenarioSpace
 
@@ -43,9 +43,9 @@ def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
     for number, parameter in enumerate(space.parameters):
         # A named value comes before the choices that decide whether it is used.
         undecided = any(condition.parameter > number for when in parameter.when for condition in when)
-        if undecided or cube.uses(space.parameters, parameter, found)[0]:
+        if undecided or uses(space.parameters, parameter, found)[0]:
             found[0, parameter.columns] = draw(_value(parameter.distribution))
-    row: Vector = cube.without_unused(space.parameters, found)[0]
+    row: Vector = without_unused(space.parameters, found)[0]
     return row
 
 

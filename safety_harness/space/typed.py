@@ -19,10 +19,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import nodes
 from safety_harness.scenario.fields import Field, places
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
+from safety_harness.scenario.nodes import Sequence as SequenceNode
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
 from safety_harness.scenario.units import near_miss
 from safety_harness.scenario.write import write_scenario
@@ -109,7 +110,7 @@ def space_from(
                 hint=near_miss(path, places(full)),
             )
         tree = _replaced(tree, steps, _node(value, _unit(_at(full.node, steps))))
-    assert isinstance(tree, nodes.Mapping)
+    assert isinstance(tree, MappingNode)
     entries = [
         (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value)
         for key, value in tree.entries
@@ -119,15 +120,15 @@ def space_from(
         entries.append((Scalar("seed", 1), Scalar(str(seed), 1)))
     if choices:
         entries.insert(1, (Scalar(CHOICES, 1), _node(choices, "")))
-    return space_of(nodes.Mapping(tuple(entries), 1), scenario.file, name=scenario.name)
+    return space_of(MappingNode(tuple(entries), 1), scenario.file, name=scenario.name)
 
 
 def _at(node: Node, steps: Values[int | str]) -> Node:
     for step in steps:
-        if isinstance(node, nodes.Mapping):
+        if isinstance(node, MappingNode):
             node = next(value for key, value in node.entries if key.text == step)
         else:
-            assert isinstance(node, nodes.Sequence)
+            assert isinstance(node, SequenceNode)
             node = node.items[int(step)]
     return node
 
@@ -138,21 +139,21 @@ def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
         return new
     step, others = steps[0], steps[1:]
     if isinstance(step, int):
-        assert isinstance(node, nodes.Sequence)
+        assert isinstance(node, SequenceNode)
         items = list(node.items)
         items[step] = _replaced(items[step], others, new)
-        return nodes.Sequence(tuple(items), node.line)
-    assert isinstance(node, nodes.Mapping)
+        return SequenceNode(tuple(items), node.line)
+    assert isinstance(node, MappingNode)
     entries = dict(node.entries)
     by_text = {key.text: key for key in entries}
     key = by_text.get(step, Scalar(step, node.line))
-    entries[key] = _replaced(entries.get(key, nodes.Mapping((), node.line)), others, new)
-    return nodes.Mapping(tuple(entries.items()), node.line)
+    entries[key] = _replaced(entries.get(key, MappingNode((), node.line)), others, new)
+    return MappingNode(tuple(entries.items()), node.line)
 
 
 def _unit(node: Node) -> str:
     """The SI unit of a quantity that the program wrote, or of the first of a list; empty for a word."""
-    while isinstance(node, nodes.Sequence) and node.items:
+    while isinstance(node, SequenceNode) and node.items:
         node = node.items[0]
     if not isinstance(node, Scalar):
         return ""
@@ -194,7 +195,7 @@ def _node(value: Value, unit: str) -> Node:
     if isinstance(value, Repeat):
         times = Scalar(f"from {value.least} to {value.most} times", 1)
         return _mapping({"repeat": times, "moves": _node(value.moves, "")})
-    return nodes.Sequence(tuple(_node(item, unit) for item in value), 1)
+    return SequenceNode(tuple(_node(item, unit) for item in value), 1)
 
 
 def _one_of(value: OneOf, unit: str) -> Node:
@@ -213,5 +214,5 @@ def _point(value: InBox | InShell | InRegion) -> Node:
     return _mapping({"shell": _node(value.centre, value.unit), **radii})
 
 
-def _mapping(entries: Mapping[str, Node]) -> nodes.Mapping:
-    return nodes.Mapping(tuple((Scalar(key, 1), value) for key, value in entries.items()), 1)
+def _mapping(entries: Mapping[str, Node]) -> MappingNode:
+    return MappingNode(tuple((Scalar(key, 1), value) for key, value in entries.items()), 1)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -225,7 +226,9 @@ def spoilt_trees(draw: st.DrawFn) -> tuple[int, Tree]:
             inside[at] = [draw(st.sampled_from([*KEYS, inside[at][0][1:]])), inside[at][1]]
         else:
             value = (
-                [inside[at][1] if is_pair else inside[at]] if kind == "wrap" else draw(st.sampled_from(POOL))
+                [inside[at][1] if is_pair else inside[at]]
+                if kind == "wrap"
+                else deepcopy(draw(st.sampled_from(POOL)))
             )
             inside[at] = [inside[at][0], value] if is_pair else value
     return number, tree

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import read, read_hands, units
+from safety_harness.scenario import fault_phrases, read, read_hands, units
 from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
 from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
@@ -81,7 +81,7 @@ def test_every_example_can_be_read(example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(blocks("yaml")) == 6
+    assert len(blocks("yaml")) == 8
 
 
 def test_the_first_example_is_complete() -> None:
@@ -128,6 +128,7 @@ def test_the_composed_example_and_the_suite_can_be_read(tmp_path: Path) -> None:
         ("## A hand that moves", read_hands._MOVING_KEYS),
         ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
         ("## `tcp start`", ("offset", "tilt", "joints")),
+        ("### The time of a fault", fault_phrases.TIMES),
         ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
         ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
     ],
@@ -142,6 +143,15 @@ def test_the_page_names_every_move() -> None:
         assert tuple(re.findall("`(.*?)`", line)) == further
         (table,) = (table for table in MOVES if table.name == move)
         assert table.names == (move, *further)
+
+
+def test_the_page_names_every_fault_with_its_keys() -> None:
+    section = TEXT.split("## `faults`", 1)[1].split("| key |", 1)[0]
+    lines = {words: line for words, line in re.findall(r"^\| `(.*?: .*?)` \|(.*?)\|", section, re.M)}
+    assert list(lines) == [f"{phrase.subject}: {phrase.predicate}" for phrase in fault_phrases.PHRASES]
+    for phrase in fault_phrases.PHRASES:
+        line = lines[f"{phrase.subject}: {phrase.predicate}"]
+        assert tuple(re.findall("`(.*?)`", line)) == tuple(key.word for key in phrase.keys)
 
 
 @pytest.mark.parametrize("group", SETTINGS_KEYS)

@@ -206,6 +206,21 @@ def test_a_space_is_bounded() -> None:
         parse_space(HANDS.replace("{repeat: TIMES, moves: [{wait: from 1 s to 2 s}]}", repeated))
 
 
+def test_what_would_grow_without_end_is_refused() -> None:
+    repeated = "{wait: 1 s}"
+    for _ in range(5):
+        repeated = f"{{repeat: 20 times, moves: [{repeated}]}}"
+    with pytest.raises(ScenarioError, match="at most 5,000 moves by repeating"):
+        parse_space(HANDS.replace("{repeat: TIMES, moves: [{wait: from 1 s to 2 s}]}", repeated))
+    words = [f"w{k}" for k in range(50)]
+    lines = [f"  word: one of {', '.join(words)}", "  v0: from 1 s to 2 s"]
+    for k in range(1, 5):
+        options = ", ".join(f"{word}: the v{k - 1}" for word in words)
+        lines.append(f"  v{k}: {{by: word, {options}}}")
+    with pytest.raises(ScenarioError, match="at most 2,000 uses of named values"):
+        parse_space(HEAD.replace("5 s", "the v4") + "choices:\n" + "\n".join(lines) + "\n")
+
+
 def test_what_only_two_values_together_make_impossible_is_refused() -> None:
     text = HANDS.replace("[1.6 m, -1.2 m, 300 mm]", "[from 1.2 m to 1.3 m, -0.7 m, 100 mm]")
     with pytest.raises(ScenarioError, match="a point other than where the hand starts"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -211,3 +212,38 @@ def test_what_is_outside_the_cube_is_refused() -> None:
 def test_an_equal_scenario_is_equal_to_the_last_bit() -> None:
     one: Scenario = EVERYTHING.draw(9, 4)
     assert repr(one) == repr(EVERYTHING.draw(9, 4))
+
+
+def test_many_repetitions_with_alternatives_come_back_all_the_same() -> None:
+    """There are 3^20 ways to lay the template over such a scenario; one of them fits."""
+    alternatives = (
+        "{one of: [{wait: from 1 s to 2 s}, {wait: from 3 s to 4 s}, {withdraw: from 1 m/s to 2 m/s}]}"
+    )
+    space = parse_space(
+        HEAD
+        + "hands: [{hand: h, starts at: [1 m, 1 m, 1 m], elbow towards: [2 m, 1 m, 1 m], moves: "
+        + f"[{{repeat: from 1 to 20 times, moves: [{alternatives}]}}]}}]\n"
+    )
+    for drawn in space.draws(1, 5):
+        assert np.array_equal(
+            space.values_of(drawn), space.values_of(space.at(space.cube_of(drawn))), equal_nan=True
+        )
+        assert math.isfinite(space.log_density(drawn))
+
+
+def test_more_ways_than_can_be_added_are_an_error_and_no_number() -> None:
+    both = "{one of: [{wait: from 1 s to 3 s}, {wait: from 2 s to 4 s}]}"
+    space = parse_space(
+        HEAD
+        + "hands: [{hand: h, starts at: [1 m, 1 m, 1 m], elbow towards: [2 m, 1 m, 1 m], moves: "
+        + f"[{{repeat: 12 times, moves: [{both}]}}]}}]\n"
+    )
+    u = np.full(space.dimension, 0.25)  # each first alternative
+    u[1::3] = 0.75  # of which the upper half is the second's as well
+    assert np.all(space.cube_of(space.at(u)) >= 0.0)
+    with pytest.raises(ScenarioError, match="at most 1,000 ways"):
+        space.log_density(space.at(u))
+
+
+def test_a_space_can_be_sent_to_another_process() -> None:
+    assert pickle.loads(pickle.dumps(EVERYTHING)).draw(1, 3) == EVERYTHING.draw(1, 3)
