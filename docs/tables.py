@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 from safety_harness.scenario.reference import markdown, markdown_of_moves
-from safety_harness.scenario.reference_tables import MOVES, every_table
+from safety_harness.scenario.reference_hands import MOVES
+from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema
 
 DOCS = Path(__file__).parent

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from safety_harness.exceptions import Place
-from safety_harness.scenario.units import Dimension, parse_quantity
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M
+from safety_harness.scenario.units import ANGLE, LENGTH, Dimension, parse_quantity
 
 REQUIRED = "required"
 _RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
@@ -226,3 +227,14 @@ def _bounds(dimension: Dimension, above: float | None, least: float | None, most
         if bound is not None
     ]
     return f", {' and '.join(parts)}" if parts else ""
+
+
+def key_of(name: str, value: Value, default: str, meaning: str, example: str, said: str = "") -> Key:
+    """A key in one line."""
+    return Key(name=name, value=value, default=default, meaning=meaning, example=example, said=said)
+
+
+_COORDINATE = Quantity(dimension=LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
+TURN = Quantity(dimension=ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
+POINT = Several(of=_COORDINATE, form="point", count=3)
+ROTATION = Several(of=TURN, form="rotation", count=3)

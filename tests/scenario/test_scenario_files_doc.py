@@ -16,7 +16,7 @@ from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
-from safety_harness.scenario.reference_tables import MOVES
+from safety_harness.scenario.reference_hands import MOVES
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.scenario.units import Dimension
 from safety_harness.settings import DEFAULTS
