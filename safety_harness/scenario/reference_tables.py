@@ -216,7 +216,7 @@ SUITE = Table(
     where="a suite",
     keys=(
         key_of(
-            "suite", _LINE, REQUIRED, "what these scenarios are for, as a title", "suite: before a release"
+            "suite", _LINE, REQUIRED, "what these scenarios are for", "suite: before a release"
         ),
         key_of("about", _PROSE, "empty", "why one would run it", "about: All of it takes a minute."),
         key_of(
