@@ -16,6 +16,7 @@ class Branch(IntEnum):
 
     HAND_SENSOR_NOISE = 1
     DECISION = 2
+    HAND_MOTION = 5
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import avoider_of, avoider_sha256
-from safety_harness.admission.checks import check_cameras, check_hands, check_object, check_restart_delay
+from safety_harness.admission.checks import check_cameras, check_object, check_restart_delay
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
     ARM_NAME,
     DESIRED,

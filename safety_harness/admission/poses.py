@@ -19,7 +19,7 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     smallest_singular_value,
 )
-from safety_harness.scenario.model import JointStart, Scenario
+from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.exact_views import exact_object
 
@@ -61,7 +61,10 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
             )
         return joints
     target = desired_transform_tcp_to_base(scenario.settings)
-    target[:3, 3] += start.offset_in_base_m
+    if isinstance(start, PoseStart):
+        target[:3, 3] = start.position_in_base_m
+    else:
+        target[:3, 3] += start.offset_in_base_m
     target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
     return _reached(scenario, arm, target, "TCP start", START)
 

@@ -14,18 +14,14 @@ from hypothesis import strategies as st
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     Claim,
-    FollowTcp,
     JointStart,
-    MoveTo,
     MovingHand,
     OffsetStart,
-    ReachForTcp,
     RecordedHand,
     Scenario,
     Verdict,
-    Wait,
-    Withdraw,
 )
+from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Wait, Withdraw
 from safety_harness.scenario.read import MOST_TICKS
 from safety_harness.scenario.read_hands import FASTEST_MPS, LARGEST_FACTOR, LONGEST_S
 from safety_harness.scenario.recording import load_recording

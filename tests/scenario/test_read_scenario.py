@@ -7,19 +7,8 @@ import pytest
 from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, parse
 
 from safety_harness.exceptions import Place
-from safety_harness.scenario.model import (
-    Claim,
-    FollowTcp,
-    JointStart,
-    MoveTo,
-    MovingHand,
-    OffsetStart,
-    ReachForTcp,
-    RecordedHand,
-    Verdict,
-    Wait,
-    Withdraw,
-)
+from safety_harness.scenario.model import Claim, JointStart, MovingHand, OffsetStart, RecordedHand, Verdict
+from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Wait, Withdraw
 from safety_harness.scenario.read import DEFAULT_AVOIDER
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, InteractionChoice
 

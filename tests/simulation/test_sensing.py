@@ -21,7 +21,7 @@ from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, ObjectKind, Settings
 from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
-from safety_harness.simulation.hand_motion import hands_at_start
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.sensing import (
     deliver,
     hand_frame_due,
@@ -214,7 +214,9 @@ def seen(
     capsules = cell_capsules(load_capsules(arm.name), settings)
     placed = np.empty((len(capsules.names), 2, 3))
     place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
-    state = hands_at_start([hand(at=tuple(position)) for position in hands], settings.hand).state
+    state = hands_at_start(
+        scenario(*(hand(at=tuple(position)) for position in hands), settings=settings)
+    ).state
     cameras = sensors(settings, 1, 0, overhead_transform_sensor_to_base(settings))
     boxes = np.zeros((MAX_DETECTIONS, 5))
     count = exact_boxes(cameras.state, state, transforms[TCP], placed, capsules.radius_m, boxes)
