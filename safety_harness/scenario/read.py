@@ -43,6 +43,7 @@ KEYS = (
     "seed",
     "tcp start",
     "avoider",
+    "object",
     "hands",
     "hand sensor",
     "camera",
@@ -50,8 +51,8 @@ KEYS = (
     "claims",
 )
 START_KEYS = ("offset", "position", "joints", "tilt")
-# The two groups of settings that have a key of their own at the top.
-TOP_GROUPS = {"hand sensor": "hand_sensor", "camera": "camera"}
+# The three groups of settings that have a key of their own at the top.
+TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
 SETTINGS_KEYS = {
     field.name.replace("_", " "): field.name
     for field in fields(Settings)

@@ -127,7 +127,7 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> NDArray[np.v
     if isinstance(move, Wait):
         return _record(Kind.WAIT, duration_s=move.duration_s)
     if isinstance(move, ReachForTcp | ReachForObject):
-        return _reach(move, scenario.settings.cell.object_position_in_base_m)
+        return _reach(move, scenario.settings.object.position_in_base_m)
     if isinstance(move, FollowTcp):
         return _record(
             Kind.FOLLOW_TCP,

@@ -17,7 +17,7 @@ from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, Verdict
-from safety_harness.settings import DEFAULTS, Avoidance, Camera, Cell, HandSensor, HandSensorKind
+from safety_harness.settings import DEFAULTS, Avoidance, Camera, HandSensor, HandSensorKind, Object
 
 DOWNWARD = DEFAULTS.cell.preferred_joint_position_rad
 
@@ -83,8 +83,8 @@ def test_a_hand_below_the_table_is_refused() -> None:
 
 
 def test_a_symmetric_object_is_refused() -> None:
-    isosceles = Cell(object_polygon_m=((-0.05, -0.04), (0.05, -0.04), (0.0, 0.08)))
-    assert "rank 6" in refusal(scenario(settings=replace(DEFAULTS, cell=isosceles))).expected
+    isosceles = Object(polygon_m=((-0.05, -0.04), (0.05, -0.04), (0.0, 0.08)))
+    assert "rank 6" in refusal(scenario(settings=replace(DEFAULTS, object=isosceles))).expected
 
 
 def test_an_eye_in_hand_sensor_with_other_optics_is_refused() -> None:

@@ -111,9 +111,9 @@ def refusal(text: str) -> InadmissibleError:
             "the position (700, 300, 350) mm",
         ),
         (
-            "settings: {cell: {object position: [700 mm, 400 mm, -300 mm]}}\n",
-            "settings",
-            "settings.cell.object position",
+            "object: {position: [700 mm, 400 mm, -300 mm]}\n",
+            "object",
+            "object.position",
             "a desired TCP position with the whole object in the camera's view",
             "the position (700, 0, 350) mm",
         ),
@@ -146,16 +146,16 @@ def refusal(text: str) -> InadmissibleError:
             "z = -300 mm",
         ),
         (
-            "settings:\n  cell: {object polygon: [[-50 mm, -40 mm], [50 mm, -40 mm], [0 mm, 80 mm]]}\n",
-            "cell",
-            "settings.cell.object polygon",
+            "object:\n  polygon: [[-50 mm, -40 mm], [50 mm, -40 mm], [0 mm, 80 mm]]\n",
+            "polygon",
+            "object.polygon",
             "an object whose interaction matrix has rank 6",
             "rank 5",
         ),
         (
-            "settings:\n  cell: {object polygon: [[0 mm, 0 mm], [50 mm, 0 mm], [100 mm, 0 mm]]}\n",
-            "cell",
-            "settings.cell.object polygon",
+            "object:\n  polygon: [[0 mm, 0 mm], [50 mm, 0 mm], [100 mm, 0 mm]]\n",
+            "polygon",
+            "object.polygon",
             "an object with an area",
             "one that cannot be seen",
         ),
@@ -176,9 +176,9 @@ def refusal(text: str) -> InadmissibleError:
         ),
         *(
             (
-                f"settings:\n  cell: {{object polygon: {polygon}}}\n{more}",
-                "cell",
-                "settings.cell.object polygon",
+                f"object:\n  polygon: {polygon}\n{more}",
+                "polygon",
+                "object.polygon",
                 expected,
                 got,
             )
@@ -310,8 +310,8 @@ def test_the_restart_delay_is_explained_by_what_a_stop_takes() -> None:
         "hand sensor: {kind: eye in hand, focal: 650 px}\ncamera: {focal: 650 px}\n",
         "settings: {avoidance: {repulsion speed: 2 m/s, restart delay: 650 ms}}\n",
         "settings: {cell: {table height: -350 mm}}\n",
-        f"settings: {{cell: {{object polygon: {ARROW}}}}}\n",
-        f"settings: {{cell: {{object polygon: {BOW}}}, servo: {{object kind: discrete}}}}\n",
+        f"object: {{polygon: {ARROW}}}\n",
+        f"object: {{polygon: {BOW}}}\nsettings: {{servo: {{object kind: discrete}}}}\n",
     ],
 )
 def test_what_just_fits_is_admitted(addition: str) -> None:

@@ -69,6 +69,10 @@ hands:
     to: 1.5 s
     longest gap: 100 ms
     fastest jump: 4 m/s
+object:
+  polygon: [[-60 mm, -40 mm], [100 mm, -40 mm], [-40 mm, 80 mm]]
+  position: [710 mm, 40 mm, -300 mm]
+  yaw: 20 deg
 hand sensor:
   kind: overhead
   detector: rendered

@@ -64,9 +64,7 @@ class TestWhatAFileSays:
                     hesitation=Hesitation(distance_m=0.3, duration_s=0.4),
                 ),
                 ReachForObject(speed_mps=0.8, until_distance_m=0.15, at_most_s=2.0),
-                Wander(
-                    speed_mps=0.9, corners_in_base_m=((0.9, -0.6, 0.0), (1.1, -0.4, 0.2)), duration_s=3.0
-                ),
+                Wander(speed_mps=0.9, corners_in_base_m=((0.9, -0.6, 0.0), (1.1, -0.4, 0.2)), duration_s=3.0),
                 Sweep(
                     speed_mps=0.7, from_in_base_m=(0.9, -0.3, 0.05), to_in_base_m=(0.9, -0.7, 0.05), times=3
                 ),
@@ -102,6 +100,8 @@ class TestWhatAFileSays:
         assert s.camera.calibration_error_offset_m == (0.001, 0.0, 0.0)
         assert s.camera.calibration_error_rotation_rad == (0.0, 0.0, radians(1.0))
         assert s.avoidance.critical_distance_m == 0.45
+        assert s.object.polygon_m == ((-0.06, -0.04), (0.1, -0.04), (-0.04, 0.08))
+        assert (s.object.position_in_base_m, s.object.yaw_rad) == ((0.71, 0.04, -0.3), radians(20.0))
         assert s.servo.interaction is InteractionChoice.MEAN
 
     def test_what_a_file_does_not_name_keeps_its_default(self) -> None:
@@ -186,6 +186,24 @@ def test_a_second_hand_can_hold_the_same_part() -> None:
     )
     assert scenario.leader(left) is right
     assert scenario.leader(right) is right
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "field", "expected"),
+    [
+        ("with: right", "with: rihgt", "together with", 'the name of a hand that is written before: "right"'),
+        ("with: right", "with: left", "together with", 'the name of a hand that is written before: "right"'),
+        ("    apart: [0 mm, 300 mm, 20 mm]\n", "", "apart", 'the key "apart"'),
+        ("apart: [0 mm,", "apart: [0,", "apart[0]", "a length such as 80 mm"),
+        ("    apart", "    moves: []\n    apart", "moves", "one of the keys hand, together with, apart"),
+    ],
+)
+def test_a_hand_that_cannot_hold_the_same_part_is_refused(
+    old: str, new: str, field: str, expected: str
+) -> None:
+    error = refusal(SHORTEST + HANDS.replace(old, new))
+    assert error.place.field == f"hands[1].{field}"
+    assert error.expected.startswith(expected)
 
 
 def test_a_hand_is_as_fast_as_one_that_reaches_unless_the_file_says_more() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import read, read_hands, units
+from safety_harness.scenario import moves, read, read_hands, read_moves, units
 from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
@@ -72,7 +72,7 @@ def test_every_example_can_be_read(example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(blocks("yaml")) == 6
+    assert len(blocks("yaml")) == 10
 
 
 def test_the_first_example_is_complete() -> None:
@@ -97,9 +97,11 @@ def test_the_note_about_a_recording_is_what_the_example_gives() -> None:
     ("heading", "keys"),
     [
         ("## Top of the file", KEYS),
-        ("## A hand that moves", read_hands._MOVING_KEYS),
+        ("## A hand that moves", (*read_hands._MOVING_KEYS, *read_hands._TREMOR_KEYS)),
+        ("## A hand that holds the same part as another", read_hands._JOINED_KEYS),
         ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
-        ("## `tcp start`", ("offset", "tilt", "joints")),
+        ("## `tcp start`", read.START_KEYS),
+        ("## `object`", {key.words[0] for key in setting_keys(type(DEFAULTS.object))}),
         ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
         ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
     ],
@@ -109,9 +111,9 @@ def test_the_tables_name_every_key_and_no_other(heading: str, keys: tuple[str, .
 
 
 def test_the_page_names_every_move() -> None:
-    for move, (further, _) in read_hands._MOVES.items():
+    for move, (further, _) in read_moves.MOVES.items():
         (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
-        assert tuple(re.findall("`(.*?)`", line)) == further
+        assert tuple(re.findall("`(.*?)`", line.split("|")[0])) == further
 
 
 @pytest.mark.parametrize("group", SETTINGS_KEYS)
@@ -122,8 +124,8 @@ def test_the_tables_of_settings_name_every_key_with_its_default(group: str) -> N
     assert parse_scenario(text, FILE).settings == DEFAULTS
 
 
-@pytest.mark.parametrize("group", ["camera", "hand sensor"])
-def test_the_defaults_of_the_cameras_are_the_defaults(group: str) -> None:
+@pytest.mark.parametrize("group", ["object", "camera", "hand sensor"])
+def test_the_defaults_of_the_groups_at_the_top_are_the_defaults(group: str) -> None:
     text = completed("") + f"{group}:\n" + defaults_of(f"## `{group}`", "  ")
     assert parse_scenario(text, FILE).settings == DEFAULTS
 
@@ -134,6 +136,10 @@ def test_the_other_defaults_are_the_defaults() -> None:
     fastest_jump_mps = units.parse_quantity(default["fastest jump"], units.SPEED, Place())
     assert longest_gap_s == read_hands.DEFAULT_LONGEST_GAP_S
     assert fastest_jump_mps == read_hands.DEFAULT_FASTEST_JUMP_MPS
+    moving = {row.keys[-1]: row.default for row in rows("## A hand that moves")}
+    assert units.parse_quantity(moving["speed at most"], units.SPEED, Place()) == moves.REACHING_MPS
+    bound = units.parse_quantity(moving["acceleration at most"], units.ACCELERATION, Place())
+    assert bound == moves.REACHING_MPS2
     top = {key: row.default for row in rows("## Top of the file") for key in row.keys}
     assert top["avoider"] == read.DEFAULT_AVOIDER
     assert {key for key in top if top[key] == "required"} == set(BASE)
@@ -156,9 +162,9 @@ def bounds_of(text: str, dimension: Dimension) -> Bounds:
     return Bounds(*(units.parse_quantity(bound, dimension, Place()) for bound in (least, most)))
 
 
-@pytest.mark.parametrize("group", [*SETTINGS_KEYS, "camera", "hand sensor"])
+@pytest.mark.parametrize("group", [*SETTINGS_KEYS, "object", "camera", "hand sensor"])
 def test_the_tables_have_every_keys_own_bounds_and_no_others(group: str) -> None:
-    at_the_top = group in ("camera", "hand sensor")
+    at_the_top = group in ("object", "camera", "hand sensor")
     table = {row.keys: row.value for row in rows(f"## `{group}`" if at_the_top else f"### `{group}`")}
     kind = type(getattr(DEFAULTS, group.replace(" ", "_")))
     for key in setting_keys(kind):

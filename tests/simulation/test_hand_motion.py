@@ -37,7 +37,7 @@ from safety_harness.simulation.hand_programs import hands_at_start
 DT_S = DEFAULTS.clock.control_period_s
 TCP = np.array([0.7, 0.0, 0.35])
 START = (1.1, -0.75, 0.2)
-OBJECT = np.array(DEFAULTS.cell.object_position_in_base_m)
+OBJECT = np.array(DEFAULTS.object.position_in_base_m)
 BOX = ((1.0, -0.5, 0.4), (0.8, -0.2, 0.2))
 ABRUPT = 1e9  # m/s^2: as good as at once
 

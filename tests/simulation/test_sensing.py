@@ -302,10 +302,10 @@ def object_at(offset: tuple[float, float, float], settings: Settings = DEFAULTS)
 def test_the_object_lies_on_its_plane_turned_by_its_yaw() -> None:
     polygon = object_polygon_in_base(DEFAULTS)
     assert polygon[:, 2] == pytest.approx(DEFAULTS.cell.table_height_m)
-    flat = np.array(DEFAULTS.cell.object_polygon_m)
-    relative = (polygon - DEFAULTS.cell.object_position_in_base_m)[:, :2]
+    flat = np.array(DEFAULTS.object.polygon_m)
+    relative = (polygon - DEFAULTS.object.position_in_base_m)[:, :2]
     angle = np.arctan2(relative[:, 1], relative[:, 0]) - np.arctan2(flat[:, 1], flat[:, 0])
-    assert np.mod(angle, 2 * np.pi) == pytest.approx(np.full(len(flat), DEFAULTS.cell.object_yaw_rad))
+    assert np.mod(angle, 2 * np.pi) == pytest.approx(np.full(len(flat), DEFAULTS.object.yaw_rad))
     assert np.linalg.norm(relative, axis=1) == pytest.approx(np.linalg.norm(flat, axis=1))
 
 
@@ -322,4 +322,4 @@ def test_a_set_of_points_has_the_moments_of_points() -> None:
     settings = replace(DEFAULTS, servo=replace(DEFAULTS.servo, object_kind=ObjectKind.DISCRETE))
     visible, moments = object_at((0.0, 0.0, 0.0), settings)
     assert visible
-    assert moments[0] == len(DEFAULTS.cell.object_polygon_m)  # m00 counts the points
+    assert moments[0] == len(DEFAULTS.object.polygon_m)  # m00 counts the points
