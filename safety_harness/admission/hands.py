@@ -101,7 +101,7 @@ def _check_clear_of_the_robot(
         if not distance_m > 0.0:
             part = capsules.names[nearest].replace("_", " ")
             raise InadmissibleError(
-                place=scenario.place(f"hands[{number}].starts at"),
+                place=scenario.place(f"hands[{number}].starts at", f"hands[{number}].apart"),
                 expected="a hand that begins outside the robot, its forearm too",
                 got=f"one {-distance_m * 1e3:.0f} mm inside the {part}'s capsule",
             )
