@@ -22,6 +22,7 @@ bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/decision.py
 	$(BIN)/python benchmarks/dataset.py
+	$(BIN)/python benchmarks/spaces.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from safety_harness.admission.admit import Admitted, admit
+    from safety_harness.admission.spaces import AdmittedDraws, draw_admissible
     from safety_harness.admission.trial import judge, run_trial
     from safety_harness.avoidance.avoider import Avoider, Proposal
     from safety_harness.exceptions import InputError, SafetyHarnessError
@@ -28,6 +29,13 @@ if TYPE_CHECKING:
     from safety_harness.scenario.read import parse_scenario, read_scenario
     from safety_harness.scenario.write import write_scenario
     from safety_harness.settings import DEFAULTS, Settings
+    from safety_harness.space.boxes import InBox, InRegion
+    from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
+    from safety_harness.space.read import parse_space, read_space
+    from safety_harness.space.space import ScenarioSpace
+    from safety_harness.space.strategy import strategy
+    from safety_harness.space.typed import By, OneOf, Repeat, The
+    from safety_harness.space.writing import write_space
     from safety_harness.trace.compare import first_difference
     from safety_harness.trace.store import load_trace, save_trace
     from safety_harness.trace.trace import Trace
@@ -35,31 +43,48 @@ if TYPE_CHECKING:
 __all__ = [
     "DEFAULTS",
     "Admitted",
+    "AdmittedDraws",
     "Avoider",
+    "By",
     "Evaluation",
+    "InBox",
+    "InRegion",
+    "InShell",
     "InputError",
     "JudgedRun",
+    "OneOf",
     "Property",
     "Proposal",
+    "Repeat",
     "SafetyHarnessError",
     "Scenario",
+    "ScenarioSpace",
     "Settings",
+    "The",
     "Trace",
+    "TruncatedNormal",
+    "Uniform",
     "Verdict",
     "admit",
+    "draw_admissible",
     "first_difference",
     "judge",
     "load_trace",
     "parse_scenario",
+    "parse_space",
     "read_scenario",
+    "read_space",
     "run_trial",
     "save_trace",
+    "strategy",
     "write_report",
     "write_scenario",
+    "write_space",
 ]
 
 _HOMES = {
     "admission.admit": ("Admitted", "admit"),
+    "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_trial"),
     "avoidance.avoider": ("Avoider", "Proposal"),
     "exceptions": ("InputError", "SafetyHarnessError"),
@@ -70,6 +95,13 @@ _HOMES = {
     "scenario.read": ("parse_scenario", "read_scenario"),
     "scenario.write": ("write_scenario",),
     "settings": ("DEFAULTS", "Settings"),
+    "space.boxes": ("InBox", "InRegion"),
+    "space.distributions": ("InShell", "TruncatedNormal", "Uniform"),
+    "space.read": ("parse_space", "read_space"),
+    "space.space": ("ScenarioSpace",),
+    "space.strategy": ("strategy",),
+    "space.typed": ("By", "OneOf", "Repeat", "The"),
+    "space.writing": ("write_space",),
     "trace.compare": ("first_difference",),
     "trace.store": ("load_trace", "save_trace"),
     "trace.trace": ("Trace",),

@@ -19,13 +19,18 @@ class SafetyHarnessError(Exception):
 
 @dataclass(frozen=True)
 class Place:
-    """Where in the user's input something stands; unknown parts are ``None``."""
+    """Where in the user's input something stands; unknown parts are ``None``.
+
+    A field alone is an option or argument of a command or a function.
+    """
 
     file: Path | None = None
     line: int | None = None
     field: str | None = None
 
     def __str__(self) -> str:
+        if self.file is None and self.line is None and self.field:
+            return self.field
         where = str(self.file) if self.file is not None else "<input>"
         if self.line is not None:
             where += f":{self.line}"

@@ -16,7 +16,8 @@ class Branch(IntEnum):
 
     HAND_SENSOR_NOISE = 1
     DECISION = 2
-    HAND_MOTION = 5
+    SPACE_DRAW = 3
+    HAND_MOTION = 4
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -54,4 +54,6 @@ def test_branches_keep_their_numbers() -> None:
     assert {branch.name: branch.value for branch in Branch} == {
         "HAND_SENSOR_NOISE": 1,
         "DECISION": 2,
+        "SPACE_DRAW": 3,
+        "HAND_MOTION": 4,
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from safety_harness import admit, judge, read_scenario, run_trial
-from safety_harness.scenario.model import RecordedHand, Verdict
+from safety_harness.scenario.fault_table import KINDS
+from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.trace.records import Mode, Trigger
 from safety_harness.trace.trace import Trace
 
@@ -74,6 +76,27 @@ def test_there_are_honest_violations_and_recorded_hands_among_them() -> None:
     assert len(expected_violated) >= 3
     recorded = [s for s in scenarios if any(isinstance(hand, RecordedHand) for hand in s.hands)]
     assert len({hand.recording for s in recorded for hand in s.hands if isinstance(hand, RecordedHand)}) == 6
+
+
+FAULTY = [file.stem for file in FILES if file.stem.startswith("fault-")]
+
+
+def test_every_kind_of_fault_and_every_robot_is_in_a_shipped_scenario_and_acts_there() -> None:
+    traces = [trace_of(name) for name in FAULTY]
+    kinds = [type(fault) for trace in traces for fault in trace.scenario.faults]
+    assert set(kinds) == set(KINDS)
+    for trace in traces:
+        for k in range(len(trace.scenario.faults)):
+            assert np.any(trace.ticks["faults"] >> k & 1), trace.scenario.name
+    assert {read_scenario(file).robot for file in FILES} == set(Robot)
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_what_a_fault_violates_is_not_violated_without_it(name: str) -> None:
+    faulty = trace_of(name)
+    healthy = run_trial(admit(replace(faulty.scenario, faults=())))
+    for evaluation in judge(healthy):
+        assert evaluation.verdict is not Verdict.VIOLATED, evaluation
 
 
 def test_the_files_that_expect_a_violation_would_fail_if_they_expected_none() -> None:

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from safety_harness.admission.avoiders import avoider_of, avoider_sha256
 from safety_harness.admission.checks import check_cameras, check_object, check_restart_delay, check_view
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.faults import check_faults
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
-    ARM_NAME,
     DESIRED,
     VIEW,
     check_desired,
@@ -29,6 +29,7 @@ from safety_harness.controller.desired import view_of
 from safety_harness.exceptions import InadmissibleError, SettingsError
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
+from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import Scenario
 from safety_harness.servoing.control import DesiredView
 
@@ -52,7 +53,14 @@ class Admitted:
         settings = self.scenario.settings
         gate = Gate.of(settings, kinematics(self.arm.name))
         return AvoidingServo(
-            settings, self.arm, self.view, self.avoider, gate, self.scenario.seed, recorded_late
+            settings,
+            self.arm,
+            self.view,
+            self.avoider,
+            gate,
+            self.scenario.seed,
+            recorded_late,
+            fault_table(self.scenario.faults),
         )
 
 
@@ -61,7 +69,7 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
 
     ``avoider`` takes the place of the one that the scenario names.
     """
-    arm = load_arm(ARM_NAME)
+    arm = load_arm(scenario.robot.arm_name)
     sha256 = ""
     try:
         check_cameras(scenario)
@@ -73,6 +81,7 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
         start = start_joint_position(scenario, arm)
         check_start(scenario, arm, start)
         check_hands(scenario, arm, start)
+        check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
         if avoider is None:
             avoider, sha256 = avoider_of(scenario), avoider_sha256(scenario)

@@ -59,13 +59,21 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-    return PythonFile(path.resolve(), place).avoider(_file_and_name(reference)[1])
+    return PythonFile(path, place).avoider(_file_and_name(reference)[1])
 
 
 def avoider_sha256(scenario: Scenario) -> str:
     """The hash of the file that the scenario's avoider comes from; empty for one without a file."""
     path = _file_of(scenario.avoider, _folder_of(scenario))
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def command_line_reference(scenario: Scenario) -> str:
+    """The scenario's avoider as one would name it on the command line, in the working directory."""
+    file, name = _file_and_name(scenario.avoider)
+    if not file:
+        return scenario.avoider
+    return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
 
 
 def is_a_program(reference: str) -> bool:
@@ -82,7 +90,7 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     if reference in SHIPPED:
         return shipped_model(reference)
     file, _ = _file_and_name(reference)
-    return (folder or Path()) / Path(file).expanduser() if file else None
+    return ((folder or Path()) / Path(file).expanduser()).resolve() if file else None
 
 
 def _file_and_name(reference: str) -> tuple[str, str]:

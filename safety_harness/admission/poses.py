@@ -24,7 +24,6 @@ from safety_harness.settings import Settings
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.exact_views import exact_object
 
-ARM_NAME = "ur10"
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
 # What else the user may have written that puts the object out of view.
 VIEW = (
@@ -41,7 +40,7 @@ VIEW = (
 
 
 @lru_cache
-def kinematics(arm_name: str = ARM_NAME) -> InverseKinematics:
+def kinematics(arm_name: str = "ur10") -> InverseKinematics:
     """The arm's inverse kinematics, built once a process."""
     return InverseKinematics(load_arm(arm_name))
 

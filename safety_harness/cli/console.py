@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -14,7 +13,7 @@ from types import FrameType
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-from safety_harness.admission.avoiders import is_a_program
+from safety_harness.admission.avoiders import command_line_reference, is_a_program
 from safety_harness.exceptions import InputError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Scenario
@@ -50,8 +49,7 @@ def replay_command(scenario: Scenario, trace: Path) -> list[str]:
     """The command that repeats a run; a program of the user's has to be named anew to be executed."""
     command = ["safety-harness", "replay", str(trace)]
     if is_a_program(scenario.avoider):
-        folder = scenario.file.parent if scenario.file is not None else Path()
-        command += ["--avoider", os.path.relpath(folder / scenario.avoider)]
+        command += ["--avoider", command_line_reference(scenario)]
     return command
 
 

@@ -13,7 +13,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    help="Verify a hand-avoidance controller of a UR10: run scenarios, judge them, report; "
+    help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, report; "
     "make the data of a learned avoider, train, evaluate and export it.",
 )
 
@@ -38,7 +38,7 @@ ModelFiles = Annotated[
 
 @app.command()
 def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
-    """Run scenario files on the PyBullet UR10, judge their claims and write a report.
+    """Run scenario files in PyBullet, judge their claims and write a report.
 
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
     Exit code 0: every verdict as its file expects; 1: any differs, or a run failed; 2: bad input,
@@ -71,6 +71,41 @@ def judge(traces: TraceFiles) -> None:
     from safety_harness.cli.replay import judge_again
 
     _end(judge_again(traces))
+
+
+@app.command()
+def show(
+    files: Annotated[list[Path], typer.Argument(help="Scenario files or spaces.", metavar="FILE...")],
+    out: Annotated[Path, typer.Option(help="Folder for pictures, or the picture of one file.")] = Path(
+        "reports/show"
+    ),
+    draws: Annotated[int, typer.Option(help="Draws of a space in its picture.", min=1)] = 200,
+    seed: Seed = 0,
+) -> None:
+    """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
+
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cli.show import show as show_files
+
+    _end(show_files(files, out=out, draws=draws, seed=seed))
+
+
+@app.command()
+def sample(
+    space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
+    out: Annotated[Path, typer.Option(help="Folder for the scenario files.")] = Path("reports/sample"),
+    count: Annotated[int, typer.Option(help="How many that can be tried.")] = 10,
+    seed: Seed = 0,
+) -> None:
+    """Draw scenarios from a space, independently, each as a file that run takes.
+
+    Draws that cannot be tried (a start out of reach, ...) are counted, drawn again, and said.
+    Exit code 0; 2: bad input, or a space of which next to nothing can be tried; 130: interrupted.
+    """
+    from safety_harness.cli.show import sample as sample_space
+
+    _end(sample_space(space, out=out, count=count, seed=seed))
 
 
 @app.command()

@@ -204,7 +204,7 @@ class Session:
                 write_report(
                     path,
                     self.runs,
-                    title="Safety verification of a hand-avoiding UR10",
+                    title="Safety verification of a hand-avoiding robot arm",
                     command=self.command,
                     generated_at=datetime.now(UTC),
                     interrupted=interrupted,

@@ -46,7 +46,12 @@ class Box:
         """
         low, high = np.array(self.low_m), np.array(self.high_m)
         centre, half = (low + high) / 2.0, factor * (high - low) / 2.0
-        return Box(_vector3(np.round(centre - half, 12)), _vector3(np.round(centre + half, 12)))
+        return Box(_vector3(np.round(centre - half, 12) + 0.0), _vector3(np.round(centre + half, 12) + 0.0))
+
+    @property
+    def centre_m(self) -> Vector3:
+        """Its middle, rounded to a picometre."""
+        return _vector3(np.round((np.array(self.low_m) + self.high_m) / 2.0, 12) + 0.0)
 
     @property
     def volume_m3(self) -> float:
@@ -54,8 +59,9 @@ class Box:
         return float(np.prod(np.array(self.high_m) - self.low_m))
 
     def shifted(self, by_m: Vector3) -> Box:
-        """The same box elsewhere."""
-        return Box(_vector3(np.array(self.low_m) + by_m), _vector3(np.array(self.high_m) + by_m))
+        """The same box elsewhere, its corners rounded to a picometre."""
+        low, high = (np.round(np.array(corner) + by_m, 12) + 0.0 for corner in (self.low_m, self.high_m))
+        return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
         """(..., 3) -> (...): which points are in the box; NaN is not."""

@@ -38,7 +38,7 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     properties to say.  The order of the fields counts before that of the ticks.
     """
     settings = trace.scenario.settings
-    arm = load_arm()
+    arm = load_arm(trace.scenario.robot.arm_name)
     capsules = cell_capsules(load_capsules(arm.name), settings)
     placed = np.empty((len(capsules.names), 2, 3))
     derived = np.zeros(len(trace.ticks), TICK)

@@ -87,14 +87,14 @@ def _words(distance_m: float) -> str:
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
-    names = _capsules(load_arm(), trace.scenario.settings)[0]
+    names = _capsules(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
 def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
-    arm = load_arm()
+    arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
     _, link_index, start_in_link, end_in_link, radius_m = _capsules(arm, settings)
     best = (np.inf, 0.0, 0)
@@ -159,7 +159,7 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
-    arm = load_arm()
+    arm = load_arm(trace.scenario.robot.arm_name)
     _, link_index, start_in_link, end_in_link, _ = _capsules(arm, trace.scenario.settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))

@@ -23,7 +23,7 @@ class JointLimits:
         problem = unreadable(trace, ("joint_position_rad",))
         if problem is not None:
             return inconclusive(self, problem)
-        arm = load_arm()
+        arm = load_arm(trace.scenario.robot.arm_name)
         q = trace.ticks["joint_position_rad"]  # (n, 6)
         left = np.minimum(q - arm.position_lower_rad, arm.position_upper_rad - q)
         tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)
@@ -52,7 +52,7 @@ class JointSpeedLimits:
         problem = unreadable(trace, ("joint_position_rad", "joint_velocity_radps"))
         if problem is not None:
             return inconclusive(self, problem)
-        arm = load_arm()
+        arm = load_arm(trace.scenario.robot.arm_name)
         speed = np.abs(trace.ticks["joint_velocity_radps"])  # (n, 6)
         if len(trace.ticks) > 1:
             mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]

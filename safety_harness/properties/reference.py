@@ -50,7 +50,8 @@ def progress(trace: Trace, decision: np.void, last: int, before: Progress | None
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
-    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * load_arm().velocity_limit_radps
+    arm = load_arm(trace.scenario.robot.arm_name)
+    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
     earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]

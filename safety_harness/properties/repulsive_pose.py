@@ -18,8 +18,8 @@ BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
 
 @lru_cache
-def _kinematics() -> InverseKinematics:
-    return InverseKinematics(load_arm())
+def _kinematics(arm_name: str) -> InverseKinematics:
+    return InverseKinematics(load_arm(arm_name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +62,7 @@ class RepulsivePosesReachable:
                     truth["transform_tcp_to_base"][:3, 3],
                     position_in_base_m,
                     trace.scenario.settings.motion.min_singular_value,
+                    trace.scenario.robot.arm_name,
                 )
             else:  # an avoider that proposes nothing usable has no reachable position
                 margin = -trace.scenario.settings.avoidance.radius_m
@@ -84,13 +85,14 @@ def reach_margin(
     tcp_position_in_base_m: NDArray[np.float64],
     position_in_base_m: NDArray[np.float64],
     min_singular_value: float,
+    arm_name: str = "ur10",
 ) -> float:
     """How far beyond (or, negative, short of) ``position_in_base_m`` the straight way goes [m]."""
     way = position_in_base_m - tcp_position_in_base_m
     length_m = float(np.linalg.norm(way))
     if length_m == 0.0:
         return 0.0
-    reach_m = _kinematics().reach_along(
+    reach_m = _kinematics(arm_name).reach_along(
         joint_position_rad,
         way / length_m,
         length_m + BEYOND_M,

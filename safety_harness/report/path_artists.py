@@ -106,7 +106,7 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
 
 def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     """The arm as straight lines between its link frames."""
-    arm = load_arm()
+    arm = load_arm(trace.scenario.robot.arm_name)
     joints = np.ascontiguousarray(trace.ticks["joint_position_rad"][moment.tick])
     if not np.all(np.isfinite(joints)):
         return

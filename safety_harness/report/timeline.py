@@ -45,6 +45,7 @@ OUTCOME_MARKER = {  # shape, size, filled
     Outcome.STOP: ("X", 10.0, True),
 }
 DECISION_LANE = len(Mode)
+FAULT_LANE = DECISION_LANE + 1  # only where the scenario has faults
 
 
 def thinning(trace: Trace) -> int:
@@ -178,14 +179,19 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
 
 
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
-    """One lane for each mode, and one above them with a mark for each decision."""
+    """One lane for each mode, above them a mark for each decision, and where the faults acted."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     for lane, mode in enumerate(Mode):
         found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
         axes.broken_barh(found, (lane - 0.28, 0.56), facecolor=MODE_INK[mode].sentinel, edgecolor="none")
     _mark_decisions(axes, trace)
-    axes.set_yticks(range(DECISION_LANE + 1), [*MODE_WORDS.values(), "decisions"])
-    axes.set_ylim(-0.6, DECISION_LANE + 0.6)
+    lanes = [*MODE_WORDS.values(), "decisions"]
+    if trace.scenario.faults:
+        acted = spans(trace.time_s, trace.ticks["faults"] != 0, ticks_end_s, COLUMNS)
+        axes.broken_barh(acted, (FAULT_LANE - 0.28, 0.56), facecolor=Ink.LIMIT.sentinel, edgecolor="none")
+        lanes.append("faults")
+    axes.set_yticks(range(len(lanes)), lanes)
+    axes.set_ylim(-0.6, len(lanes) - 0.4)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     if not trace.complete:

@@ -14,11 +14,13 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import (
     MODE_WORDS,
     changed_settings,
+    count_words,
     flag_words,
     margin_words,
     share_words,
 )
-from safety_harness.scenario.model import RecordedHand, Verdict
+from safety_harness.scenario.fault_phrases import fault_words
+from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
@@ -117,17 +119,32 @@ def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> LimitRow:
 
 
 def notes(run: JudgedRun) -> list[str]:
-    """What the reader has to know: the caller's notes, what recordings bridged."""
+    """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
     found = list(run.notes)
     for hand in run.trace.scenario.hands:
         if isinstance(hand, RecordedHand):
             found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]
+    return found + acted_faults(run.trace)
+
+
+def acted_faults(trace: Trace) -> list[str]:
+    """A sentence on each fault of the scenario, and on how many ticks it acted."""
+    found = []
+    for k, fault in enumerate(trace.scenario.faults):
+        mask = (trace.ticks["faults"] >> k & 1) != 0
+        ticks = int(np.count_nonzero(mask))
+        when = f"first at {trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else "so it changed nothing"
+        found.append(
+            f"Fault: {fault_words(fault)}. It acted on {count_words(ticks, 'tick', 'ticks')}, {when}."
+        )
     return found
 
 
 def changes(run: JudgedRun) -> list[tuple[str, str, str]]:
-    """(setting, default, this run) where they differ."""
-    return changed_settings(run.trace.scenario.settings)
+    """(setting, default, this run) where they differ, the robot first."""
+    scenario = run.trace.scenario
+    robot = [("robot", Robot.UR10.value, scenario.robot.value)] if scenario.robot is not Robot.UR10 else []
+    return robot + changed_settings(scenario.settings)
 
 
 @dataclass(frozen=True, kw_only=True)

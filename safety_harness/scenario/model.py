@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place
+from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, HandMove, Tremor
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
@@ -26,6 +27,19 @@ class Verdict(Enum):
     HOLDS = "holds"
     VIOLATED = "violated"
     INCONCLUSIVE = "inconclusive"
+
+
+class Robot(Enum):
+    """Which arm of the package of robot descriptions stands in the cell."""
+
+    UR10 = "UR10"
+    UR5 = "UR5"
+    UR3 = "UR3"
+
+    @property
+    def arm_name(self) -> str:
+        """As its description is filed."""
+        return self.value.lower()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,6 +201,8 @@ class Scenario:
     avoider: str
     claims: tuple[Claim, ...]
     settings: Settings = DEFAULTS
+    robot: Robot = Robot.UR10
+    faults: tuple[Fault, ...] = ()
     file: Path | None = field(default=None, compare=False)
     places: dict[str, Place] = field(default_factory=dict, compare=False)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.fault_phrases import read_faults
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.model import (
@@ -19,6 +20,7 @@ from safety_harness.scenario.model import (
     JointStart,
     OffsetStart,
     PoseStart,
+    Robot,
     Scenario,
     TcpStart,
     Verdict,
@@ -41,10 +43,12 @@ KEYS = (
     "about",
     "duration",
     "seed",
+    "robot",
     "tcp start",
     "avoider",
     "object",
     "hands",
+    "faults",
     "hand sensor",
     "camera",
     "settings",
@@ -97,17 +101,20 @@ def scenario_of(
     root = Field(tree, file, path="", line=1)
     given = root.fields(KEYS)
     settings = _settings(given)
+    duration_s = _duration(given.required("duration"), settings)
     return Scenario(
         name=name,
         title=_title(given.required("scenario")),
         about=_about(given.optional("about")),
-        duration_s=_duration(given.required("duration"), settings),
+        duration_s=duration_s,
         seed=_seed(given.optional("seed")),
         start=_tcp_start(given.required("tcp start")),
         hands=read_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
         avoider=_avoider(given.optional("avoider")),
         claims=_claims(given.required("claims"), required=claims_required),
         settings=settings,
+        robot=_robot(given.optional("robot")),
+        faults=read_faults(given.optional("faults"), duration_s=duration_s),
         file=file,
         places=places(root),
     )
@@ -135,6 +142,10 @@ def _duration(field: Field, settings: Settings) -> float:
 
 def _seed(field: Field | None) -> int:
     return field.integer(least=0, most=LARGEST_SEED) if field else 0
+
+
+def _robot(field: Field | None) -> Robot:
+    return field.choice(Robot) if field else Robot.UR10
 
 
 def _tcp_start(field: Field) -> TcpStart:

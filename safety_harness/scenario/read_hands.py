@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from safety_harness.exceptions import RecordingError
@@ -257,6 +258,12 @@ def _recording(hand: Fields, path: Path, carried: Mapping[str, bytes]) -> Record
     if pinned and found != digest:
         got = f"one with {found}"
         raise RecordingError(place=pinned.place, expected="a recording with this SHA-256", got=got)
+    return _parsed(data, file)
+
+
+@lru_cache(maxsize=4)
+def _parsed(data: bytes, file: Path) -> Recording:
+    """Parsed once for all the scenarios that repeat the same bytes."""
     return parse_recording(data, file)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -61,14 +62,7 @@ def load_recording(
     names = (track,) if elbow_track is None else (track, elbow_track)
     for key, name in zip(("track", "elbow track"), names, strict=False):
         _refuse_unknown_track(recording, name, places.get(key))
-    mended = [
-        mend(
-            _track(recording, name, window_s),
-            longest_gap_s=longest_gap_s,
-            fastest_jump_mps=fastest_jump_mps,
-        )
-        for name in names
-    ]
+    mended = [_mended(recording, name, window_s, longest_gap_s, fastest_jump_mps) for name in names]
     time_s = _common_times(mended, recording.file)
     hand_m = mended[0].at(time_s)
     turned = _turned(hand_m - hand_m[0], turn_rad)
@@ -122,6 +116,19 @@ def _refuse_unknown_track(recording: Recording, name: str, place: Place | None) 
             got=shown(name),
             hint=near_miss(name, recording.tracks),
         )
+
+
+@lru_cache(maxsize=4)  # the variations of one recording differ in where and how fast it is repeated
+def _mended(
+    recording: Recording,
+    name: str,
+    window_s: tuple[float, float],
+    longest_gap_s: float,
+    fastest_jump_mps: float,
+) -> MendedTrack:
+    return mend(
+        _track(recording, name, window_s), longest_gap_s=longest_gap_s, fastest_jump_mps=fastest_jump_mps
+    )
 
 
 def _track(recording: Recording, name: str, window_s: tuple[float, float]) -> Track:

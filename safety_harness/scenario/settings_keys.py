@@ -96,9 +96,13 @@ class SettingKey:
     bounds: Bounds  # of the value, or of each of its numbers
 
 
-@lru_cache
 def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
     """The keys of one settings dataclass, in its order."""
+    return _setting_keys(group)  # type: ignore[arg-type]  # a class can be hashed, whatever its instances
+
+
+@lru_cache
+def _setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
     kinds = typing.get_type_hints(group)
     return tuple(_setting_key(group.__name__, field.name, kinds[field.name]) for field in fields(group))
 

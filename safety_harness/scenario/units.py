@@ -89,6 +89,26 @@ PER_LENGTH = Dimension(
 )
 TIME_PER_SPEED = Dimension(name="time per speed", example="0.1 s2/m", si="s2/m", units={"s2/m": Fraction(1)})
 
+DIMENSIONS = (
+    NUMBER,
+    FRACTION,
+    LENGTH,
+    TIME,
+    ANGLE,
+    RATE,
+    SPEED,
+    ACCELERATION,
+    ANGULAR_SPEED,
+    ANGULAR_ACCELERATION,
+    PIXELS,
+    PIXEL_AREA,
+    PIXEL_SPEED,
+    PIXEL_ACCELERATION,
+    PIXEL_AREA_RATE,
+    PER_LENGTH,
+    TIME_PER_SPEED,
+)
+
 
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
     """The SI value of ``text``; ScenarioError at ``place`` when it is no finite quantity of that kind."""
@@ -162,7 +182,12 @@ def _si_value(number: str, factor: _Factor) -> float | None:
     if len(number) > _LONGEST_NUMBER or (exponent and abs(int(exponent)) > _LARGEST_EXPONENT):
         return None
     try:
-        magnitude = math.radians(float(number)) if factor is None else float(Fraction(number) * factor)
+        if factor is None:
+            magnitude = math.radians(float(number))
+        elif factor == 1:
+            magnitude = float(number)  # which rounds once as well
+        else:
+            magnitude = float(Fraction(number) * factor)
     except OverflowError:
         return None
     if not math.isfinite(magnitude):

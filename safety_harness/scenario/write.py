@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
+from safety_harness.scenario.fault_phrases import write_fault
 from safety_harness.scenario.model import (
     HandTrajectory,
     JoinedHand,
@@ -64,10 +65,13 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
         tree["about"] = scalar_text(scenario.about)
     tree["duration"] = format_quantity(scenario.duration_s, TIME)
     tree["seed"] = str(scenario.seed)
+    tree["robot"] = scenario.robot.value
     tree["tcp start"] = _start(scenario.start)
     tree["avoider"] = scalar_text(scenario.avoider)
     if scenario.hands:
         tree["hands"] = [_hand(hand) for hand in scenario.hands]
+    if scenario.faults:
+        tree["faults"] = [write_fault(fault) for fault in scenario.faults]
     tree.update(_settings(scenario.settings, None if all_settings else DEFAULTS))
     tree["claims"] = {scalar_text(claim.sentence): claim.expected.value for claim in scenario.claims}
     return tree

@@ -23,7 +23,8 @@ RING = 64  # frames under way at a time
 
 SENSORS = np.dtype(
     [
-        ("transform_camera_to_tcp", np.float64, (4, 4)),  # the true mount
+        ("transform_mount_to_tcp", np.float64, (4, 4)),  # the true mount
+        ("transform_camera_to_tcp", np.float64, (4, 4)),  # where the camera sits, knocked out of it or not
         ("object_focal_px", np.float64),
         ("object_width_px", np.int64),
         ("object_height_px", np.int64),
@@ -43,6 +44,7 @@ SENSORS = np.dtype(
         ("hand_c_u", np.float64),
         ("hand_c_v", np.float64),
         ("hand_radius_m", np.float64),
+        ("forearm_radius_m", np.float64),
         ("hand_period_s", np.float64),
         ("hand_latency_s", np.float64),
         ("hand_frames", np.int64),
@@ -56,10 +58,22 @@ SENSORS = np.dtype(
 )
 
 OBJECT_FRAME = np.dtype(
-    [("time_s", np.float64), ("visible", np.bool_), ("moments", np.float64, (MOMENT_COUNT,))], align=True
+    [
+        ("time_s", np.float64),
+        ("late_s", np.float64),  # beyond the latency
+        ("visible", np.bool_),
+        ("moments", np.float64, (MOMENT_COUNT,)),
+    ],
+    align=True,
 )
 HAND_FRAME = np.dtype(
-    [("time_s", np.float64), ("count", np.int64), ("boxes", np.float64, (MAX_DETECTIONS, 5))], align=True
+    [
+        ("time_s", np.float64),
+        ("late_s", np.float64),  # beyond the latency
+        ("count", np.int64),
+        ("boxes", np.float64, (MAX_DETECTIONS, 5)),
+    ],
+    align=True,
 )
 
 
@@ -90,7 +104,8 @@ def sensors(
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
-    state["transform_camera_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
+    state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
+    state["transform_camera_to_tcp"] = state["transform_mount_to_tcp"]
     state["object_focal_px"] = camera.focal_px
     state["object_width_px"], state["object_height_px"] = camera.width_px, camera.height_px
     state["object_raster"] = camera.source is ImageSource.RASTER
@@ -105,6 +120,7 @@ def sensors(
     state["hand_width_px"], state["hand_height_px"] = hand.width_px, hand.height_px
     state["hand_c_u"], state["hand_c_v"] = sensor_principal_point_px(hand)
     state["hand_radius_m"] = settings.hand.radius_m
+    state["forearm_radius_m"] = settings.hand.forearm_radius_m
     state["hand_period_s"], state["hand_latency_s"] = _timing(
         "hand sensor", hand.rate_hz, hand.latency_s, settings
     )

@@ -95,10 +95,8 @@ def advance_hands(
             follow_recording(hands, k, samples, time_s + dt_s)
             continue
         if hand.leader >= 0:
-            for i in range(3):
-                hand.position_in_base_m[i] = (
-                    hands[hand.leader].position_in_base_m[i] + hand.apart_in_base_m[i]
-                )
+            leader = hands[hand.leader]
+            hand.position_in_base_m[:] = leader.position_in_base_m + hand.apart_in_base_m
             point_forearm(hands, k)
             continue
         left_s = dt_s
@@ -150,11 +148,7 @@ def advance_move(
 def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
     hand = hands[k]
-    speed = np.sqrt(
-        hand.velocity_in_base_mps[0] ** 2
-        + hand.velocity_in_base_mps[1] ** 2
-        + hand.velocity_in_base_mps[2] ** 2
-    )
+    speed = np.sqrt((hand.velocity_in_base_mps**2).sum())
     if speed == 0.0:
         return 0.0
     stop_s = speed / hand.max_acceleration_mps2

@@ -1,4 +1,4 @@
-"""The reference world: the UR10 in PyBullet, with its meshes, motors and physics."""
+"""The reference world: the arm in PyBullet, with its meshes, motors and physics."""
 
 from __future__ import annotations
 
@@ -16,12 +16,19 @@ from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.drive import drive, drive_tick
+from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.cell import build_cell, place_hands
 from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import exact_boxes, exact_object, sensor_pose
+from safety_harness.simulation.faults import (
+    hold_joints,
+    mount_camera,
+    spoil_hand_frame,
+    spoil_object_frame,
+)
 from safety_harness.simulation.hand_motion import advance_hands
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.image_sources import render, rendered_object
@@ -65,6 +72,8 @@ class PyBulletWorld:
             settings, scenario.seed, scenario.ticks, overhead_transform_sensor_to_base(settings)
         )
         self._drive = drive(settings)
+        self._faults = fault_table(scenario.faults)
+        self._acted_faults = 0
         self._arm = arm_record(arm, settings)
         self._capsules = cell_capsules(load_capsules(arm.name), settings)
         self._placed = np.empty((len(self._capsules.names), 2, 3))
@@ -108,6 +117,11 @@ class PyBulletWorld:
         """The start of the coming control tick: a multiple of the period, never a running sum."""
         return self._tick * self._settings.clock.control_period_s
 
+    @property
+    def acted_faults(self) -> int:
+        """Bits of the scenario's faults that have acted on this tick's pictures and, after it, its step."""
+        return self._acted_faults
+
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth part of ``tick``; the rest is the controller's to fill."""
         tick[0] = self._truth[0]
@@ -116,9 +130,20 @@ class PyBulletWorld:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
         state = self._sensors.state
         time_s = self.time_s
+        pose = self._truth[0]["transform_tcp_to_base"]
+        self._acted_faults = mount_camera(self._faults, state, time_s)
         if object_frame_due(state, time_s):
             visible, moments = self._object_frame()
             push_object_frame(state, self._sensors.object_frames, time_s, visible, moments)
+            self._acted_faults |= spoil_object_frame(
+                self._faults,
+                state,
+                self._sensors.object_frames,
+                self._sensors.polygon_in_base_m,
+                self._hands.state,
+                pose,
+                time_s,
+            )
         if hand_frame_due(state, time_s):
             boxes, count = self._hand_frame()
             push_hand_frame(
@@ -129,6 +154,9 @@ class PyBulletWorld:
                 time_s,
                 boxes,
                 count,
+            )
+            self._acted_faults |= spoil_hand_frame(
+                self._faults, state, self._sensors.hand_frames, pose, time_s
             )
         deliver(state, self._sensors.object_frames, self._sensors.hand_frames, time_s, self._observation)
         self._observation["joint_position_rad"] = self._truth["joint_position_rad"]
@@ -144,11 +172,13 @@ class PyBulletWorld:
             float(self._truth[0]["tcp_speed_mps"]),
             self.time_s,
         )
+        told_radps = self._drive[0]["setpoint_radps"].copy()
+        self._acted_faults |= hold_joints(self._faults, told_radps, self.time_s)
         pybullet.setJointMotorControlArray(
             self._robot,
             self._joints,
             pybullet.VELOCITY_CONTROL,
-            targetVelocities=self._drive[0]["setpoint_radps"].tolist(),
+            targetVelocities=told_radps.tolist(),
             forces=self._efforts,
             physicsClientId=self._client,
         )

@@ -1,7 +1,7 @@
 """What the cameras deliver: frames at their rate, late by their latency, with their noise.
 
 A frame is taken at the first control tick at or after its due time, and delivered at the first
-tick at or after that plus the latency.
+tick at or after that plus the latency; one that a fault holds back holds back those behind it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def push_object_frame(
     """Put a frame of the object on its way."""
     s = sensors[0]
     frame = frames[s.object_frames % RING]
-    frame.time_s = time_s
+    frame.time_s, frame.late_s = time_s, 0.0
     frame.visible = visible
     frame.moments[:] = moments
     s.object_frames += 1
@@ -74,7 +74,7 @@ def push_hand_frame(
     """
     s = sensors[0]
     frame = frames[s.hand_frames % RING]
-    frame.time_s = time_s
+    frame.time_s, frame.late_s = time_s, 0.0
     kept = 0
     row = s.hand_frames % normals.shape[0]
     for k in range(count):
@@ -104,7 +104,7 @@ def deliver(
     o.image_new = False
     while s.object_delivered < s.object_frames:
         frame = object_frames[s.object_delivered % RING]
-        if frame.time_s + s.object_latency_s > time_s + TIME_EPS_S:
+        if frame.time_s + s.object_latency_s + frame.late_s > time_s + TIME_EPS_S:
             break
         o.image_new = True
         o.object_visible = frame.visible
@@ -113,7 +113,7 @@ def deliver(
     o.boxes_new = False
     while s.hand_delivered < s.hand_frames:
         hand_frame = hand_frames[s.hand_delivered % RING]
-        if hand_frame.time_s + s.hand_latency_s > time_s + TIME_EPS_S:
+        if hand_frame.time_s + s.hand_latency_s + hand_frame.late_s > time_s + TIME_EPS_S:
             break
         o.boxes_new = True
         o.boxes_time_s = hand_frame.time_s

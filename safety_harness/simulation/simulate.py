@@ -38,6 +38,7 @@ def simulate(
             controller.report(tick)
             if k < scenario.ticks and world.step(command):
                 tick["limits"] |= int(Limit.BRAKING)
+            tick["faults"] |= world.acted_faults
             done = k + 1
             if on_tick is not None:
                 on_tick(done)

@@ -21,6 +21,11 @@ class World(Protocol):
         """Now: the start of the coming control tick."""
         ...
 
+    @property
+    def acted_faults(self) -> int:
+        """Bits of the scenario's faults that acted since the last observation was asked for."""
+        ...
+
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth into ``tick`` (1,) TICK."""
         ...

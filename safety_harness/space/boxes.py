@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -28,7 +29,7 @@ class InBox:
     def __post_init__(self) -> None:
         _ = self.sides
 
-    @property
+    @cached_property
     def sides(self) -> tuple[Uniform, ...]:
         """Each coordinate by itself."""
         return tuple(Uniform(low, high) for low, high in zip(self.low, self.high, strict=True))
@@ -36,7 +37,10 @@ class InBox:
     @property
     def simplest(self) -> tuple[float, ...]:
         """The centre."""
-        return tuple((low + high) / 2.0 for low, high in zip(self.low, self.high, strict=True))
+        return tuple(
+            min(max(round((low + high) / 2.0, 12) + 0.0, low), high)
+            for low, high in zip(self.low, self.high, strict=True)
+        )
 
     def values_at(self, u: Vector) -> Vector:
         """(n, 3) -> (n, 3), coordinate by coordinate."""
@@ -78,10 +82,10 @@ class InRegion:
         """The box's centre; of a shell, the middle of the hole's nearest side."""
         outer, hole = self.known.outer, self.known.hole
         inner = outer if hole is None else hole
-        centre = [(low + high) / 2.0 for low, high in zip(inner.low_m, inner.high_m, strict=True)]
+        centre = inner.centre_m
         if hole is None:
-            return tuple(centre)
-        sides = []
+            return centre
+        sides: list[tuple[float, int, tuple[float, ...]]] = []
         for axis in range(3):
             for face, beyond in ((hole.high_m, outer.high_m), (hole.low_m, outer.low_m)):
                 if face[axis] != beyond[axis]:
@@ -111,10 +115,11 @@ class InRegion:
 
     def log_density(self, values: Vector) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside."""
-        volume_m3 = math.fsum(piece.volume_m3 for piece in self.known.pieces)
+        low, high, _ = self._pieces
+        volume_m3 = math.fsum(np.prod(high - low, axis=1))
         return np.where(self.known.contains(values), -math.log(volume_m3), -np.inf)
 
-    @property
+    @cached_property
     def _pieces(self) -> tuple[Vector, Vector, Vector]:
         """Corners (k, 3) and the edges (k + 1,) of the boxes' shares of the first coordinate."""
         pieces = self.known.pieces

@@ -39,7 +39,8 @@ def cube_at(parameters: Sequence[Parameter], values: Vector) -> Vector:
     """(n, d) values within their distributions -> (n, d) in the unit cube."""
     u = np.full_like(values, UNUSED)
     for parameter, used in zip(parameters, used_by(parameters, values), strict=True):
-        u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
+        if used.any():
+            u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
     return u
 
 
@@ -50,13 +51,27 @@ def log_density_at(parameters: Sequence[Parameter], values: Vector) -> Vector:
     """
     density = np.zeros(len(values))
     for parameter, used in zip(parameters, used_by(parameters, values), strict=True):
-        density[used] += parameter.distribution.log_density(values[used, parameter.columns])
+        if used.any():
+            density[used] += parameter.distribution.log_density(values[used, parameter.columns])
     return density
 
 
 def used_by(parameters: Sequence[Parameter], values: Vector) -> list[NDArray[np.bool_]]:
     """For each parameter (n,): which of the scenarios use it."""
-    return [_used(parameters, parameter, values) for parameter in parameters]
+    return [uses(parameters, parameter, values) for parameter in parameters]
+
+
+def uses(parameters: Sequence[Parameter], parameter: Parameter, values: Vector) -> NDArray[np.bool_]:
+    """(n, d) values -> (n,): which of the scenarios use this parameter."""
+    used = np.zeros(len(values), bool)
+    for conditions in parameter.when:
+        if not conditions:
+            return np.ones(len(values), bool)
+        all_hold = np.ones(len(values), bool)
+        for condition in conditions:
+            all_hold &= _holds(parameters, condition, values)
+        used |= all_hold
+    return used
 
 
 def dimension_of(parameters: Sequence[Parameter]) -> int:
@@ -67,18 +82,6 @@ def dimension_of(parameters: Sequence[Parameter]) -> int:
 def continuous(parameter: Parameter) -> bool:
     """Whether single values of it have a probability of zero."""
     return not isinstance(parameter.distribution, Choice)
-
-
-def _used(parameters: Sequence[Parameter], parameter: Parameter, values: Vector) -> NDArray[np.bool_]:
-    used = np.zeros(len(values), bool)
-    for conditions in parameter.when:
-        if not conditions:
-            return np.ones(len(values), bool)
-        all_hold = np.ones(len(values), bool)
-        for condition in conditions:
-            all_hold &= _holds(parameters, condition, values)
-        used |= all_hold
-    return used
 
 
 def _holds(parameters: Sequence[Parameter], condition: Condition, values: Vector) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ class TruncatedNormal:
         _refuse_unless(finite and self.low < self.high and self.std > 0.0, "std > 0 and low < high", self)
         _refuse_unless(self._standard.mass >= LEAST_MASS, "a millionth of it between low and high", self)
 
-    @property
+    @cached_property
     def _standard(self) -> Between:
         return Between((self.low - self.mean) / self.std, (self.high - self.mean) / self.std)
 
@@ -129,7 +130,7 @@ class Choice:
         """The first."""
         return (0.0,)
 
-    @property
+    @cached_property
     def _edges(self) -> Vector:
         edges = np.concatenate([[0.0], np.cumsum(self.chances)])
         scaled: Vector = edges / edges[-1]
@@ -156,7 +157,10 @@ class Choice:
 
 @dataclass(frozen=True)
 class InShell:
-    """A point between two spheres about a centre, uniform in volume.  ValueError unless 0 <= inner < outer."""
+    """A point between two spheres about a centre, uniform in volume.
+
+    ValueError unless 0 <= inner < outer.
+    """
 
     centre: Vector3
     inner: float
@@ -190,7 +194,8 @@ class InShell:
         volume = (r**3 - self.inner**3) / (self.outer**3 - self.inner**3)
         height = np.divide(z, r, out=np.zeros_like(z), where=r > 0.0)
         azimuth = np.mod(np.arctan2(y, x) / (2.0 * math.pi), 1.0)
-        return np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
+        u: Vector = np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
+        return u
 
     def log_density(self, values: Vector) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside (but for rounding)."""
@@ -204,6 +209,8 @@ class InShell:
 def _polished(distribution: Uniform | TruncatedNormal, u: Vector, values: Vector) -> Vector:
     """``u``, moved by the few last digits that rounding took, where that gives the value exactly."""
     wrong = np.flatnonzero(distribution.values_at(u)[:, 0] != values[:, 0])
+    if not len(wrong):
+        return u
     down = up = u[wrong]
     for _ in range(4):
         down, up = np.nextafter(down, 0.0), np.nextafter(up, 1.0)

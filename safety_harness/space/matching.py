@@ -8,9 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeAlias
 
+import numpy as np
+
 from safety_harness.exceptions import ScenarioError
-from safety_harness.scenario import nodes
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.nodes import Mapping as MappingNode
+from safety_harness.scenario.nodes import Node, Scalar
+from safety_harness.scenario.nodes import Sequence as SequenceNode
 from safety_harness.scenario.write import Tree, scalar_text
 from safety_harness.space.sentences import fixed_quantity
 from safety_harness.space.template import Alternatives, Given, Keyed, Listing, Parameter, Repeated, Template
@@ -30,7 +34,7 @@ class _Matcher:
         self._parameters = parameters
 
     def below(self, template: Template, written: Tree, found: Found, strict: bool) -> Iterator[Found]:
-        if isinstance(template, nodes.Scalar | nodes.Sequence | nodes.Mapping):
+        if isinstance(template, Scalar | SequenceNode | MappingNode):
             if not strict or _alike(template, written):
                 yield found
         elif isinstance(template, Given):
@@ -45,17 +49,21 @@ class _Matcher:
             if listed is not None:
                 exactly = strict or any(isinstance(item, Repeated) for item in template.items)
                 yield from self._items(template.items, listed, found, exactly)
-        elif isinstance(template, Keyed) and isinstance(written, Mapping):
-            if not strict or _same_keys(template.entries, written):
-                yield from self._entries(template.entries, written, found, strict)
+        elif (
+            isinstance(template, Keyed)
+            and isinstance(written, Mapping)
+            and (not strict or _same_keys(template.entries, written))
+        ):
+            yield from self._entries(template.entries, written, found, strict)
 
     def _given(self, template: Given, written: Tree, found: Found) -> Iterator[Found]:
         distribution = self._parameters[template.parameter].distribution
         texts = _listed(written) if distribution.columns > 1 else [written]
         values = [_number(text, distribution.unit) for text in texts or ()]
         if len(values) == distribution.columns and None not in values:
-            chosen = _with(found, template.parameter, tuple(value for value in values if value is not None))
-            if chosen is not None:
+            known = tuple(value for value in values if value is not None)
+            chosen = _with(found, template.parameter, known)
+            if chosen is not None and distribution.log_density(np.array([known]))[0] > -np.inf:
                 yield chosen
 
     def _items(
@@ -78,7 +86,7 @@ class _Matcher:
 
     def _entries(
         self,
-        entries: Sequence[tuple[nodes.Scalar, Template]],
+        entries: Sequence[tuple[Scalar, Template]],
         written: Mapping[str, Tree],
         found: Found,
         strict: bool,
@@ -91,7 +99,7 @@ class _Matcher:
         if text in written:
             for one in self.below(template, written[text], found, strict):
                 yield from self._entries(others, written, one, strict)
-        elif isinstance(template, nodes.Scalar | nodes.Sequence | nodes.Mapping):
+        elif isinstance(template, Scalar | SequenceNode | MappingNode):
             yield from self._entries(others, written, found, strict)
 
 
@@ -102,15 +110,13 @@ def _with(found: Found, parameter: int, values: tuple[float, ...]) -> Found | No
     return {**found, parameter: values}
 
 
-def _alike(node: nodes.Node, written: Tree) -> bool:
+def _alike(node: Node, written: Tree) -> bool:
     """Whether a fixed part is what was written of it, as far as can be told without reading it."""
-    if isinstance(node, nodes.Mapping):
+    if isinstance(node, MappingNode):
         if not isinstance(written, Mapping) or not _same_keys(node.entries, written):
             return False
-        return all(
-            _alike(child, written[key]) for key_, child in node.entries if (key := scalar_text(key_.text)) in written
-        )
-    if isinstance(node, nodes.Sequence):
+        return all(_alike(child, written[scalar_text(key.text)]) for key, child in node.entries)
+    if isinstance(node, SequenceNode):
         listed = _listed(written)
         return (
             listed is not None
@@ -128,7 +134,7 @@ def _alike(node: nodes.Node, written: Tree) -> bool:
     return _number(written, unit) == value
 
 
-def _same_keys(entries: Sequence[tuple[nodes.Scalar, object]], written: Mapping[str, Tree]) -> bool:
+def _same_keys(entries: Sequence[tuple[Scalar, object]], written: Mapping[str, Tree]) -> bool:
     """Whether every key was written; the reader's defaults may have added others."""
     return all(scalar_text(key.text) in written for key, _ in entries)
 

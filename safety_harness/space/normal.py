@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -33,7 +34,7 @@ class Between:
         """(n,) in [0, 1] -> (n,) z with P(Z <= z) = u, rising, its ends the bounds themselves."""
         below, above = self._ends
         p = np.clip(below + (1.0 - u if self._mirrored else u) * (above - below), _SMALLEST, _LARGEST)
-        z = _INVERSE(p).astype(float)
+        z = np.asarray(_INVERSE(p), float)
         z = np.clip(-z if self._mirrored else z, self.low, self.high)
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, z))
 
@@ -49,7 +50,7 @@ class Between:
         """Bounds mostly above the mean are computed below it, where small numbers keep their digits."""
         return self.low + self.high > 0.0
 
-    @property
+    @cached_property
     def _ends(self) -> tuple[float, float]:
         low, high = (-self.high, -self.low) if self._mirrored else (self.low, self.high)
         below, above = _lower_tail(np.array([low, high]))
@@ -58,5 +59,5 @@ class Between:
 
 def _lower_tail(z: Vector) -> Vector:
     """P(Z <= z) for a standard normal Z."""
-    tail: Vector = 0.5 * _ERFC(-np.asarray(z, float) / math.sqrt(2.0)).astype(float)
+    tail: Vector = 0.5 * np.asarray(_ERFC(-z / math.sqrt(2.0)), float)
     return tail

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import Field
@@ -35,6 +35,8 @@ from safety_harness.space.template import (
 )
 
 MOST_COLUMNS = 256  # of the unit cube
+MOST_MEMBERS = 5_000  # of lists, by repeating
+MOST_USES = 2_000  # of parameters, by names
 CHOICES = "choices"
 _FIXED = ("scenario", "about", "claims")  # texts for people and sentences looked up elsewhere
 
@@ -74,6 +76,7 @@ class _Reader:
         self._named: dict[str, _Named] = {}
         self._uses: list[_Use] = []  # by what is being read: a named value, or the scenario
         self._time = ""  # which repetition is being read, for names
+        self._members = 0  # that repetitions have made so far
 
     def whole(self, root: Field) -> tuple[Template, tuple[Parameter, ...]]:
         entries = dict(root.entries("a mapping with the keys of a scenario"))
@@ -161,6 +164,8 @@ class _Reader:
             raise error_of_reference(at, name, list(self._named))
         named = self._named[name]
         named.used = True
+        if len(self._uses) + len(named.uses) > MOST_USES:
+            raise at.error(f"at most {MOST_USES:,} uses of named values", got="more")
         self._uses += [(number, context + conditions) for number, conditions in named.uses]
         return named
 
@@ -186,6 +191,9 @@ class _Reader:
             number = self._parameter(given.required("repeat"), Choice.even(labels), context)
         outer, copies = self._time, []
         for copy in range(most):
+            self._members += len(moves)
+            if self._members > MOST_MEMBERS:
+                raise at.error(f"at most {MOST_MEMBERS:,} moves by repeating", got="more")
             self._time = f"{outer}, time {copy + 1}"
             here = context
             if copy >= least:
@@ -285,19 +293,3 @@ def _corner(at: Field) -> tuple[Vector3, str]:
     if not unit == second == third:
         raise at.error("three quantities of one kind")
     return (x, y, z), unit
-
-
-def with_regions(
-    parameters: tuple[Parameter, ...], resolve: dict[str, InRegion], offsets: dict[str, InRegion]
-) -> tuple[Parameter, ...]:
-    """The parameters with their regions known: ``offsets`` where the TCP start is a shift."""
-
-    def known(parameter: Parameter) -> Parameter:
-        if not isinstance(parameter.distribution, InRegion):
-            return parameter
-        shift = parameter.name.startswith("tcp start") and ".offset" in parameter.name
-        return replace(
-            parameter, distribution=(offsets if shift else resolve)[parameter.distribution.name]
-        )
-
-    return tuple(map(known, parameters))

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from safety_harness.exceptions import ScenarioError
-from safety_harness.scenario import units
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.units import Dimension, near_miss, normal_unit, parse_quantity
+from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, normal_unit, parse_quantity, shown
 from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform
 
 MOST_OPTIONS = 100
@@ -19,7 +18,7 @@ UNIFORM = "from 0.5 m/s to 2 m/s"
 NORMAL = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
 CHOICE = "one of 20 mm, 50 mm"
 
-_DIMENSIONS = {unit: d for d in vars(units).values() if isinstance(d, Dimension) for unit in d.units}
+_DIMENSIONS = {unit: dimension for dimension in DIMENSIONS for unit in dimension.units}
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?")
 _UNIFORM = re.compile(r"from (.+?) to (.+)")
 _NORMAL = re.compile(r"normal (.+?) ?(?:\+-|\+/-|±) ?(.+?) from (.+?) to (.+)")
@@ -75,9 +74,9 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
     unit = normal_unit(text.strip()[number.end() :]) if number else ""
     if number is None or (unit and unit not in _DIMENSIONS):
         raise field.error(
-            "a quantity such as 80 mm or 0.5 m/s", got=units.shown(text), hint=near_miss(unit, _DIMENSIONS)
+            "a quantity such as 80 mm or 0.5 m/s", got=shown(text), hint=near_miss(unit, _DIMENSIONS)
         )
-    dimension = _DIMENSIONS[unit] if unit else units.NUMBER
+    dimension = _DIMENSIONS[unit] if unit else NUMBER
     return parse_quantity(text, dimension, field.place), dimension.si
 
 

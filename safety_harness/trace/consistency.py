@@ -16,6 +16,8 @@ from operator import or_
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.scenario.fault_table import TIME_EPS_S
+from safety_harness.scenario.faults import AvoiderFault
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
 from safety_harness.trace.trace import Trace
@@ -89,6 +91,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     yield from at_first(ticks["sse"] < 0.0, "sse", "tick", "a sum of squares", ticks["sse"])
     yield from _enumerated(ticks["mode"], "mode", "tick", Mode)
     yield from _flags(ticks["limits"], "limits", "tick", Limit)
+    yield from _faults(trace)
     made = np.full(count, -1)
     known = (trace.decisions["tick"] >= 0) & (trace.decisions["tick"] < count)
     made[trace.decisions["tick"][known]] = np.flatnonzero(known)
@@ -117,6 +120,19 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
         low, high = SURROGATES
         no_text = (letters > LARGEST_CHARACTER) | ((letters >= low) & (letters <= high))
         yield from at_first(no_text, name, "decision", "text", np.full(len(decisions), "no characters"))
+
+
+def _faults(trace: Trace) -> Iterator[Inconsistency]:
+    """A fault acts within its time; a late avoider keeps the controller waiting until the deadline."""
+    scenario, faults = trace.scenario, trace.ticks["faults"]
+    time_s, wait_s = trace.ticks["time_s"], scenario.settings.avoidance.decision_deadline_s
+    possible = np.zeros(len(faults), np.int64)
+    for k, fault in enumerate(scenario.faults):
+        end_s = fault.end_s + (wait_s + scenario.settings.clock.control_period_s) * isinstance(
+            fault, AvoiderFault
+        )
+        possible[(time_s >= fault.from_s - TIME_EPS_S) & (time_s < end_s)] |= 1 << k
+    yield from at_first((faults & ~possible) != 0, "faults", "tick", "faults of that time", faults)
 
 
 def _enumerated(

@@ -94,6 +94,7 @@ TICK = np.dtype(
         ("camera_twist", np.float64, (6,)),  # v, w of the camera in its own frame, as demanded
         ("demanded_joint_velocity_radps", np.float64, (6,)),
         ("limits", np.int64),  # Limit flags
+        ("faults", np.int64),  # bit k: fault k of the scenario acted at this tick
         ("decision", np.int64),  # index of the decision made at this tick, or -1
     ],
     align=True,

@@ -29,7 +29,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Provenance, Trace
 
-FORMAT = "safety-harness trace 2"
+FORMAT = "safety-harness trace 3"
 LARGEST_BYTES = 4 * 2**30  # unpacked; a trace of an hour is some 0.6 GB
 
 

@@ -327,6 +327,44 @@ def refusal(text: str) -> InadmissibleError:
             "an eye-in-hand sensor with the camera's focal, 650 px",
             "615 px",
         ),
+        # faults
+        (
+            "faults:\n  - hand sensor: sees a false hand\n    at: [750 mm, -250 mm, 2 m]\n",
+            "at: [",
+            "faults[0].at",
+            "a false hand where the hand sensor could see one",
+            "(750, -250, 2000) mm",
+        ),
+        (
+            "hand sensor: {kind: overhead}\n"
+            "faults:\n  - hand sensor: sees a false hand\n    at: [3 m, 0 m, 0 m]\n",
+            "at: [",
+            "faults[0].at",
+            "a false hand where the hand sensor could see one",
+            "(3000, 0, 0) mm",
+        ),
+        (
+            "camera: {source: rendered}\nfaults:\n  - camera: is hidden by hands\n",
+            "- camera",
+            "faults[0]",
+            "exact or raster images",
+            "rendered ones",
+        ),
+        (
+            "camera: {latency: 100 ms}\nfaults:\n  - camera: is late\n    delay: 397 ms\n",
+            "delay: ",
+            "faults[0].delay",
+            "at most 62 pictures under way",
+            "0.497 s, which is 62 pictures",
+        ),
+        (
+            "faults:\n  - hand sensor: is late\n    delay: 300 ms\n"
+            "  - hand sensor: is late\n    delay: 200 ms\n",
+            "delay: 200",
+            "faults[1].delay",
+            "at most 62 pictures under way",
+            "0.5 s",
+        ),
     ],
 )
 def test_what_does_not_fit_together_is_refused_at_its_line(
@@ -362,6 +400,10 @@ def test_the_restart_delay_is_explained_by_what_a_stop_takes() -> None:
         "hand sensor: {kind: eye in hand, focal: 650 px}\ncamera: {focal: 650 px}\n",
         "settings: {avoidance: {repulsion speed: 2 m/s, restart delay: 650 ms}}\n",
         "settings: {cell: {table height: -350 mm}}\n",
+        "camera: {latency: 100 ms}\nfaults:\n  - camera: is late\n    delay: 396 ms\n",
+        "camera: {rate: 30 Hz}\nfaults:\n  - camera: is late\n    delay: 2 s\n",
+        "faults: [{hand sensor: sees a false hand, at: [3 m, 0 m, 0 m]}]\n",  # the ideal one has no border
+        "hand sensor: {kind: eye in hand}\nfaults: [{hand sensor: sees a false hand, at: [3 m, 0 m, 0 m]}]\n",
         f"object: {{polygon: {ARROW}}}\n",
         f"object: {{polygon: {BOW}}}\nsettings: {{servo: {{object kind: discrete}}}}\n",
     ],

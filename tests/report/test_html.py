@@ -19,7 +19,8 @@ from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render
 from safety_harness.report.palette import Ink
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
+from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import DECISION, TICK
@@ -303,3 +304,22 @@ def test_importing_the_report_does_not_import_matplotlib() -> None:
 
 def test_the_defaults_are_the_reference_for_changed_settings() -> None:
     assert factory.holds_run().trace.scenario.settings == DEFAULTS
+
+
+def test_a_scenario_with_faults_has_a_lane_and_a_note_for_each_and_its_robot_stands_among_the_changes() -> (
+    None
+):
+    run = factory.holds_run()
+    faults = (CameraBlind(from_s=1.0, for_s=0.5), JointStuck(joint=Joint.WRIST_1, from_s=2.0))
+    ticks = run.trace.ticks.copy()
+    ticks["faults"][125:188] = 1
+    scenario = replace(run.trace.scenario, faults=faults, robot=Robot.UR5)
+    page = text_for([replace(run, trace=replace(run.trace, scenario=scenario, ticks=ticks))])
+    plain = text_for([run])
+    assert "Fault: camera sees nothing, from 1 s until 1.5 s. It acted on 63 ticks, first at 1.000 s." in page
+    assert "Fault: wrist 1 joint is stuck, from 2 s. It acted on 0 ticks, so it changed nothing." in page
+    assert ">faults<" in page
+    assert ">faults<" not in plain
+    assert "Fault:" not in plain
+    assert "UR5" in page
+    assert "UR5" not in plain

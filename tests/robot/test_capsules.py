@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from arms import transforms_of
+from arms import ARMS, transforms_of
 
 from safety_harness.exceptions import ArmModelError
 from safety_harness.robot import capsules as capsules_module
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.description import LinkMeshes, MeshFile, load_arm, mesh_paths
 
-LINKS = mesh_paths("ur10")
+ALL_LINKS = [pytest.param(name, link, id=f"{name}-{link.link}") for name in ARMS for link in mesh_paths(name)]
 SMALLEST_PIECE_M = 1e-4
 
 
@@ -63,18 +63,20 @@ def not_enclosed(corners: np.ndarray, capsules: CapsuleSet, link: int) -> np.nda
     return corners
 
 
-@pytest.mark.parametrize("link", LINKS, ids=lambda link: link.link)
-def test_the_union_of_a_links_capsules_holds_every_triangle_of_its_meshes(link: LinkMeshes) -> None:
+@pytest.mark.parametrize(("name", "link"), ALL_LINKS)
+def test_the_union_of_a_links_capsules_holds_every_triangle_of_its_meshes(
+    name: str, link: LinkMeshes
+) -> None:
     for part in (link.collision, link.visual):
         corners = triangles(part)
         assert len(corners) > 100
-        assert len(not_enclosed(corners, load_capsules("ur10"), link.index)) == 0
+        assert len(not_enclosed(corners, load_capsules(name), link.index)) == 0
 
 
-@pytest.mark.parametrize("link", LINKS, ids=lambda link: link.link)
-def test_no_radius_can_be_a_millimetre_smaller(link: LinkMeshes) -> None:
+@pytest.mark.parametrize(("name", "link"), ALL_LINKS)
+def test_no_radius_can_be_a_millimetre_smaller(name: str, link: LinkMeshes) -> None:
     """Shrink one capsule at a time: some triangle is then outside, so none is larger than it need be."""
-    capsules = load_capsules("ur10")
+    capsules = load_capsules(name)
     for index in np.flatnonzero(capsules.link_index == link.index):
         radius = capsules.radius_m.copy()
         radius[index] -= 1e-3
@@ -91,23 +93,27 @@ def test_no_radius_can_be_a_millimetre_smaller(link: LinkMeshes) -> None:
         assert sum(map(len, outside)) > 0, capsules.names[index]
 
 
-def test_meshes_are_in_metres_and_the_size_of_the_arm() -> None:
+@pytest.mark.parametrize("name", ARMS)
+def test_meshes_are_in_metres_and_the_size_of_the_arm(name: str) -> None:
     """A mesh in the wrong unit would make the enclosure worthless."""
-    forearm = triangles(LINKS[3].visual).reshape(-1, 3)
-    length = np.linalg.norm(load_arm("ur10").joint_origins[3, :3, 3])
-    assert length < np.ptp(forearm[:, 2]) < 1.3 * length
-    for link in LINKS:
+    links = mesh_paths(name)
+    forearm = triangles(links[3].visual).reshape(-1, 3)
+    length = np.linalg.norm(load_arm(name).joint_origins[3, :3, 3])
+    assert length < np.ptp(forearm[:, 2]) < 1.35 * length
+    for link in links:
         a, b = (triangles(part).reshape(-1, 3) for part in (link.collision, link.visual))
         np.testing.assert_allclose(np.ptp(a, axis=0), np.ptp(b, axis=0), atol=0.03)
 
 
-def test_the_flange_is_inside_the_last_links_capsules() -> None:
-    arm = load_arm("ur10")
-    assert depth(arm.flange[:3, 3], load_capsules("ur10"), 6).max() > 0.0
+@pytest.mark.parametrize("name", ARMS)
+def test_the_flange_is_inside_the_last_links_capsules(name: str) -> None:
+    arm = load_arm(name)
+    assert depth(arm.flange[:3, 3], load_capsules(name), 6).max() > 0.0
 
 
-def test_every_link_has_capsules_with_names_of_their_own() -> None:
-    capsules = load_capsules("ur10")
+@pytest.mark.parametrize("name", ARMS)
+def test_every_link_has_capsules_with_names_of_their_own(name: str) -> None:
+    capsules = load_capsules(name)
     assert set(capsules.link_index.tolist()) == set(range(7))
     assert len(set(capsules.names)) == len(capsules.names) <= 16
 
@@ -160,10 +166,11 @@ def test_what_is_loaded_is_what_is_on_file(tmp_path: Path, monkeypatch: pytest.M
     assert loaded.radius_m.tolist() == [0.6]
 
 
-def test_neighbouring_links_overlap_so_that_no_gap_is_left_at_a_joint() -> None:
+@pytest.mark.parametrize("name", ARMS)
+def test_neighbouring_links_overlap_so_that_no_gap_is_left_at_a_joint(name: str) -> None:
     """At every joint the moving link's capsules touch those of the link below."""
-    capsules = load_capsules("ur10")
-    transforms = transforms_of(load_arm("ur10"), np.array([0.1, -1.0, 1.2, 0.4, -0.8, 0.3]))
+    capsules = load_capsules(name)
+    transforms = transforms_of(load_arm(name), np.array([0.1, -1.0, 1.2, 0.4, -0.8, 0.3]))
     for upper in range(1, 7):
         best = -np.inf
         for index in np.flatnonzero(capsules.link_index == upper):

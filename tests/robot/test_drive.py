@@ -140,6 +140,10 @@ class StopsAfter:
     def decisions(self) -> np.ndarray:
         return np.zeros(0, DECISION)
 
+    @property
+    def decision_latencies_s(self) -> np.ndarray:
+        return np.zeros(0)
+
 
 @pytest.mark.parametrize("rate_radps", [0.3, -1.2])
 def test_the_engine_stops_as_late_and_as_far_as_the_model(rate_radps: float) -> None:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from safety_harness.scenario.fault_phrases import PHRASES, Key
+from safety_harness.scenario.faults import MOST_FALSE_HANDS, FalseHand, Fault, Joint
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     Claim,
@@ -21,6 +23,7 @@ from safety_harness.scenario.model import (
     OffsetStart,
     PoseStart,
     RecordedHand,
+    Robot,
     Scenario,
     Verdict,
 )
@@ -88,6 +91,7 @@ titles = st.text(st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp")), min
 prose = st.text(
     st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp"), include_characters="\n"), max_size=200
 )
+
 
 @st.composite
 def hesitations(draw: st.DrawFn) -> dict[str, Any]:
@@ -217,6 +221,32 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
     )
 
 
+def fault_values(key: Key) -> st.SearchStrategy[Any]:
+    """Values that a file may give for one key of a fault."""
+    if key.dimension is None:
+        return st.sampled_from(Joint)
+    if key.several:
+        return vectors(st.floats(min_value=-key.most, max_value=key.most))
+    return st.floats(min_value=0.0, max_value=key.most, exclude_min=True)
+
+
+@st.composite
+def faults(draw: st.DrawFn, duration_s: float) -> Fault:
+    phrase = draw(st.sampled_from(PHRASES))
+    begin_s = draw(st.just(0.0) | st.floats(min_value=0.0, max_value=duration_s, exclude_max=True))
+    until = st.floats(min_value=begin_s, max_value=2 * LONGEST_S, exclude_min=True)
+    ends: st.SearchStrategy[dict[str, float]] = st.one_of(
+        st.just({}), durations.map(lambda s: {"for_s": s}), until.map(lambda s: {"until_s": s})
+    )
+    values = {key.name: draw(fault_values(key)) for key in phrase.keys}
+    fault: Fault = phrase.kind(**values, **draw(ends), from_s=begin_s)
+    return fault
+
+
+def _few_false_hands(several: list[Fault]) -> bool:
+    return sum(isinstance(fault, FalseHand) for fault in several) <= MOST_FALSE_HANDS
+
+
 @st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     chosen: Settings = draw(settings)
@@ -232,15 +262,18 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     claims = draw(st.dictionaries(sentences, st.sampled_from(Verdict), min_size=1, max_size=4))
     period_s = chosen.clock.control_period_s
     longest_s = min(LONGEST_S, MOST_TICKS * period_s)
+    duration_s = draw(st.floats(min_value=period_s, max_value=longest_s))
     return Scenario(
         name="example",
         title=draw(titles),
         about=draw(prose),
-        duration_s=draw(st.floats(min_value=period_s, max_value=longest_s)),
+        duration_s=duration_s,
         seed=draw(st.integers(min_value=0, max_value=2**63 - 1)),
         start=draw(starts),
         hands=tuple(hands),
         avoider=draw(sentences),
         claims=tuple(Claim(sentence=sentence, expected=verdict) for sentence, verdict in claims.items()),
         settings=chosen,
+        robot=draw(st.sampled_from(Robot)),
+        faults=tuple(draw(st.lists(faults(duration_s), max_size=4).filter(_few_false_hands))),
     )

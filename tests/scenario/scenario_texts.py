@@ -21,6 +21,7 @@ about: >
   would try this.
 duration: 12 s
 seed: 7
+robot: UR5
 tcp start:
   offset: [40 mm, -120 mm, 60 mm]      # from the desired pose
   tilt: [0 deg, 3 deg, 0 deg]
@@ -73,6 +74,18 @@ object:
   polygon: [[-60 mm, -40 mm], [100 mm, -40 mm], [-40 mm, 80 mm]]
   position: [710 mm, 40 mm, -300 mm]
   yaw: 20 deg
+faults:
+  - hand sensor: is late
+    delay: 120 ms
+    from: 1 s
+    for: 500 ms
+  - hand sensor: sees a false hand
+    at: [800 mm, -350 mm, 250 mm]
+  - camera: is knocked
+    turned: [0 deg, 2 deg, 0 deg]
+    until: 3 s
+  - joint: is stuck
+    which: elbow
 hand sensor:
   kind: overhead
   detector: rendered

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import moves, read, read_hands, read_moves, units
+from safety_harness.scenario import fault_phrases, moves, read, read_hands, read_moves, units
 from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
@@ -72,7 +72,7 @@ def test_every_example_can_be_read(example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(blocks("yaml")) == 10
+    assert len(blocks("yaml")) == 12
 
 
 def test_the_first_example_is_complete() -> None:
@@ -102,6 +102,7 @@ def test_the_note_about_a_recording_is_what_the_example_gives() -> None:
         ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
         ("## `tcp start`", read.START_KEYS),
         ("## `object`", {key.words[0] for key in setting_keys(type(DEFAULTS.object))}),
+        ("### The time of a fault", fault_phrases.TIMES),
         ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
         ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
     ],
@@ -114,6 +115,15 @@ def test_the_page_names_every_move() -> None:
     for move, (further, _) in read_moves.MOVES.items():
         (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
         assert tuple(re.findall("`(.*?)`", line.split("|")[0])) == further
+
+
+def test_the_page_names_every_fault_with_its_keys() -> None:
+    section = TEXT.split("## `faults`", 1)[1].split("| key |", 1)[0]
+    lines = {words: line for words, line in re.findall(r"^\| `(.*?: .*?)` \|(.*?)\|", section, re.M)}
+    assert list(lines) == [f"{phrase.subject}: {phrase.predicate}" for phrase in fault_phrases.PHRASES]
+    for phrase in fault_phrases.PHRASES:
+        line = lines[f"{phrase.subject}: {phrase.predicate}"]
+        assert tuple(re.findall("`(.*?)`", line)) == tuple(key.word for key in phrase.keys)
 
 
 @pytest.mark.parametrize("group", SETTINGS_KEYS)

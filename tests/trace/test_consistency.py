@@ -10,6 +10,7 @@ import pytest
 from examples import run, scenario
 
 from safety_harness.exceptions import TraceError
+from safety_harness.scenario.faults import AvoiderLate, CameraBlind
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
@@ -48,6 +49,8 @@ def test_real_traces_are_consistent_whole_and_cut_short(visit: Trace) -> None:
         ("mode", -1),
         ("limits", 32),
         ("limits", -1),
+        ("faults", 1),
+        ("faults", -1),
         ("decision", 0),
         ("decision", -2),
     ],
@@ -84,6 +87,25 @@ def test_a_flag_that_is_neither_0_nor_1_is_named(visit: Trace) -> None:
     found = first_inconsistency(replace(visit, ticks=ticks))
     assert found is not None
     assert found.where == "object_visible at tick 7"
+
+
+def test_a_fault_acts_within_its_time_and_a_late_avoider_until_the_deadline(visit: Trace) -> None:
+    faults = (CameraBlind(from_s=0.16, until_s=0.32), AvoiderLate(delay_s=0.05, from_s=0.16, until_s=0.32))
+    judged = replace(visit, scenario=replace(visit.scenario, faults=faults))
+    assert first_inconsistency(judged) is None
+    for tick, bits, good in (
+        (20, 3, True),
+        (19, 1, False),
+        (39, 1, True),
+        (40, 1, False),
+        (19, 2, False),
+        (52, 2, True),
+        (54, 2, False),
+        (30, 4, False),
+    ):
+        found = first_inconsistency(edited(judged, "ticks", "faults", tick, bits))
+        assert (found is None) is good, (tick, bits)
+        assert found is None or found.where == f"faults at tick {tick}"
 
 
 def test_text_that_is_no_text_is_named(visit: Trace) -> None:

@@ -1,0 +1,85 @@
+"""What an admitted scenario looks like before it is run: where hands would go, and what the camera sees.
+
+Nothing is simulated: hands that head for the TCP find it where it starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.geometry.transforms import inverse_transform
+from safety_harness.perception.camera import principal_point_px, transform_camera_to_tcp
+from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.cameras import object_polygon_in_base
+from safety_harness.simulation.hand_motion import advance_hands
+from safety_harness.simulation.hand_programs import hands_at_start
+
+Floats = NDArray[np.float64]
+STEP_S = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """One scenario's scene, positions in the base frame.
+
+    ``links_in_base_m`` (8, 3) the arm's link frames at the start, the last one the TCP;
+    ``hand_paths_in_base_m`` one (n, 3) for each hand; ``object_in_base_m``
+    (k, 3) the object's corners, and ``start_image_px`` and ``desired_image_px``
+    (k, 2) the same in the camera's image.
+    """
+
+    scenario: Scenario
+    links_in_base_m: Floats
+    object_in_base_m: Floats
+    hand_paths_in_base_m: tuple[Floats, ...]
+    start_image_px: Floats
+    desired_image_px: Floats
+
+    @property
+    def tcp_in_base_m(self) -> Floats:
+        """(3,) the TCP start."""
+        tcp: Floats = self.links_in_base_m[-1]
+        return tcp
+
+
+def preview_of(admitted: Admitted) -> Preview:
+    """The scene of an admitted scenario."""
+    scenario, arm = admitted.scenario, admitted.arm
+    transforms = np.empty((FRAMES, 4, 4))
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, admitted.joint_position_rad, transforms)
+    return Preview(
+        scenario=scenario,
+        links_in_base_m=transforms[:, :3, 3].copy(),
+        object_in_base_m=object_polygon_in_base(scenario.settings),
+        hand_paths_in_base_m=hand_paths(scenario, transforms[-1, :3, 3].copy()),
+        start_image_px=object_image_px(scenario, transforms[-1]),
+        desired_image_px=object_image_px(scenario, desired_transform_tcp_to_base(scenario.settings)),
+    )
+
+
+def hand_paths(scenario: Scenario, tcp_in_base_m: Floats) -> tuple[Floats, ...]:
+    """(n, 3) for each hand: where it would go if the TCP stayed at ``tcp_in_base_m``."""
+    hands = hands_at_start(scenario)
+    steps = int(np.ceil(scenario.duration_s / STEP_S))
+    paths = np.empty((len(scenario.hands), steps + 1, 3))
+    for step in range(steps + 1):
+        paths[:, step] = hands.state["position_in_base_m"][: len(scenario.hands)]
+        advance_hands(hands.state, hands.moves, hands.samples, tcp_in_base_m, step * STEP_S, STEP_S)
+    return tuple(paths)
+
+
+def object_image_px(scenario: Scenario, transform_tcp_to_base: Floats) -> Floats:
+    """(k, 2) the object's corners in pixels from the image's upper left corner, wherever they fall."""
+    camera = scenario.settings.camera
+    camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(camera, calibrated=False)
+    base_to_camera = inverse_transform(camera_to_base)
+    corners = object_polygon_in_base(scenario.settings) @ base_to_camera[:3, :3].T + base_to_camera[:3, 3]
+    centre_px = np.array(principal_point_px(camera.width_px, camera.height_px))
+    image: Floats = camera.focal_px * corners[:, :2] / corners[:, 2:] + centre_px
+    return image

@@ -1,0 +1,92 @@
+"""Draws of a scenario space that can be tried: what admission refuses is drawn again, and counted.
+
+Whether the arm reaches a start and sees the object from there is no matter of the space's own making, so
+here, and only here, draws are rejected.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from safety_harness.admission.admit import admit
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.exceptions import InadmissibleError, InputError, ModelError
+from safety_harness.scenario.model import Scenario
+from safety_harness.space.space import ScenarioSpace
+
+HOPELESS = 200  # draws of which not one was admitted; later, of which less than one in as many was
+
+
+@dataclass(frozen=True)
+class AdmittedDraws:
+    """Scenarios of a space that can be tried, and how many draws it took.
+
+    ``refused`` counts the others by the reason, the most frequent first: "field: expected ...".
+    """
+
+    scenarios: tuple[Scenario, ...]
+    drawn: int
+    refused: dict[str, int]
+
+    @property
+    def acceptance_rate(self) -> float:
+        """Admitted scenarios a draw."""
+        return len(self.scenarios) / self.drawn
+
+    def __str__(self) -> str:
+        words = f"{len(self.scenarios)} of {self.drawn} draws can be tried ({self.acceptance_rate:.0%})"
+        return "; ".join([words, *(f"{count} refused: {reason}" for reason, count in self.refused.items())])
+
+
+def draw_admissible(
+    space: ScenarioSpace, seed: int, count: int, *, on_draw: Callable[[int], None] | None = None
+) -> AdmittedDraws:
+    """The first ``count`` draws of the stream ``seed`` that admission lets through.
+
+    Their distribution is the space's own, given that the scenario can be tried.  InadmissibleError with the
+    most frequent reason when fewer than one draw in HOPELESS is admitted: at most HOPELESS * (count + 1)
+    draws are made.  ``on_draw`` is told how many draws have been made.  ValueError for a count below 1.
+    """
+    if count < 1:
+        raise ValueError(f"expected a count of at least 1; got {count}")
+    refused: Counter[str] = Counter()
+    scenarios: list[Scenario] = []
+    avoiders: dict[str, Avoider] = {}
+    drawn = 0
+    last: InputError | None = None
+    while len(scenarios) < count:
+        if drawn >= HOPELESS * (len(scenarios) + 1):
+            assert last is not None
+            raise _hopeless(space, len(scenarios), drawn, refused) from last
+        try:
+            scenario = space.draw(seed, drawn)
+            # An avoider is made once: that it answers, and what else admission asks of it, does not vary.
+            avoiders[scenario.avoider] = admit(scenario, avoider=avoiders.get(scenario.avoider)).avoider
+            scenarios.append(scenario)
+        except InputError as error:
+            if _is_a_mistake(error):
+                raise
+            last = error
+            refused[f"{error.place.field}: expected {error.expected}"] += 1
+        drawn += 1
+        if on_draw is not None:
+            on_draw(drawn)
+    return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
+
+
+def _is_a_mistake(error: InputError) -> bool:
+    """Whether the text is to blame: an avoider that is missing, a claim that nobody knows."""
+    return isinstance(error, ModelError) or (error.place.field or "").startswith(("avoider", "claims"))
+
+
+def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
+    reason, count = refused.most_common(1)[0]
+    simplest = space.simplest
+    return InadmissibleError(
+        place=simplest.place(reason.partition(":")[0]),
+        expected=f"a space of which at least one draw in {HOPELESS} can be tried",
+        got=f"{admitted} of {drawn} draws",
+        hint=f"{count} times it was {reason}",
+    )

@@ -1,0 +1,131 @@
+"""``show`` and ``sample``: what a file would try, as a picture, and draws of a space as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import command_line_reference, with_avoider
+from safety_harness.admission.preview import preview_of
+from safety_harness.admission.spaces import draw_admissible
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
+from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.read import read_scenario
+from safety_harness.scenario.write import write_scenario
+from safety_harness.space.boxes import InBox, InRegion
+from safety_harness.space.read import is_space, read_space
+from safety_harness.space.space import ScenarioSpace
+
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def show(files: Sequence[Path], *, out: Path, draws: int = 200, seed: int = 0) -> int:
+    """One picture a file: a scenario, or ``draws`` admissible draws of a space; returns the exit code."""
+    try:
+        for file in files:
+            path = out if out.suffix in PICTURES and len(files) == 1 else out / f"{file.stem}.png"
+            _show_one(file, path, draws, seed)
+            result(str(path))
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted: this picture and those after it were not drawn")
+        return INTERRUPTED
+    return AS_EXPECTED
+
+
+def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
+    """``count`` admissible draws of a space, each a scenario file in ``out``; returns the exit code."""
+    try:
+        if not 1 <= count <= 100_000:
+            raise ScenarioError(
+                place=Place(field="--count"), expected="a number from 1 to 100000", got=str(count)
+            )
+        space = read_space(file)
+        drawn = draw_admissible(space, seed, count)
+        for scenario in drawn.scenarios:
+            path = out / f"{scenario.name.replace('#', '-')}.yaml"
+            _write(path, write_scenario(_as_seen_from(out, scenario)))
+            result(str(path))
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        say("interrupted: the files that were written are kept")
+        return INTERRUPTED
+    for note in (*space.notes, str(drawn)):
+        say(note)
+    return AS_EXPECTED
+
+
+def _show_one(file: Path, path: Path, draws: int, seed: int) -> None:
+    from safety_harness.report.scene import draw_scene  # matplotlib is slow to import
+
+    regions: list[tuple[str, NDArray[np.float64], NDArray[np.float64]]] = []
+    if is_space(file):
+        space = read_space(file)
+        drawn = draw_admissible(space, seed, draws)
+        say(f"{file}: {drawn}")
+        previews = [preview_of(admit(scenario)) for scenario in drawn.scenarios]
+        title, regions = space.title, regions_of(space)
+    else:
+        scenario = read_scenario(file)
+        title, previews = scenario.title, [preview_of(admit(scenario))]
+    try:
+        draw_scene(path, previews, title=title, regions=regions)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+    """Name, low and high corner in the base frame of each box and region that a space has."""
+    found: dict[tuple[object, ...], tuple[str, NDArray[np.float64], NDArray[np.float64]]] = {}
+    desired = np.array(space.simplest.settings.cell.desired_tcp_position_in_base_m)
+    for parameter in space.parameters:
+        distribution = parameter.distribution
+        shift = desired if ".offset" in parameter.name else np.zeros(3)
+        boxes = []
+        if isinstance(distribution, InRegion):
+            region = distribution.known
+            boxes = [(distribution.name, region.outer.low_m, region.outer.high_m)]
+            if region.hole is not None:
+                boxes.append(("seen", region.hole.low_m, region.hole.high_m))
+        elif isinstance(distribution, InBox):
+            boxes = [(parameter.name, distribution.low, distribution.high)]
+        for name, low, high in boxes:
+            found[(name, *low, *high)] = (name, np.array(low) + shift, np.array(high) + shift)
+    return list(found.values())
+
+
+def _as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
+    """The scenario with its recordings, and its avoider's file, named relative to another folder."""
+    before = scenario.file.parent if scenario.file else Path()
+    hands = tuple(
+        replace(hand, recording=Path(os.path.relpath(before / hand.recording, folder)))
+        if isinstance(hand, RecordedHand)
+        else hand
+        for hand in scenario.hands
+    )
+    moved = replace(scenario, hands=hands, file=folder / "scenario.yaml")
+    own = command_line_reference(scenario)
+    return moved if own == scenario.avoider else with_avoider(moved, own)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> OutputError:
+    return OutputError(place=Place(file=path), expected="a place that can be written", got=str(error))

@@ -1,0 +1,231 @@
+"""Faults of sensors and joints, compiled for both worlds: each function says which faults acted, as bits.
+
+A world calls ``mount_camera`` before its cameras look, ``spoil_object_frame`` and ``spoil_hand_frame``
+on each frame that was just put on its way, and ``hold_joints`` on what the motors are told.  Without
+faults they change nothing.  Noise is drawn by frame: a fault never shifts it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.geometry.pyramids import segment_pyramid_distance
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.geometry.transforms import compose_into, inverse_transform
+from safety_harness.perception.hand_boxes import box_in_image, sphere_box
+from safety_harness.perception.tracking import MAX_DETECTIONS
+from safety_harness.scenario.fault_table import FaultKind, acting, acts, delay_s
+from safety_harness.simulation.cameras import RING
+from safety_harness.simulation.exact_views import sensor_pose
+
+HAND_SENSOR_BLIND = int(FaultKind.HAND_SENSOR_BLIND)
+HAND_SENSOR_FROZEN = int(FaultKind.HAND_SENSOR_FROZEN)
+HAND_SENSOR_LATE = int(FaultKind.HAND_SENSOR_LATE)
+HAND_SENSOR_OFF = int(FaultKind.HAND_SENSOR_OFF)
+FALSE_HAND = int(FaultKind.FALSE_HAND)
+CAMERA_BLIND = int(FaultKind.CAMERA_BLIND)
+CAMERA_FROZEN = int(FaultKind.CAMERA_FROZEN)
+CAMERA_LATE = int(FaultKind.CAMERA_LATE)
+CAMERA_KNOCKED = int(FaultKind.CAMERA_KNOCKED)
+CAMERA_HIDDEN = int(FaultKind.CAMERA_HIDDEN)
+JOINT_STUCK = int(FaultKind.JOINT_STUCK)
+
+
+@compiled
+def mount_camera(faults: NDArray[np.void], sensors: NDArray[np.void], time_s: float) -> int:
+    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
+    s = sensors[0]
+    bits = acting(faults, CAMERA_KNOCKED, time_s)
+    s.transform_camera_to_tcp[:, :] = s.transform_mount_to_tcp
+    if bits == 0:
+        return 0
+    turned, before = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(faults.shape[0]):
+        if not acts(faults, k, CAMERA_KNOCKED, time_s):
+            continue
+        before[:, :] = s.transform_camera_to_tcp[:3, :3]
+        turned[:, :] = rotation_from_vector(faults[k].turned_rad.copy())
+        for i in range(3):
+            for j in range(3):
+                s.transform_camera_to_tcp[i, j] = (
+                    before[i, 0] * turned[0, j] + before[i, 1] * turned[1, j] + before[i, 2] * turned[2, j]
+                )
+            s.transform_camera_to_tcp[i, 3] += faults[k].vector_m[i]
+    return bits
+
+
+@compiled
+def spoil_object_frame(
+    faults: NDArray[np.void],  # (n,) FAULT
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    frames: NDArray[np.void],  # (RING,) OBJECT_FRAME; the newest is changed
+    polygon_in_base_m: NDArray[np.float64],  # (m, 3)
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
+    transform_tcp_to_base: NDArray[np.float64],
+    time_s: float,
+) -> int:
+    """What the faults make of the object's newest frame; a frozen camera shows the frame before it."""
+    s = sensors[0]
+    frame = frames[(s.object_frames - 1) % RING]
+    bits = 0
+    hidden = acting(faults, CAMERA_HIDDEN, time_s)
+    if hidden and hides_object(sensors, polygon_in_base_m, hands, transform_tcp_to_base):
+        frame.visible = False
+        bits |= hidden
+    blind = acting(faults, CAMERA_BLIND, time_s)
+    if blind:
+        frame.visible = False
+    frozen = acting(faults, CAMERA_FROZEN, time_s)
+    if frozen:
+        frame.visible = False
+        if s.object_frames > 1:
+            before = frames[(s.object_frames - 2) % RING]
+            frame.visible = before.visible
+            frame.moments[:] = before.moments
+    frame.late_s = delay_s(faults, CAMERA_LATE, time_s)
+    return bits | blind | frozen | acting(faults, CAMERA_LATE, time_s)
+
+
+@compiled
+def hides_object(
+    sensors: NDArray[np.void],
+    polygon_in_base_m: NDArray[np.float64],
+    hands: NDArray[np.void],
+    transform_tcp_to_base: NDArray[np.float64],
+) -> bool:
+    """Is any part of a hand or forearm between the hand-eye camera's lens and any part of the object?"""
+    s = sensors[0]
+    camera_to_base = np.empty((4, 4))
+    compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, camera_to_base)
+    lens = camera_to_base[:3, 3].copy()
+    for k in range(hands.shape[0]):
+        if not hands[k].present:
+            continue
+        hand, elbow = hands[k].position_in_base_m.copy(), hands[k].elbow_in_base_m.copy()
+        if segment_pyramid_distance(hand, hand, lens, polygon_in_base_m) < s.hand_radius_m:
+            return True
+        if segment_pyramid_distance(hand, elbow, lens, polygon_in_base_m) < s.forearm_radius_m:
+            return True
+    return False
+
+
+@compiled
+def spoil_hand_frame(
+    faults: NDArray[np.void],  # (n,) FAULT
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    frames: NDArray[np.void],  # (RING,) HAND_FRAME; the newest is changed
+    transform_tcp_to_base: NDArray[np.float64],
+    time_s: float,
+) -> int:
+    """What the faults make of the newest frame of boxes.
+
+    In this order: hands are measured off, false ones join them, a blind sensor drops them all, a
+    frozen one shows the frame before.
+    """
+    s = sensors[0]
+    frame = frames[(s.hand_frames - 1) % RING]
+    off, false = acting(faults, HAND_SENSOR_OFF, time_s), acting(faults, FALSE_HAND, time_s)
+    bits = off | acting(faults, HAND_SENSOR_LATE, time_s)
+    if off or false:
+        pose = np.empty((4, 4))
+        sensor_pose(sensors, transform_tcp_to_base, pose)
+        for k in range(faults.shape[0]):
+            if acts(faults, k, HAND_SENSOR_OFF, time_s):
+                frame.count = shift_boxes(sensors, pose, faults[k].vector_m.copy(), frame.boxes, frame.count)
+        for k in range(faults.shape[0]):
+            if (
+                acts(faults, k, FALSE_HAND, time_s)
+                and frame.count < MAX_DETECTIONS
+                and false_box(sensors, pose, faults[k].vector_m.copy(), frame.boxes[frame.count])
+            ):
+                frame.count += 1
+                bits |= 1 << k
+    blind = acting(faults, HAND_SENSOR_BLIND, time_s)
+    if blind:
+        frame.count = 0
+    frozen = acting(faults, HAND_SENSOR_FROZEN, time_s)
+    if frozen:
+        frame.count = 0
+        if s.hand_frames > 1:
+            before = frames[(s.hand_frames - 2) % RING]
+            frame.count = before.count
+            frame.boxes[:, :] = before.boxes
+    frame.late_s = delay_s(faults, HAND_SENSOR_LATE, time_s)
+    return bits | blind | frozen
+
+
+@compiled
+def shift_boxes(
+    sensors: NDArray[np.void],
+    transform_sensor_to_base: NDArray[np.float64],
+    by_in_base_m: NDArray[np.float64],  # (3,)
+    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5), changed in place
+    count: int,
+) -> int:
+    """Boxes of hands whose fronts are shifted; returns how many are left in front of the sensor.
+
+    The point at a box's centre and depth is moved; the size in the image goes with the depth.
+    """
+    s = sensors[0]
+    by = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            by[i] += transform_sensor_to_base[j, i] * by_in_base_m[j]
+    kept = 0
+    for k in range(count):
+        depth = boxes[k, 2]
+        x = (boxes[k, 0] - s.hand_c_u) / s.hand_focal_px * depth + by[0]
+        y = (boxes[k, 1] - s.hand_c_v) / s.hand_focal_px * depth + by[1]
+        z = depth + by[2]
+        if not z > 0.0:
+            continue
+        boxes[kept, 0] = s.hand_focal_px * x / z + s.hand_c_u
+        boxes[kept, 1] = s.hand_focal_px * y / z + s.hand_c_v
+        boxes[kept, 2] = z
+        boxes[kept, 3] = boxes[k, 3] * (depth / z) ** 2
+        boxes[kept, 4] = boxes[k, 4]
+        kept += 1
+    return kept
+
+
+@compiled
+def false_box(
+    sensors: NDArray[np.void],
+    transform_sensor_to_base: NDArray[np.float64],
+    position_in_base_m: NDArray[np.float64],  # (3,)
+    box_out: NDArray[np.float64],  # (5,)
+) -> bool:
+    """The box of a hand that is not there; False where the sensor could not see one."""
+    s = sensors[0]
+    base_to_sensor = inverse_transform(transform_sensor_to_base)
+    centre = np.empty(3)
+    for i in range(3):
+        centre[i] = base_to_sensor[i, 3]
+        for j in range(3):
+            centre[i] += base_to_sensor[i, j] * position_in_base_m[j]
+    if not sphere_box(centre, s.hand_radius_m, s.hand_focal_px, s.hand_c_u, s.hand_c_v, box_out):
+        return False
+    return bool(
+        s.ideal
+        or box_in_image(
+            centre,
+            s.hand_radius_m,
+            s.hand_focal_px,
+            s.hand_c_u,
+            s.hand_c_v,
+            s.hand_width_px,
+            s.hand_height_px,
+            box_out,
+        )
+    )
+
+
+@compiled
+def hold_joints(faults: NDArray[np.void], velocity_radps: NDArray[np.float64], time_s: float) -> int:
+    """Set what the motors of stuck joints are told, of (6,), to zero."""
+    for k in range(faults.shape[0]):
+        if acts(faults, k, JOINT_STUCK, time_s):
+            velocity_radps[faults[k].joint] = 0.0
+    return acting(faults, JOINT_STUCK, time_s)

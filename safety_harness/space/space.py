@@ -1,0 +1,211 @@
+"""A scenario space: one text that is a set to search, a distribution to estimate from, and every test in it.
+
+Data flow: text -> tree -> template and parameters (``reading``) -> values (``cube``) -> tree
+(``template.filled``) -> the ordinary scenario reader; and back by ``matching``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import Node
+from safety_harness.scenario.read import TOP_GROUPS, scenario_of
+from safety_harness.scenario.write import tree_of
+from safety_harness.seeds import Branch, generator
+from safety_harness.seeds import seed as leaf
+from safety_harness.space.cube import (
+    continuous,
+    dimension_of,
+    without_unused,
+)
+from safety_harness.space.cube import cube_at as cube_of_values
+from safety_harness.space.cube import log_density_at as log_density_of_values
+from safety_harness.space.cube import values_at as values_of_cube
+from safety_harness.space.matching import matches
+from safety_harness.space.template import Keyed, Parameter, Template, filled
+
+if TYPE_CHECKING:
+    from safety_harness.space.typed import Value
+
+Vector = NDArray[np.float64]
+
+_MOST_READINGS = 1000  # of one scenario, where alternatives look alike
+
+
+@dataclass(frozen=True, eq=False)
+class ScenarioSpace:
+    """What varies, and the text around it; made by ``read_space``, ``parse_space`` or ``space_from``.
+
+    ``tree`` is the file's own, ``template`` the scenario's with gaps where it varies.
+    ``parameters`` are in the order of the unit cube's coordinates; ``notes`` are for people: whose seen
+    space was meant.  A claim's expected verdict is the one that every scenario of the space should get.
+    """
+
+    name: str
+    title: str
+    file: Path | None
+    tree: Node
+    template: Template
+    parameters: tuple[Parameter, ...]
+    notes: tuple[str, ...] = ()
+    recordings: Mapping[str, bytes] | None = None  # by their SHA-256, in place of files
+
+    @staticmethod
+    def of(
+        scenario: Scenario,
+        varied: Mapping[str, Value],
+        *,
+        choices: Mapping[str, Value] | None = None,
+        seed: int | None = None,
+    ) -> ScenarioSpace:
+        """``scenario`` with distributions at the paths of ``varied``: see ``typed.space_from``."""
+        from safety_harness.space.typed import space_from  # which reads what it has written
+
+        return space_from(scenario, varied, choices=choices, seed=seed)
+
+    @property
+    def dimension(self) -> int:
+        """How many coordinates the unit cube has: the same for every scenario of the space."""
+        return dimension_of(self.parameters)
+
+    @property
+    def has_seed(self) -> bool:
+        """Whether the file fixes the scenarios' seed; else each draw has its own."""
+        return isinstance(self.template, Keyed) and any(k.text == "seed" for k, _ in self.template.entries)
+
+    @property
+    def simplest(self) -> Scenario:
+        """Every value its simplest: first alternatives, fewest repetitions, values nearest to zero."""
+        return self.scenario(self.simplest_values, name=f"{self.name}#simplest")
+
+    @property
+    def simplest_values(self) -> Vector:
+        """(d,) values of ``simplest``, NaN where it does not use them."""
+        values = np.concatenate([parameter.distribution.simplest for parameter in self.parameters])
+        row: Vector = without_unused(self.parameters, values[None])[0]
+        return row
+
+    def draw(self, seed: int, k: int) -> Scenario:
+        """Draw ``k`` of the stream ``seed``: independent of all others, the same wherever it is made."""
+        u = generator(seed, Branch.SPACE_DRAW, k, 0).random(self.dimension)
+        return self.at(u, seed=leaf(seed, Branch.SPACE_DRAW, k, 1), name=f"{self.name}#{k}")
+
+    def draws(self, seed: int, count: int) -> Iterator[Scenario]:
+        """The first ``count`` draws of the stream ``seed``."""
+        return (self.draw(seed, k) for k in range(count))
+
+    def at(self, u: ArrayLike, *, seed: int = 0, name: str | None = None) -> Scenario:
+        """The scenario of a point (d,) of the unit cube.
+
+        ``seed`` is the scenario's own, unless the file fixes one.  ScenarioError where the point is outside
+        the cube, or where the reader refuses what values make together.
+        """
+        return self.scenario(self.values_at(np.asarray(u, float)[None])[0], seed=seed, name=name)
+
+    def values_at(self, u: Vector) -> Vector:
+        """(n, d) points of the unit cube -> (n, d) values in SI, NaN where a scenario does not use them."""
+        self._refuse_other_shape(u)
+        if not np.all((u >= 0.0) & (u <= 1.0)):
+            raise self._error("coordinates from 0 to 1", f"{u.min()} to {u.max()}")
+        return values_of_cube(self.parameters, u)
+
+    def cube_at(self, values: Vector) -> Vector:
+        """(n, d) values -> (n, d) points of the unit cube; ScenarioError for values outside the space."""
+        outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
+        if len(outside):
+            raise self._error("values within their distributions", f"others in row {outside[0]}")
+        return cube_of_values(self.parameters, values)
+
+    def log_density_at(self, values: Vector) -> Vector:
+        """(n, d) values -> (n,) natural logarithm of the density, -inf outside.
+
+        The measure is the product of lengths, volumes (SI) and counts over the parameters that are used.
+        """
+        self._refuse_other_shape(values)
+        return log_density_of_values(self.parameters, values)
+
+    def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
+        """The scenario of values (d,), as ``values_at`` gives them."""
+        tree = filled(self.template, self.parameters, values.tolist())
+        drawn = scenario_of(tree, self.file, self.recordings, name=name or self.name)
+        return drawn if self.has_seed else replace(drawn, seed=seed)
+
+    def values_of(self, scenario: Scenario) -> Vector:
+        """(d,) values that give ``scenario`` up to its name and free seed; ScenarioError if none do."""
+        for values in self._readings(scenario):
+            return values
+        raise self._error("a scenario of the space", f"{scenario.name}, which is none")
+
+    def cube_of(self, scenario: Scenario) -> Vector:
+        """(d,) the point of the unit cube whose scenario is ``scenario``, up to its name and free seed.
+
+        The middle of its interval for a choice, 0.5 for what is not used.  ScenarioError for a scenario
+        that is not of the space.
+        """
+        row: Vector = self.cube_at(self.values_of(scenario)[None])[0]
+        return row
+
+    def log_density(self, scenario: Scenario) -> float:
+        """The natural logarithm of the density, as ``log_density_at``; -inf for a scenario outside.
+
+        Where alternatives overlap, so that a scenario comes about in several ways, theirs are added; ways
+        with a value that is hit exactly outweigh those where it would be a coincidence.
+        """
+        ways = list(self._readings(scenario))
+        if not ways:
+            return -np.inf
+        values = np.array(ways)
+        lengths = np.array([self._free_coordinates(row) for row in values])
+        densities = self.log_density_at(values)[lengths == lengths.min()]
+        return float(np.logaddexp.reduce(densities))
+
+    def __contains__(self, scenario: Scenario) -> bool:
+        return any(True for _ in self._readings(scenario))
+
+    def _readings(self, scenario: Scenario) -> Iterator[Vector]:
+        """The values (d,) that give ``scenario``, every way that there is."""
+        written = tree_of(scenario, all_settings=self._varies_settings)
+        for count, found in enumerate(matches(self.template, written, self.parameters)):
+            if count == _MOST_READINGS:
+                raise self._error(f"a scenario that comes about in at most {_MOST_READINGS:,} ways", "more")
+            values = np.full(self.dimension, np.nan)
+            for number, of_parameter in found.items():
+                values[self.parameters[number].columns] = of_parameter
+            if np.isfinite(self.log_density_at(values[None])[0]) and self._gives(values, scenario):
+                yield values
+
+    def _gives(self, values: Vector, scenario: Scenario) -> bool:
+        try:
+            found = self.scenario(values, seed=scenario.seed, name=scenario.name)
+        except InputError:
+            return False
+        return found == scenario
+
+    def _free_coordinates(self, values: Vector) -> int:
+        return sum(
+            parameter.distribution.columns
+            for parameter in self.parameters
+            if continuous(parameter) and np.isfinite(values[parameter.column])
+        )
+
+    @property
+    def _varies_settings(self) -> bool:
+        return isinstance(self.template, Keyed) and any(
+            key.text in (*TOP_GROUPS, "settings") for key, _ in self.template.entries
+        )
+
+    def _refuse_other_shape(self, array: Vector) -> None:
+        if array.ndim != 2 or array.shape[1] != self.dimension:
+            shape = " x ".join(map(str, array.shape))
+            raise self._error(f"rows of {self.dimension} coordinates", f"an array of {shape}")
+
+    def _error(self, expected: str, got: str) -> ScenarioError:
+        return ScenarioError(place=Place(file=self.file, field=self.name), expected=expected, got=got)

@@ -1,0 +1,218 @@
+"""Scenario spaces from Python: a scenario, and what varies in it by its path.
+
+    space_from(scenario, {
+        "hands[0].moves[0].speed": Uniform(0.2, 1.6),
+        "tcp start.offset": InRegion("unseen tcp"),
+        "avoider": OneOf(("opposite pose", "mc-dropout"), chances=(3, 1)),
+    })
+
+Numbers are in SI; a number or a distribution without a unit takes that of the value it stands for.
+Within a mapping, values are texts as in a file (``{"wait": "1 s"}``) or distributions with their unit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from collections.abc import Sequence as Values
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.fields import Field, places
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import Mapping as MappingNode
+from safety_harness.scenario.nodes import Node, Scalar, parse_tree
+from safety_harness.scenario.nodes import Sequence as SequenceNode
+from safety_harness.scenario.only_in_spaces import SPACE_KEY
+from safety_harness.scenario.units import near_miss
+from safety_harness.scenario.write import write_scenario
+from safety_harness.space.boxes import InBox, InRegion
+from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
+from safety_harness.space.read import space_of
+from safety_harness.space.reading import CHOICES
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.template import written
+
+_STEP = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of several values, all alike or by their ``chances``."""
+
+    options: tuple[Value, ...]
+    chances: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class By:
+    """The value that belongs to the word that the choice called ``name`` has."""
+
+    name: str
+    options: Mapping[str, Value]
+
+
+@dataclass(frozen=True)
+class The:
+    """The value of the choice called ``name``."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Members of a list, from ``least`` to ``most`` times."""
+
+    least: int
+    most: int
+    moves: tuple[Value, ...]
+
+
+Value: TypeAlias = (
+    float
+    | str
+    | Uniform
+    | TruncatedNormal
+    | InBox
+    | InShell
+    | InRegion
+    | OneOf
+    | By
+    | The
+    | Repeat
+    | Values["Value"]
+    | Mapping[str, "Value"]
+)
+
+
+def space_from(
+    scenario: Scenario,
+    varied: Mapping[str, Value],
+    *,
+    choices: Mapping[str, Value] | None = None,
+    seed: int | None = None,
+) -> ScenarioSpace:
+    """``scenario`` with other values at the paths of ``varied``; ``choices`` are named values.
+
+    A path is that of a message, ``hands[0].moves[1].speed``.  Every scenario has the seed ``seed``, or one of
+    its own.  ScenarioError as for ``parse_space``, and for a path that the scenario has not.
+    """
+    tree = parse_tree(write_scenario(scenario), scenario.file)
+    full = Field(parse_tree(write_scenario(scenario, all_settings=True), None), None, path="", line=1)
+    for path, value in varied.items():
+        steps = [int(index) if index else key for index, key in _STEP.findall(path)]
+        if path not in places(full):
+            raise ScenarioError(
+                place=Place(file=scenario.file, field=path),
+                expected="the path of a value of the scenario",
+                got=path,
+                hint=near_miss(path, places(full)),
+            )
+        tree = _replaced(tree, steps, _node(value, _unit(_at(full.node, steps))))
+    assert isinstance(tree, MappingNode)
+    entries = [
+        (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value)
+        for key, value in tree.entries
+        if key.text != "seed"
+    ]
+    if seed is not None:
+        entries.append((Scalar("seed", 1), Scalar(str(seed), 1)))
+    if choices:
+        entries.insert(1, (Scalar(CHOICES, 1), _node(choices, "")))
+    return space_of(MappingNode(tuple(entries), 1), scenario.file, name=scenario.name)
+
+
+def _at(node: Node, steps: Values[int | str]) -> Node:
+    for step in steps:
+        if isinstance(node, MappingNode):
+            node = next(value for key, value in node.entries if key.text == step)
+        else:
+            assert isinstance(node, SequenceNode)
+            node = node.items[int(step)]
+    return node
+
+
+def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:
+    """The tree with another node at a path; mappings that are missing on the way are made."""
+    if not steps:
+        return new
+    step, others = steps[0], steps[1:]
+    if isinstance(step, int):
+        assert isinstance(node, SequenceNode)
+        items = list(node.items)
+        items[step] = _replaced(items[step], others, new)
+        return SequenceNode(tuple(items), node.line)
+    assert isinstance(node, MappingNode)
+    entries = dict(node.entries)
+    by_text = {key.text: key for key in entries}
+    key = by_text.get(step, Scalar(step, node.line))
+    entries[key] = _replaced(entries.get(key, MappingNode((), node.line)), others, new)
+    return MappingNode(tuple(entries.items()), node.line)
+
+
+def _unit(node: Node) -> str:
+    """The SI unit of a quantity that the program wrote, or of the first of a list; empty for a word."""
+    while isinstance(node, SequenceNode) and node.items:
+        node = node.items[0]
+    if not isinstance(node, Scalar):
+        return ""
+    number, _, unit = node.text.partition(" ")
+    try:
+        float(number)
+    except ValueError:
+        return ""
+    return unit
+
+
+def _node(value: Value, unit: str) -> Node:
+    """``value`` as it would stand in a file."""
+    if isinstance(value, str):
+        return Scalar(value, 1)
+    if isinstance(value, int):
+        return Scalar(f"{value} {unit}".rstrip(), 1)
+    if isinstance(value, float):
+        return Scalar(written(value, unit), 1)
+    if isinstance(value, Uniform):
+        own = value.unit or unit
+        return Scalar(f"from {written(value.low, own)} to {written(value.high, own)}", 1)
+    if isinstance(value, TruncatedNormal):
+        mean, std, low, high = (
+            written(one, value.unit or unit) for one in (value.mean, value.std, value.low, value.high)
+        )
+        return Scalar(f"normal {mean} +- {std} from {low} to {high}", 1)
+    if isinstance(value, The):
+        return Scalar(f"the {value.name}", 1)
+    if isinstance(value, Mapping):
+        return _mapping({key: _node(child, "") for key, child in value.items()})
+    if isinstance(value, InBox | InShell | InRegion):
+        return _point(value)
+    if isinstance(value, OneOf):
+        return _one_of(value, unit)
+    if isinstance(value, By):
+        options = {word: _node(option, unit) for word, option in value.options.items()}
+        return _mapping({"by": Scalar(value.name, 1), **options})
+    if isinstance(value, Repeat):
+        times = Scalar(f"from {value.least} to {value.most} times", 1)
+        return _mapping({"repeat": times, "moves": _node(value.moves, "")})
+    return SequenceNode(tuple(_node(item, unit) for item in value), 1)
+
+
+def _one_of(value: OneOf, unit: str) -> Node:
+    entries: dict[str, Node] = {"one of": _node(value.options, unit)}
+    if value.chances is not None:
+        entries["chances"] = _node(value.chances, "")
+    return _mapping(entries)
+
+
+def _point(value: InBox | InShell | InRegion) -> Node:
+    if isinstance(value, InRegion):
+        return _mapping({"in": Scalar(value.name, 1)})
+    if isinstance(value, InBox):
+        return _mapping({"box": _node((value.low, value.high), value.unit)})
+    radii = {"from": _node(value.inner, value.unit), "to": _node(value.outer, value.unit)}
+    return _mapping({"shell": _node(value.centre, value.unit), **radii})
+
+
+def _mapping(entries: Mapping[str, Node]) -> MappingNode:
+    return MappingNode(tuple((Scalar(key, 1), value) for key, value in entries.items()), 1)
