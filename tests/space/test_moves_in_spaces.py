@@ -66,7 +66,7 @@ def test_each_of_them_is_drawn_and_brought_back() -> None:
         values = space.values_of(drawn)
         again = space.scenario(values)
         assert (again.hands, again.settings, again.start) == (drawn.hands, drawn.settings, drawn.start)
-        assert np.allclose(space.values_at(space.cube_of(drawn)), values, rtol=1e-9, atol=1e-12)
+        assert np.allclose(space.values_at(space.cube_of(drawn)[None])[0], values, rtol=1e-9, atol=1e-12)
 
 
 def test_a_wander_is_another_one_for_another_seed() -> None:
