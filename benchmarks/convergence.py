@@ -32,9 +32,9 @@ from safety_harness.settings import (
     CONVERGED_ANGLE_RAD,
     CONVERGED_POSITION_M,
     DEFAULTS,
-    Cell,
     ImageSource,
     InteractionChoice,
+    Object,
     ObjectKind,
 )
 
@@ -166,12 +166,12 @@ def desired_transform_tcp_to_base() -> NDArray[np.float64]:  # (4, 4)
 
 
 def transform_object_to_camera(
-    transform_tcp_to_base: NDArray[np.float64], cell: Cell
+    transform_tcp_to_base: NDArray[np.float64], shape: Object
 ) -> NDArray[np.float64]:  # (4, 4)
     """Where a camera on the true mount has the object."""
     object_to_base = transform_from(
-        rotation_from_vector(np.array([0.0, 0.0, cell.object_yaw_rad])),
-        np.array(cell.object_position_in_base_m),
+        rotation_from_vector(np.array([0.0, 0.0, shape.yaw_rad])),
+        np.array(shape.position_in_base_m),
     )
     camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(DEFAULTS.camera, calibrated=False)
     return np.ascontiguousarray(inverse_transform(camera_to_base) @ object_to_base)
@@ -211,19 +211,19 @@ def count_row(
     *,
     starts: int = STARTS,
     seed: int = SEED,
-    cell: Cell = DEFAULTS.cell,
+    shape: Object = DEFAULTS.object,
 ) -> Row:
-    """Fly from every start and count how the flights ended; ``cell`` has the object and its yaw."""
+    """Fly from every start and count how the flights ended; ``shape`` is the object and its yaw."""
     camera, servo = DEFAULTS.camera, DEFAULTS.servo
-    polygon_m = np.array(cell.object_polygon_m)
-    target = transform_object_to_camera(desired_transform_tcp_to_base(), cell)
+    polygon_m = np.array(shape.polygon_m)
+    target = transform_object_to_camera(desired_transform_tcp_to_base(), shape)
     view = desired_view(polygon_m, target, ObjectKind.DENSE)
     position_tolerance_m, angle_tolerance_rad = TOLERANCE[source]
     ended: list[int] = []
     distances_m: list[float] = []
     succeeded = 0
     for start in draw_starts(starts, tilt_deg, seed):
-        pose = transform_object_to_camera(start, cell)
+        pose = transform_object_to_camera(start, shape)
         end = fly(
             pose,
             polygon_m,
@@ -259,13 +259,13 @@ def count_row(
     )
 
 
-def aligned_object() -> Cell:
+def aligned_object() -> Object:
     """A smaller object (120 x 90 mm) with its edges along the pixels' rows and columns.
 
     Where an edge runs along a row, half a pixel of motion adds or drops the whole row at once.
     """
     polygon_m = ((-0.040, -0.030), (0.080, -0.030), (-0.040, 0.060))
-    return replace(DEFAULTS.cell, object_polygon_m=polygon_m, object_yaw_rad=0.0)
+    return replace(DEFAULTS.object, polygon_m=polygon_m, yaw_rad=0.0)
 
 
 def print_row(name: str, row: Row) -> None:
@@ -290,7 +290,7 @@ def main() -> None:
             for tilt_deg in TILTS_DEG:
                 print_row("default", count_row(source, choice, tilt_deg))
     for tilt_deg in TILTS_DEG:
-        row = count_row(ImageSource.RASTER, InteractionChoice.DESIRED, tilt_deg, cell=aligned_object())
+        row = count_row(ImageSource.RASTER, InteractionChoice.DESIRED, tilt_deg, shape=aligned_object())
         print_row("aligned", row)
 
 

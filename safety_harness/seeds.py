@@ -17,6 +17,7 @@ class Branch(IntEnum):
     HAND_SENSOR_NOISE = 1
     DECISION = 2
     SPACE_DRAW = 3
+    HAND_MOTION = 4
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -72,23 +72,31 @@ class GateKind(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """Table, object and desired pose: a workspace in which every TCP start can be reached.
+    """Table and desired pose: a workspace in which every TCP start can be reached.
 
-    The object lies right under the camera of the desired TCP, which is 45 mm beside the TCP: off
-    the image's centre the interaction matrix is worse conditioned (28.6 instead of 15.9).
     ``preferred_joint_position_rad`` picks the inverse-kinematics branch of a start: elbow up.
     """
 
     table_height_m: float = -0.300
-    object_position_in_base_m: Vector3 = (0.700, 0.045, -0.300)
-    # No edge along the pixel rows or columns at the desired pose: a whole row of pixels would flip
-    # at once, and the pixel noise of gamma would be three times as large.
-    object_yaw_rad: float = radians(25.0)
-    # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
-    # at two thirds of the size raster images do not servo to 5 mm (docs/servoing.md).
-    object_polygon_m: tuple[tuple[float, float], ...] = ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080))
     desired_tcp_position_in_base_m: Vector3 = (0.700, 0.0, 0.350)
     preferred_joint_position_rad: tuple[float, ...] = (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Object:
+    """What is servoed on: a flat polygon, in its own frame, and where it lies.
+
+    By default right under the camera of the desired TCP, which is 45 mm beside the TCP: off the
+    image's centre the interaction matrix is worse conditioned (28.6 instead of 15.9).
+    """
+
+    # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
+    # at two thirds of the size raster images do not servo to 5 mm (docs/servoing.md).
+    polygon_m: tuple[tuple[float, float], ...] = ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080))
+    position_in_base_m: Vector3 = (0.700, 0.045, -0.300)
+    # No edge along the pixel rows or columns at the desired pose: a whole row of pixels would flip
+    # at once, and the pixel noise of gamma would be three times as large.
+    yaw_rad: float = radians(25.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,6 +241,7 @@ class Settings:
 
     clock: Clock = field(default_factory=Clock)
     cell: Cell = field(default_factory=Cell)
+    object: Object = field(default_factory=Object)
     camera: Camera = field(default_factory=Camera)
     hand: Hand = field(default_factory=Hand)
     hand_sensor: HandSensor = field(default_factory=HandSensor)

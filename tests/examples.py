@@ -12,15 +12,8 @@ from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.records import COMMAND
-from safety_harness.scenario.model import (
-    HandMove,
-    MoveTo,
-    MovingHand,
-    OffsetStart,
-    Scenario,
-    Wait,
-    Withdraw,
-)
+from safety_harness.scenario.model import MovingHand, OffsetStart, Scenario
+from safety_harness.scenario.moves import HandMove, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.simulate import simulate

@@ -55,4 +55,5 @@ def test_branches_keep_their_numbers() -> None:
         "HAND_SENSOR_NOISE": 1,
         "DECISION": 2,
         "SPACE_DRAW": 3,
+        "HAND_MOTION": 4,
     }

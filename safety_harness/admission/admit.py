@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import avoider_of, avoider_sha256
-from safety_harness.admission.checks import check_cameras, check_hands, check_object, check_restart_delay
+from safety_harness.admission.checks import check_cameras, check_object, check_restart_delay, check_view
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.faults import check_faults
+from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
     DESIRED,
     VIEW,
@@ -75,6 +76,7 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
         check_restart_delay(scenario)
         check_object(scenario)
         view = view_of(scenario.settings)
+        check_view(scenario, view)
         check_desired(scenario, arm)
         start = start_joint_position(scenario, arm)
         check_start(scenario, arm, start)

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.controller.desired import DOWN, desired_transform_tcp_to_base
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.rotations import rotation_from_vector
@@ -19,16 +19,17 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     smallest_singular_value,
 )
-from safety_harness.scenario.model import JointStart, Scenario
+from safety_harness.scenario.model import JointStart, PoseStart, Scenario
+from safety_harness.settings import Settings
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.exact_views import exact_object
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
 # What else the user may have written that puts the object out of view.
 VIEW = (
-    "settings.cell.object position",
-    "settings.cell.object polygon",
-    "settings.cell.object yaw",
+    "object.position",
+    "object.polygon",
+    "object.yaw",
     "settings.servo.object kind",
     "camera.focal",
     "camera.width",
@@ -60,7 +61,10 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
             )
         return joints
     target = desired_transform_tcp_to_base(scenario.settings)
-    target[:3, 3] += start.offset_in_base_m
+    if isinstance(start, PoseStart):
+        target[:3, 3] = start.position_in_base_m
+    else:
+        target[:3, 3] += start.offset_in_base_m
     target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
     return _reached(scenario, arm, target, "TCP start", START)
 
@@ -120,7 +124,21 @@ def _check_pose(
             place=scenario.place(field, *VIEW),
             expected=f"a {pose} with the whole object in the camera's view",
             got=f"{position}, from which it is not",
+            hint=_above(settings) if field == DESIRED else "",
         )
+
+
+def _above(settings: Settings) -> str:
+    """The desired TCP position whose camera is right above the object, as high as now."""
+    cell = settings.cell
+    mount_in_base_m = DOWN @ np.array(settings.camera.mount_offset_in_tcp_m)
+    place_m = np.array(settings.object.position_in_base_m) - mount_in_base_m
+    place_m[2] = cell.desired_tcp_position_in_base_m[2]
+    x, y, z = (round(value * 1e3) for value in place_m)
+    return (
+        f"the camera is right above it with settings: {{cell: {{desired tcp position: "
+        f"[{x} mm, {y} mm, {z} mm]}}}}"
+    )
 
 
 def _millimetres(position_m: NDArray[np.float64]) -> str:

@@ -17,7 +17,8 @@ from safety_harness.perception.camera import principal_point_px, transform_camer
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.cameras import object_polygon_in_base
-from safety_harness.simulation.hand_motion import advance_hands, hands_at_start
+from safety_harness.simulation.hand_motion import advance_hands
+from safety_harness.simulation.hand_programs import hands_at_start
 
 Floats = NDArray[np.float64]
 STEP_S = 0.02
@@ -64,7 +65,7 @@ def preview_of(admitted: Admitted) -> Preview:
 
 def hand_paths(scenario: Scenario, tcp_in_base_m: Floats) -> tuple[Floats, ...]:
     """(n, 3) for each hand: where it would go if the TCP stayed at ``tcp_in_base_m``."""
-    hands = hands_at_start(scenario.hands, scenario.settings.hand)
+    hands = hands_at_start(scenario)
     steps = int(np.ceil(scenario.duration_s / STEP_S))
     paths = np.empty((len(scenario.hands), steps + 1, 3))
     for step in range(steps + 1):

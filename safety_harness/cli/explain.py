@@ -59,7 +59,7 @@ def _takes(key: Key) -> str:
         names = [name for table in key.value.tables for name in table.names]
         return f"a mapping with the keys {', '.join(dict.fromkeys(names))}"
     if isinstance(key.value, Several) and isinstance(key.value.of, Below):
-        firsts = dict.fromkeys(table.keys[0].name for table in key.value.of.tables)
+        firsts = dict.fromkeys(table.told_by for table in key.value.of.tables)
         return f"{key.value.words}, each a mapping with the key {' or '.join(firsts)}"
     words = key.said if key.said and not _dimension(key.value) else key.value.words
     dimension = _dimension(key.value)

@@ -21,14 +21,13 @@ def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
 
 def view_of(settings: Settings) -> DesiredView:
     """What the true camera sees of the object at the desired pose: the desired image is a real one."""
-    cell = settings.cell
-    turn = rotation_from_vector(np.array([0.0, 0.0, cell.object_yaw_rad]))
-    object_to_base = transform_from(turn, np.array(cell.object_position_in_base_m))
+    turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
+    object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
     camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
         settings.camera, calibrated=False
     )
     return desired_view(
-        np.array(cell.object_polygon_m),
+        np.array(settings.object.polygon_m),
         inverse_transform(camera_to_base) @ object_to_base,
         settings.servo.object_kind,
     )

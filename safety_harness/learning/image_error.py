@@ -39,16 +39,15 @@ class ImageErrors:
     @classmethod
     def of(cls, settings: Settings) -> ImageErrors:
         """For the settings' cell, with the camera's true mount."""
-        cell = settings.cell
         camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
             settings.camera, calibrated=False
         )
-        turn = rotation_from_vector(np.array([0.0, 0.0, cell.object_yaw_rad]))
-        object_to_base = transform_from(turn, np.array(cell.object_position_in_base_m))
+        turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
+        object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
         return cls(
             settings.camera,
-            np.array(cell.object_polygon_m),
-            np.array(cell.desired_tcp_position_in_base_m),
+            np.array(settings.object.polygon_m),
+            np.array(settings.cell.desired_tcp_position_in_base_m),
             camera_to_base,
             np.ascontiguousarray(inverse_transform(camera_to_base) @ object_to_base),
             view_of(settings),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.hand_paths import HandPaths, elbow_bend_m, first_stray, hand_paths
+from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import closest_approach_between
@@ -35,8 +35,8 @@ class HandDistance:
 
     Between two ticks the margin is a certified lower bound of the distance: hands turn where their
     moves or samples turn, and joints move linearly, from which it is at most 0.1 mm below; it is
-    lower by what joints may leave the straight line while their speeds change (``joint_bend_m``)
-    and elbows while hands pass them.
+    lower by what joints may leave the straight line while their speeds change (``joint_bend_m``),
+    and hands while theirs do (``hand_bend_m``).
 
     Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 speaks of a
     protective separation distance, of which this is the constant form.  Exercised when a hand
@@ -141,7 +141,7 @@ def _instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.flo
     corners = paths.corners_in_base_m[own]
     hand_m = np.insert(ticks["hand_position_in_base_m"][:, hand], after, corners[:, 0], axis=0)
     elbow_m = np.insert(ticks["elbow_position_in_base_m"][:, hand], after, corners[:, 1], axis=0)
-    slack_m = joint_bend_m(trace) + elbow_bend_m(trace, paths, hand)
+    slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
     return (
         at,
         joints_rad,

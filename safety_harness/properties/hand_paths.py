@@ -1,8 +1,9 @@
 """Where the hands are between two ticks: the scenario's own moves, followed again along a trace.
 
-At a tick a trace says where a hand is.  Within one it may have turned: it has touched and withdraws,
-a move has ended, a recording has a sample.  On the chord from tick to tick such a corner is lost,
-by up to half the way of a tick (8 mm at 2 m/s and 8 ms).
+At a tick a trace says where a hand is.  Within one a recorded hand may have turned, at a sample: on
+the chord from tick to tick such a corner is lost, by up to half the way of a tick (8 mm at 2 m/s and
+8 ms).  Other hands have no corners, as their acceleration is bounded, but leave the chord by what
+that bound lets them.
 """
 
 from __future__ import annotations
@@ -13,13 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.scenario.model import MovingHand
-from safety_harness.simulation.hand_motion import (
-    advance_hands,
-    advance_move,
-    hands_at_start,
-    point_forearm,
-)
+from safety_harness.scenario.model import RecordedHand
+from safety_harness.simulation.hand_motion import advance_hands, point_forearm
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.trace.trace import Trace
 
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
@@ -29,12 +26,14 @@ SAME_M = 1e-6  # a hand this far from where the scenario moves it is another han
 class HandPaths:
     """What the scenario's hands do along the arm's true way.
 
-    ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``corner_hand`` and
-    ``corner_at`` (m,): whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to
-    4), rising for each hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.
+    ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``moving`` (n-1, hands):
+    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
+    whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
+    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.
     """
 
     positions_in_base_m: NDArray[np.float64]
+    moving: NDArray[np.bool_]
     corner_hand: NDArray[np.int64]
     corner_at: NDArray[np.float64]
     corners_in_base_m: NDArray[np.float64]
@@ -43,9 +42,10 @@ class HandPaths:
 def hand_paths(trace: Trace) -> HandPaths:
     """Follow the moves again; hands that head for the TCP see the trace's."""
     scenario, count = trace.scenario, len(trace.ticks)
-    hands = hands_at_start(scenario.hands, scenario.settings.hand)
-    most = int(hands.state["count"].sum()) + 1
+    hands = hands_at_start(scenario)
+    most = len(scenario.hands) * len(hands.samples) + 1
     positions = np.zeros((count, len(scenario.hands), 2, 3))
+    moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
     whose, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
     found = _follow(
         hands.state,
@@ -54,11 +54,12 @@ def hand_paths(trace: Trace) -> HandPaths:
         np.ascontiguousarray(trace.ticks["transform_tcp_to_base"][:, :3, 3]),
         scenario.settings.clock.control_period_s,
         positions,
+        moving,
         whose,
         at,
         corners,
     )
-    return HandPaths(positions, whose[:found], at[:found], corners[:found])
+    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found])
 
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
@@ -71,30 +72,35 @@ def first_stray(trace: Trace, paths: HandPaths) -> int | None:
     return int(strays[0]) if len(strays) else None
 
 
-def elbow_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
-    """(n-1,) how far an elbow may leave its chord within each tick.
+def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
+    """(n-1,) how far a hand or its elbow may leave its chord within each tick.
 
-    The elbow is a forearm's length L from the hand towards a fixed point.  While the hand goes
-    straight at the speed v, at least r away from that point, the second derivative of the elbow's
-    way is at most L (4/3)^(1/2) (v/r)^2; a way with one of at most b leaves its chord by at most
-    b dt^2/8.  A recorded elbow goes straight from sample to sample.
+    A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
+    is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
+    towards a fixed point; at the speed v, at least r away from that point, b is at most
+    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  A recorded hand, and its recorded elbow, go straight from
+    corner to corner.
     """
-    trajectory = trace.scenario.hands[hand]
-    at = trace.ticks["hand_position_in_base_m"][:, hand]
-    moving = np.any(np.diff(at, axis=0) != 0.0, axis=1)
-    if not isinstance(trajectory, MovingHand):
-        return np.zeros(len(moving))
-    turns = paths.corner_at[paths.corner_hand == hand].astype(int)
-    moving[turns[turns < len(moving)]] = True
-    fastest = max((getattr(move, "speed_mps", 0.0) for move in trajectory.moves), default=0.0)
-    most = np.where(moving, fastest * trace.scenario.settings.clock.control_period_s, 0.0)
-    away = np.linalg.norm(at - np.array(trajectory.elbow_towards_in_base_m), axis=1)
-    nearest = np.minimum(away[:-1], away[1:]) - most
-    length = trace.scenario.settings.hand.forearm_length_m
-    with np.errstate(divide="ignore", over="ignore"):
-        turn = np.where(most > 0.0, most / np.maximum(nearest, 0.0), 0.0)
-    bend: NDArray[np.float64] = np.minimum(length * np.sqrt(4.0 / 3.0) * turn**2 / 8.0, 2.0 * length)
-    return bend
+    scenario = trace.scenario
+    trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
+    if isinstance(trajectory, RecordedHand):
+        return np.zeros(len(paths.moving))
+    leader = scenario.leader(trajectory)
+    if leader is None:
+        return np.full(len(paths.moving), np.inf)
+    if isinstance(leader, RecordedHand):
+        fastest, hardest = leader.motion.max_speed_mps, 0.0
+    else:
+        fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
+        hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
+    towards = np.array(trajectory.elbow_towards_in_base_m)
+    away = np.linalg.norm(trace.ticks["hand_position_in_base_m"][:, hand] - towards, axis=1)
+    nearest = np.maximum(np.minimum(away[:-1], away[1:]) - fastest * period_s, 1e-9)
+    length = scenario.settings.hand.forearm_length_m
+    elbow = hardest * (1.0 + length / nearest) + length * np.sqrt(4.0 / 3.0) * (fastest / nearest) ** 2
+    # an elbow is never farther from where it was than the hand's way and twice the forearm
+    bend = np.minimum(elbow * period_s**2 / 8.0, fastest * period_s + 2.0 * length)
+    return np.where(paths.moving[:, hand], bend, 0.0)
 
 
 @compiled
@@ -105,6 +111,7 @@ def _follow(
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
     period_s: float,
     positions: NDArray[np.float64],  # (n, hands, 2, 3), written
+    moving: NDArray[np.bool_],  # (n - 1, hands), written
     corner_hand: NDArray[np.int64],  # written, as the next two
     corner_at: NDArray[np.float64],
     corners: NDArray[np.float64],  # (., 2, 3)
@@ -119,27 +126,32 @@ def _follow(
         if k == positions.shape[0] - 1:
             break
         for i in range(positions.shape[1]):
-            if hands[i].recorded:
-                row = hands[i].first + hands[i].current + 1
-                while row < hands[i].first + hands[i].count and samples[row, 0] < (k + 1) * period_s:
-                    if samples[row, 0] > k * period_s:
-                        corner_hand[found], corner_at[found] = i, samples[row, 0] / period_s
-                        for j in range(3):
-                            corners[found, 0, j] = samples[row, 1 + j]
-                            corners[found, 1, j] = samples[row, 4 + j]
-                        found += 1
-                    row += 1
+            leader = hands[i].leader if hands[i].leader >= 0 else i
+            if not hands[leader].recorded:
                 continue
-            ahead = hands[i : i + 1].copy()  # goes from corner to corner, the hand itself from tick to tick
-            left_s = period_s
-            while left_s > 0.0 and ahead[0].current < ahead[0].count:
-                left_s = advance_move(ahead, 0, moves, tcp_in_base_m[k], left_s)
-                if 0.0 < left_s < period_s:
-                    point_forearm(ahead, 0)
-                    corner_hand[found], corner_at[found] = i, k + 1 - left_s / period_s
+            row = hands[leader].first + hands[leader].current + 1
+            while row < hands[leader].first + hands[leader].count and samples[row, 0] < (k + 1) * period_s:
+                if samples[row, 0] > k * period_s:
+                    there = hands[i : i + 1].copy()
                     for j in range(3):
-                        corners[found, 0, j] = ahead[0].position_in_base_m[j]
-                        corners[found, 1, j] = ahead[0].elbow_in_base_m[j]
+                        there[0].position_in_base_m[j] = samples[row, 1 + j] + there[0].apart_in_base_m[j]
+                        there[0].elbow_in_base_m[j] = samples[row, 4 + j]
+                    if leader != i:
+                        point_forearm(there, 0)
+                    corner_hand[found], corner_at[found] = i, samples[row, 0] / period_s
+                    for j in range(3):
+                        corners[found, 0, j] = there[0].position_in_base_m[j]
+                        corners[found, 1, j] = there[0].elbow_in_base_m[j]
                     found += 1
+                row += 1
+        before = hands.copy()
         advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+        for i in range(positions.shape[1]):
+            one = hands[i].leader if hands[i].leader >= 0 else i
+            moves_on = hands[one].current != before[one].current or hands[one].tremor_m > 0.0
+            for j in range(3):
+                moves_on = moves_on or before[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].position_in_base_m[j] != before[one].position_in_base_m[j]
+            moving[k, i] = moves_on
     return found

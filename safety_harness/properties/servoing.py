@@ -145,8 +145,9 @@ class Converged:
         margin = CONVERGED_POSITION_M - float(position[-1])
         excess_rad = float(angle[-1]) - CONVERGED_ANGLE_RAD
         if excess_rad > 0.0:
-            cell = trace.scenario.settings.cell
-            depth_m = cell.desired_tcp_position_in_base_m[2] - cell.object_position_in_base_m[2]
+            settings = trace.scenario.settings
+            desired_m = settings.cell.desired_tcp_position_in_base_m
+            depth_m = desired_m[2] - settings.object.position_in_base_m[2]
             margin = min(margin, -excess_rad * depth_m)
         if margin < 0.0 and had_s < needed_s:
             return inconclusive(self, f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s")

@@ -16,7 +16,7 @@ from safety_harness.report.palette import HANDS, Ink
 from safety_harness.report.words import with_minus
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
-from safety_harness.settings import Cell
+from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
 
 if TYPE_CHECKING:
@@ -80,12 +80,13 @@ def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
     )
 
 
-def draw_cell(axes: Axes, cell: Cell, axis: int) -> None:
+def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
     """Object, desired TCP and, from the side, the table's edge."""
-    c, s = np.cos(cell.object_yaw_rad), np.sin(cell.object_yaw_rad)
-    corners = np.zeros((len(cell.object_polygon_m), 3))
-    corners[:, :2] = np.array(cell.object_polygon_m) @ np.array([[c, s], [-s, c]])
-    corners = (corners + cell.object_position_in_base_m) * MM
+    cell, shape = settings.cell, settings.object
+    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
+    corners = np.zeros((len(shape.polygon_m), 3))
+    corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
+    corners = (corners + shape.position_in_base_m) * MM
     axes.fill(corners[:, 0], corners[:, axis], facecolor=Ink.OBJECT.sentinel, alpha=0.18, zorder=2)
     outline = np.vstack([corners, corners[:1]])
     axes.plot(outline[:, 0], outline[:, axis], color=Ink.OBJECT.sentinel, linewidth=2.0, zorder=2)

@@ -86,7 +86,7 @@ def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, p
         )
     )
     axes.grid(True)
-    draw_cell(axes, trace.scenario.settings.cell, axis)
+    draw_cell(axes, trace.scenario.settings, axis)
     if moment is not None:
         draw_forearms(axes, trace, moment, axis)
     draw_hands(axes, trace, moment, axis)

@@ -73,8 +73,8 @@ BY_KEY: Mapping[str, Bounds] = {
     "Clock.control_period_s": Bounds(1e-3, 0.05),  # between two ticks the arm is taken to move evenly
     "Clock.physics_substeps": Bounds(1, 100),
     "Cell.table_height_m": Bounds(-2.0, 2.0),
-    "Cell.object_yaw_rad": Bounds(-LARGEST_ANGLE_RAD, LARGEST_ANGLE_RAD),
-    "Cell.object_polygon_m": Bounds(-1.0, 1.0),
+    "Object.yaw_rad": Bounds(-LARGEST_ANGLE_RAD, LARGEST_ANGLE_RAD),
+    "Object.polygon_m": Bounds(-1.0, 1.0),
     "Camera.width_px": _IMAGE_SIZE,
     "Camera.height_px": _IMAGE_SIZE,
     "Camera.focal_px": _FOCAL,

@@ -214,5 +214,5 @@ def _ordered(value: Written, kind: Value | None) -> tuple[list[Entry], dict[int,
 
 def _table_of(kind: Below, keys: set[str]) -> Table:
     """The table that a mapping with these keys follows."""
-    begun = [table for table in kind.tables if table.keys[0].name in keys]
+    begun = [table for table in kind.tables if table.told_by in keys]
     return begun[-1] if begun else (kind.tables or (COMPOSED,))[0]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place
 from safety_harness.scenario.faults import Fault
+from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, HandMove, Tremor
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 MAX_HANDS = 2
@@ -60,53 +61,15 @@ class JointStart:
     joint_position_rad: tuple[float, float, float, float, float, float]
 
 
-TcpStart = OffsetStart | JointStart
-
-
 @dataclass(frozen=True, kw_only=True)
-class MoveTo:
-    """Straight to a point at constant speed."""
+class PoseStart:
+    """A TCP start by its place in the base frame; ``tilt_in_tcp_rad`` as in OffsetStart."""
 
     position_in_base_m: Vector3
-    speed_mps: float
+    tilt_in_tcp_rad: Vector3 = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wait:
-    """Stay where the hand is."""
-
-    duration_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReachForTcp:
-    """Head for the TCP, wherever it is just now, until ``until_distance_m`` from it.
-
-    Ends after ``at_most_s`` if the TCP gives way for that long.
-    """
-
-    speed_mps: float
-    until_distance_m: float
-    at_most_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class FollowTcp:
-    """Keep heading for the TCP for ``duration_s``; never nearer to it than ``distance_m``."""
-
-    speed_mps: float
-    distance_m: float
-    duration_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Withdraw:
-    """Straight back to where the hand started."""
-
-    speed_mps: float
-
-
-HandMove = MoveTo | Wait | ReachForTcp | FollowTcp | Withdraw
+TcpStart = OffsetStart | PoseStart | JointStart
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +77,25 @@ class MovingHand:
     """A hand that does one move after another, then rests.
 
     The forearm points from the hand's centre towards ``elbow_towards_in_base_m`` (where the
-    person stands) at every moment.
+    person stands) at every moment.  ``shift_in_base_m`` shifts the start and every point of the
+    moves; the first move begins after ``delay_s``.  The hand never exceeds ``max_speed_mps``, its
+    tremor included, nor its moves ``max_acceleration_mps2``; the tremor's own comes on top.
     """
 
     name: str
     starts_at_in_base_m: Vector3
     elbow_towards_in_base_m: Vector3
     moves: tuple[HandMove, ...]
+    shift_in_base_m: Vector3 = (0.0, 0.0, 0.0)
+    delay_s: float = 0.0
+    max_speed_mps: float = REACHING_MPS
+    max_acceleration_mps2: float = REACHING_MPS2
+    tremor: Tremor | None = None
+
+    @property
+    def max_move_speed_mps(self) -> float:
+        """What the tremor leaves of the speed bound for the moves."""
+        return self.max_speed_mps - (self.tremor.max_speed_mps if self.tremor else 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +117,12 @@ class RecordedMotion:
         for array in (self.time_s, self.hand_position_in_base_m, self.elbow_position_in_base_m):
             array.setflags(write=False)
 
+    @property
+    def max_speed_mps(self) -> float:
+        """The hand's largest speed between two samples."""
+        way_m = np.linalg.norm(np.diff(self.hand_position_in_base_m, axis=0), axis=1)
+        return float((way_m / np.diff(self.time_s)).max())
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, RecordedMotion):
             return NotImplemented
@@ -158,10 +139,12 @@ class RecordedMotion:
 class RecordedHand:
     """A hand that repeats a recording.
 
-    The recording's first used sample is put at ``starts_at_in_base_m`` after a turn by
-    ``turn_rad`` about the vertical; its time runs ``speed_factor`` times as fast.  Only the part
-    from ``from_s`` to ``to_s`` on the recording's own clock is used (None: its beginning, its end).
-    Without a recorded elbow the forearm points towards ``elbow_towards_in_base_m``.
+    The recording's first used sample is put at ``starts_at_in_base_m`` + ``shift_in_base_m`` after a
+    turn by ``turn_rad`` about the vertical; it begins after ``delay_s`` and its time runs
+    ``speed_factor`` times as fast.  Only the part from ``from_s`` to ``to_s`` on the recording's own
+    clock is used (None: its beginning, its end).  Without a recorded elbow the forearm points
+    towards ``elbow_towards_in_base_m``.  None for ``max_speed_mps``: as recorded, and at most
+    REACHING_MPS if it is sped up.
     """
 
     name: str
@@ -177,9 +160,22 @@ class RecordedHand:
     longest_gap_s: float
     fastest_jump_mps: float
     motion: RecordedMotion
+    shift_in_base_m: Vector3 = (0.0, 0.0, 0.0)
+    delay_s: float = 0.0
+    max_speed_mps: float | None = None
 
 
-HandTrajectory = MovingHand | RecordedHand
+@dataclass(frozen=True, kw_only=True)
+class JoinedHand:
+    """A hand that holds the same part as another, earlier one: it stays ``apart_in_base_m`` from it."""
+
+    name: str
+    joined_to: str  # the name of the hand that leads
+    apart_in_base_m: Vector3
+    elbow_towards_in_base_m: Vector3
+
+
+HandTrajectory = MovingHand | RecordedHand | JoinedHand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,6 +213,13 @@ class Scenario:
         """
         written = next((name for name in names if name in self.places), names[0])
         return self.places.get(written, Place(file=self.file, field=written))
+
+    def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
+        """Who moves ``hand``: itself, or the hand before it that it is joined to (None: there is none)."""
+        if not isinstance(hand, JoinedHand):
+            return hand
+        before = self.hands[: self.hands.index(hand)]
+        return next((o for o in before if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
 
     @property
     def ticks(self) -> int:

@@ -15,10 +15,20 @@ from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
 from safety_harness.scenario.fault_phrases import read_faults
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
-from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Robot, Scenario, TcpStart, Verdict
+from safety_harness.scenario.model import (
+    Claim,
+    JointStart,
+    OffsetStart,
+    PoseStart,
+    Robot,
+    Scenario,
+    TcpStart,
+    Verdict,
+)
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import refuse_distributions
-from safety_harness.scenario.read_hands import LONGEST_S, read_hands, read_position
+from safety_harness.scenario.read_hands import read_hands
+from safety_harness.scenario.read_moves import LONGEST_S, read_position
 from safety_harness.scenario.settings_keys import read_group, setting_keys
 from safety_harness.scenario.units import ANGLE, TIME, shown
 from safety_harness.settings import DEFAULTS, Settings
@@ -35,6 +45,7 @@ KEYS = (
     "robot",
     "tcp start",
     "avoider",
+    "object",
     "hands",
     "faults",
     "hand sensor",
@@ -45,8 +56,9 @@ KEYS = (
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
 ) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
-# The two groups of settings that have a key of their own at the top.
-TOP_GROUPS = {"hand sensor": "hand_sensor", "camera": "camera"}
+START_KEYS = ("offset", "position", "joints", "tilt")
+# The three groups of settings that have a key of their own at the top.
+TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
 SETTINGS_KEYS = {
     field.name.replace("_", " "): field.name
     for field in fields(Settings)
@@ -156,13 +168,20 @@ def _robot(field: Field | None) -> Robot:
 
 
 def _tcp_start(field: Field) -> TcpStart:
-    given = field.fields(("offset", "tilt", "joints"))
+    given = field.fields(START_KEYS)
+    ways = [key for key in START_KEYS if key in given and key != "tilt"]
+    if len(ways) > 1 or ("joints" in given and "tilt" in given):
+        wrong = given.required(ways[1] if len(ways) > 1 else "tilt")
+        raise wrong.error("one of offset, position (each with a tilt, if you want) and joints", got="both")
     if "joints" in given:
-        for other in ("offset", "tilt"):
-            if other in given:
-                raise given.required(other).error("either joints or an offset with a tilt", got="both")
         return _joint_start(given.required("joints"))
-    return _offset_start(given)
+    tilt = given.optional("tilt")
+    tilt_in_tcp_rad = tilt.vector(ANGLE, largest=LARGEST_ANGLE_RAD) if tilt else (0.0, 0.0, 0.0)
+    if "position" in given:
+        position_in_base_m = read_position(given.required("position"))
+        return PoseStart(position_in_base_m=position_in_base_m, tilt_in_tcp_rad=tilt_in_tcp_rad)
+    offset_in_base_m = read_position(given.required("offset"))
+    return OffsetStart(offset_in_base_m=offset_in_base_m, tilt_in_tcp_rad=tilt_in_tcp_rad)
 
 
 def _joint_start(field: Field) -> JointStart:
@@ -171,16 +190,6 @@ def _joint_start(field: Field) -> JointStart:
         for item in field.items("a list of six joint angles such as -90 deg", count=6)
     )
     return JointStart(joint_position_rad=(a, b, c, d, e, f))
-
-
-def _offset_start(given: Fields) -> OffsetStart:
-    offset_in_base_m = read_position(given.required("offset"))
-    tilt = given.optional("tilt")
-    if tilt is None:
-        return OffsetStart(offset_in_base_m=offset_in_base_m)
-    return OffsetStart(
-        offset_in_base_m=offset_in_base_m, tilt_in_tcp_rad=tilt.vector(ANGLE, largest=LARGEST_ANGLE_RAD)
-    )
 
 
 def _avoider(field: Field | None) -> str:

@@ -3,33 +3,40 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from safety_harness.exceptions import RecordingError
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, Field, Fields
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.model import (
     MAX_HANDS,
-    FollowTcp,
-    HandMove,
     HandTrajectory,
-    MoveTo,
+    JoinedHand,
     MovingHand,
-    ReachForTcp,
     RecordedHand,
-    Wait,
-    Withdraw,
+    RecordedMotion,
 )
+from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, Tremor, shifted
+from safety_harness.scenario.read_moves import FASTEST_MPS, LONGEST_S, read_move, read_position
 from safety_harness.scenario.recording import load_recording
 from safety_harness.scenario.recording_table import MAX_BYTES, Recording, parse_recording
-from safety_harness.scenario.units import ANGLE, LENGTH, NUMBER, SPEED, TIME, near_miss, shown
+from safety_harness.scenario.units import (
+    ACCELERATION,
+    ANGLE,
+    LENGTH,
+    NUMBER,
+    RATE,
+    SPEED,
+    TIME,
+    shown,
+)
 from safety_harness.settings import Settings, Vector3
 
-LONGEST_S = 3600.0  # of a run, and of anything in it
-FASTEST_MPS = 20.0
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -37,7 +44,24 @@ _SHA256 = re.compile(r"[0-9a-f]{64}")
 DEFAULT_LONGEST_GAP_S = 0.2
 DEFAULT_FASTEST_JUMP_MPS = 5.0
 
-_MOVING_KEYS = ("hand", "starts at", "elbow towards", "moves")
+# Of a hand: what is slower or larger than these is a slip of the unit.
+ACCELERATIONS_MPS2 = (0.1, 100.0)
+TREMORS_M = (1e-5, 0.02)
+TREMORS_HZ = (0.1, 20.0)
+
+_MOVING_KEYS = (
+    "hand",
+    "starts at",
+    "elbow towards",
+    "moves",
+    "shifted by",
+    "delayed by",
+    "speed at most",
+    "acceleration at most",
+    "tremor",
+)
+_TREMOR_KEYS = ("amplitude", "rate")
+_JOINED_KEYS = ("hand", "together with", "apart", "elbow towards")
 _RECORDED_KEYS = (
     "recording",
     "sha256",
@@ -47,7 +71,10 @@ _RECORDED_KEYS = (
     "elbow towards",
     "starts at",
     "turned",
+    "shifted by",
+    "delayed by",
     "speed factor",
+    "speed at most",
     "from",
     "to",
     "longest gap",
@@ -66,8 +93,11 @@ def read_hands(
         return ()
     hands: list[HandTrajectory] = []
     for item in field.items(f"a list of at most {MAX_HANDS} hands", most=MAX_HANDS):
-        if "recording" in dict(item.entries("a hand: a mapping with the key hand or recording")):
+        given = dict(item.entries("a hand: a mapping with the key hand or recording"))
+        if "recording" in given:
             hand: HandTrajectory = _recorded_hand(item.fields(_RECORDED_KEYS), settings, carried)
+        elif "together with" in given:
+            hand = _joined_hand(item.fields(_JOINED_KEYS), hands)
         else:
             hand = _moving_hand(item.fields(_MOVING_KEYS))
         if any(hand.name == other.name for other in hands):
@@ -76,89 +106,70 @@ def read_hands(
     return tuple(hands)
 
 
-def read_position(field: Field) -> Vector3:
-    """A point in the base frame, or a shift, with a bound that catches slips of the unit."""
-    return field.vector(LENGTH, largest=LARGEST_COORDINATE_M)
-
-
 def _moving_hand(hand: Fields) -> MovingHand:
     starts_at_in_base_m = read_position(hand.required("starts at"))
     elbow = hand.required("elbow towards")
     elbow_towards_in_base_m = read_position(elbow)
-    if elbow_towards_in_base_m == starts_at_in_base_m:
+    if elbow_towards_in_base_m == shifted(starts_at_in_base_m, _shift(hand)):
         raise elbow.error("a point other than where the hand starts")
-    moves = hand.required("moves").items("a list of moves")
-    return MovingHand(
+    least, most = ACCELERATIONS_MPS2
+    max_speed_mps = hand.quantity("speed at most", SPEED, REACHING_MPS, above=0.0, most=FASTEST_MPS)
+    without_moves = MovingHand(
         name=hand.required("hand").sentence("a name for the hand"),
         starts_at_in_base_m=starts_at_in_base_m,
         elbow_towards_in_base_m=elbow_towards_in_base_m,
-        moves=tuple(_move(move) for move in moves),
+        moves=(),
+        shift_in_base_m=_shift(hand),
+        delay_s=_delay(hand),
+        max_speed_mps=max_speed_mps,
+        max_acceleration_mps2=hand.quantity(
+            "acceleration at most", ACCELERATION, REACHING_MPS2, least=least, most=most
+        ),
+        tremor=_tremor(hand.optional("tremor"), max_speed_mps),
     )
+    moves = hand.required("moves").items("a list of moves")
+    return replace(without_moves, moves=tuple(read_move(move, without_moves) for move in moves))
 
 
-def _move(field: Field) -> HandMove:
-    """The move that one of its keys names."""
-    names = ", ".join(_MOVES)
-    given = [key for key, _ in field.entries(f"a move: a mapping with one of the keys {names}")]
-    kinds = [key for key in given if key in _MOVES]
-    if len(kinds) != 1:
-        hint = near_miss(given[0], _MOVES) if given and not kinds else ""
-        got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
-        raise field.error(f"one move: one of the keys {names}", got=got, hint=hint)
-    further_keys, read = _MOVES[kinds[0]]
-    return read(field.fields((kinds[0], *further_keys)))
+def _shift(hand: Fields) -> Vector3:
+    field = hand.optional("shifted by")
+    return read_position(field) if field else (0.0, 0.0, 0.0)
 
 
-def _move_to(move: Fields) -> MoveTo:
-    return MoveTo(
-        position_in_base_m=read_position(move.required("move to")), speed_mps=_speed(move.required("speed"))
+def _delay(hand: Fields) -> float:
+    return hand.quantity("delayed by", TIME, 0.0, least=0.0, most=LONGEST_S)
+
+
+def _tremor(field: Field | None, max_speed_mps: float) -> Tremor | None:
+    if field is None:
+        return None
+    given = field.fields(_TREMOR_KEYS)
+    amplitude_m = given.required("amplitude").quantity(LENGTH, least=TREMORS_M[0], most=TREMORS_M[1])
+    rate_hz = given.required("rate").quantity(RATE, least=TREMORS_HZ[0], most=TREMORS_HZ[1])
+    tremor = Tremor(amplitude_m=amplitude_m, rate_hz=rate_hz)
+    if tremor.max_speed_mps >= max_speed_mps:
+        raise field.error(
+            f"a tremor slower than the hand's bound of {max_speed_mps:g} m/s",
+            got=f"one of up to {tremor.max_speed_mps:.3g} m/s",
+            hint='2 pi times amplitude times rate; the bound is the hand\'s key "speed at most"',
+        )
+    return tremor
+
+
+def _joined_hand(hand: Fields, before: list[HandTrajectory]) -> JoinedHand:
+    """A hand that goes with one that is written before it."""
+    leading = hand.required("together with")
+    joined_to = leading.sentence("the name of a hand")
+    names = [other.name for other in before if not isinstance(other, JoinedHand)]
+    if joined_to not in names:
+        known = ", ".join(f'"{name}"' for name in names) or "(there is none)"
+        raise leading.error(f"the name of a hand that is written before: {known}")
+    return JoinedHand(
+        name=hand.required("hand").sentence("a name for the hand"),
+        joined_to=joined_to,
+        apart_in_base_m=read_position(hand.required("apart")),
+        elbow_towards_in_base_m=read_position(hand.required("elbow towards")),
     )
-
-
-def _wait(move: Fields) -> Wait:
-    return Wait(duration_s=_duration(move.required("wait")))
-
-
-def _reach_for_tcp(move: Fields) -> ReachForTcp:
-    return ReachForTcp(
-        speed_mps=_speed(move.required("reach for tcp")),
-        until_distance_m=_distance(move.required("until")),
-        at_most_s=_duration(move.required("at most")),
-    )
-
-
-def _follow_tcp(move: Fields) -> FollowTcp:
-    return FollowTcp(
-        speed_mps=_speed(move.required("follow tcp")),
-        distance_m=_distance(move.required("keeping")),
-        duration_s=_duration(move.required("for")),
-    )
-
-
-def _withdraw(move: Fields) -> Withdraw:
-    return Withdraw(speed_mps=_speed(move.required("withdraw")))
-
-
-# The key that names a move, the further keys it takes, and its reader.
-_MOVES: dict[str, tuple[tuple[str, ...], Callable[[Fields], HandMove]]] = {
-    "move to": (("speed",), _move_to),
-    "wait": ((), _wait),
-    "reach for tcp": (("until", "at most"), _reach_for_tcp),
-    "follow tcp": (("keeping", "for"), _follow_tcp),
-    "withdraw": ((), _withdraw),
-}
-
-
-def _speed(field: Field) -> float:
-    return field.quantity(SPEED, above=0.0, most=FASTEST_MPS)
-
-
-def _duration(field: Field) -> float:
-    return field.quantity(TIME, above=0.0, most=LONGEST_S)
-
-
-def _distance(field: Field) -> float:
-    return field.quantity(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
 
 
 def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
@@ -176,6 +187,25 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
     fastest_jump_mps = hand.quantity(
         "fastest jump", SPEED, DEFAULT_FASTEST_JUMP_MPS, above=0.0, most=FASTEST_MPS
     )
+    max_speed_mps = hand.quantity("speed at most", SPEED, None, above=0.0, most=FASTEST_MPS)
+    shift_in_base_m, delay_s = _shift(hand), _delay(hand)
+    motion = load_recording(
+        recording,
+        track=track,
+        elbow_track=elbow_track,
+        elbow_towards_in_base_m=elbow_towards_in_base_m,
+        forearm_length_m=settings.hand.forearm_length_m,
+        starts_at_in_base_m=shifted(starts_at_in_base_m, shift_in_base_m),
+        turn_rad=turn_rad,
+        delay_s=delay_s,
+        speed_factor=speed_factor,
+        from_s=from_s,
+        to_s=to_s,
+        longest_gap_s=longest_gap_s,
+        fastest_jump_mps=fastest_jump_mps,
+        places={key: hand.required(key).place for key in hand},
+    )
+    _refuse_too_fast(hand, motion, speed_factor, max_speed_mps)
     return RecordedHand(
         name=name.sentence("a name for the hand") if name else track.replace("_", " "),
         recording=path,
@@ -189,22 +219,27 @@ def _recorded_hand(hand: Fields, settings: Settings, carried: Mapping[str, bytes
         to_s=to_s,
         longest_gap_s=longest_gap_s,
         fastest_jump_mps=fastest_jump_mps,
-        motion=load_recording(
-            recording,
-            track=track,
-            elbow_track=elbow_track,
-            elbow_towards_in_base_m=elbow_towards_in_base_m,
-            forearm_length_m=settings.hand.forearm_length_m,
-            starts_at_in_base_m=starts_at_in_base_m,
-            turn_rad=turn_rad,
-            speed_factor=speed_factor,
-            from_s=from_s,
-            to_s=to_s,
-            longest_gap_s=longest_gap_s,
-            fastest_jump_mps=fastest_jump_mps,
-            places={key: hand.required(key).place for key in hand},
-        ),
+        motion=motion,
+        shift_in_base_m=shift_in_base_m,
+        delay_s=delay_s,
+        max_speed_mps=max_speed_mps,
     )
+
+
+def _refuse_too_fast(
+    hand: Fields, motion: RecordedMotion, speed_factor: float, max_speed_mps: float | None
+) -> None:
+    """A recording keeps its own speed, unless a bound is written or it is sped up."""
+    if max_speed_mps is None and speed_factor <= 1.0:
+        return
+    bound_mps = REACHING_MPS if max_speed_mps is None else max_speed_mps
+    if motion.max_speed_mps > bound_mps:
+        field = hand.required("speed factor" if speed_factor > 1.0 else "speed at most")
+        raise field.error(
+            f"a hand that is never faster than {bound_mps:g} m/s",
+            got=f"one of {motion.max_speed_mps:.3f} m/s",
+            hint=f"speed at most: {math.ceil(motion.max_speed_mps * 10.0) / 10.0:g} m/s, if it is meant",
+        )
 
 
 def _recording(hand: Fields, path: Path, carried: Mapping[str, bytes]) -> Recording:

@@ -46,16 +46,17 @@ def load_recording(
     to_s: float | None,
     longest_gap_s: float,
     fastest_jump_mps: float,
+    delay_s: float = 0.0,
     places: Mapping[str, Place] = MappingProxyType({}),
 ) -> RecordedMotion:
     """The recording's window, mended, turned about the vertical and put where the user wants it.
 
-    The first used sample of ``track`` comes to ``starts_at_in_base_m`` at time 0.  Gaps and jumps
-    are measured in the recording's own time, before ``speed_factor``.  The elbow is that of
-    ``elbow_track``; without one it lies ``forearm_length_m`` from the hand towards
-    ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and where: in the
-    recording, or at the one of ``places`` whose key (``track``, ``from``, ...) asks for what is
-    not there.
+    The first used sample of ``track`` comes to ``starts_at_in_base_m`` at time 0, and the hand rests
+    there for ``delay_s``.  Gaps and jumps are measured in the recording's own time, before
+    ``speed_factor``.  The elbow is that of ``elbow_track``; without one it lies ``forearm_length_m``
+    from the hand towards ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and
+    where: in the recording, or at the one of ``places`` whose key (``track``, ``from``, ...) asks for
+    what is not there.
     """
     window_s = _window(recording, from_s, to_s, places)
     names = (track,) if elbow_track is None else (track, elbow_track)
@@ -74,8 +75,14 @@ def load_recording(
         elbow_in_base_m = _elbows_towards(
             elbow_towards_in_base_m, hand_in_base_m, forearm_length_m, recording, places
         )
+    played_s = (time_s - time_s[0]) / speed_factor + delay_s
+    if delay_s > 0.0:
+        played_s = np.concatenate([[0.0], played_s])
+        hand_in_base_m, elbow_in_base_m = (
+            np.concatenate([one[:1], one]) for one in (hand_in_base_m, elbow_in_base_m)
+        )
     return RecordedMotion(
-        time_s=(time_s - time_s[0]) / speed_factor,
+        time_s=played_s,
         hand_position_in_base_m=hand_in_base_m,
         elbow_position_in_base_m=elbow_in_base_m,
         notes=tuple(one.note for one in mended if one.note),

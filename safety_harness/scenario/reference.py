@@ -142,9 +142,11 @@ class Table:
     where: str
     keys: tuple[Key, ...]
     path: str = ""  # how it is reached from the top of a file: "settings.avoidance"
+    told_by: str = ""  # the key that tells this mapping from its alternatives; its first one by default
     required: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "told_by", self.told_by or self.keys[0].name)
         object.__setattr__(self, "required", tuple(k.name for k in self.keys if k.default == REQUIRED))
 
     @property

@@ -13,6 +13,13 @@ from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, Dimension
 from safety_harness.settings import DEFAULTS
 
 MEANINGS: Mapping[str, Mapping[str, str]] = {
+    "object": {
+        "polygon": (
+            "outline in the object's own frame, one corner after another; convex for rendered images"
+        ),
+        "position": "of the object's own origin",
+        "yaw": "turn about the vertical",
+    },
     "hand sensor": {
         "kind": (
             "`ideal` is the overhead camera without field of view, occlusion, noise and delay, so "
@@ -51,11 +58,6 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
     },
     "cell": {
         "table height": "z of the table",
-        "object position": "of the object's own origin",
-        "object yaw": "turn of the object about the vertical",
-        "object polygon": (
-            "outline in the object's frame, one corner after another; convex for rendered images"
-        ),
         "desired tcp position": "where the servoing should end",
         "preferred joint position": "a start by `offset` takes the joint angles nearest to it",
     },

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS
-from safety_harness.scenario.model import Robot, Verdict
+from safety_harness.scenario.model import MAX_HANDS, Robot, Verdict
 from safety_harness.scenario.read import DEFAULT_AVOIDER, LARGEST_SEED, SETTINGS_KEYS, TOP_GROUPS
-from safety_harness.scenario.read_hands import (
-    LONGEST_S,
-)
+from safety_harness.scenario.read_moves import LONGEST_S
 from safety_harness.scenario.reference import (
     POINT,
     REQUIRED,
@@ -25,7 +23,7 @@ from safety_harness.scenario.reference import (
     key_of,
 )
 from safety_harness.scenario.reference_faults import fault_tables
-from safety_harness.scenario.reference_hands import MOVING_HAND, RECORDED_HAND
+from safety_harness.scenario.reference_hands import JOINED_HAND, MOVING_HAND, RECORDED_HAND
 from safety_harness.scenario.reference_settings import group_table
 from safety_harness.scenario.units import NUMBER, TIME
 
@@ -33,6 +31,7 @@ _TIME = Quantity(dimension=TIME, above=0.0, most=LONGEST_S)
 _VERDICT = Word(options=tuple(verdict.value for verdict in Verdict))
 
 
+_TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
 TCP_START = Table(
     name="tcp start",
     where="tcp start",
@@ -41,16 +40,16 @@ TCP_START = Table(
         key_of(
             "offset",
             POINT,
-            "required without `joints`",
+            "one of these three",
             "from the desired TCP, along the axes of the base",
             "tcp start: {offset: [40 mm, -120 mm, 60 mm]}",
         ),
         key_of(
-            "tilt",
-            ROTATION,
-            "none",
-            "of the tool, in the desired TCP's own frame",
-            "tcp start: {offset: [0 mm, 0 mm, 0 mm], tilt: [0 deg, 3 deg, 0 deg]}",
+            "position",
+            POINT,
+            "",
+            "of the TCP in the base frame, in place of `offset`",
+            "tcp start: {position: [680 mm, 60 mm, 410 mm]}",
         ),
         key_of(
             "joints",
@@ -59,10 +58,15 @@ TCP_START = Table(
             "pan, lift, elbow, wrist 1, 2, 3; in place of `offset` and `tilt`",
             "tcp start: {joints: [-12 deg, -73 deg, 113 deg, -130 deg, -90 deg, -103 deg]}",
         ),
+        key_of(
+            "tilt",
+            ROTATION,
+            "none",
+            "of the tool, from looking straight down, in the desired TCP's own frame",
+            f"tcp start: {{offset: [0 mm, 0 mm, 0 mm], {_TILTED}}}",
+        ),
     ),
 )
-
-
 GROUPS = {
     **{key: group_table(key, key) for key in TOP_GROUPS},
     **{key: group_table(key, f"settings.{key}") for key in SETTINGS_KEYS},
@@ -82,6 +86,7 @@ SETTINGS = Table(
         for key in SETTINGS_KEYS
     ),
 )
+_HANDS = (MOVING_HAND, JOINED_HAND, RECORDED_HAND)
 _LINE = Text(form="text, one line")
 _PROSE = Text(form="text")
 TOP = Table(
@@ -136,8 +141,15 @@ TOP = Table(
             "avoider: opposite pose",
         ),
         key_of(
+            "object",
+            Below(tables=(GROUPS["object"],)),
+            "the default object",
+            "what is servoed on, and where it lies",
+            "object: {position: [720 mm, 60 mm, -300 mm], yaw: 40 deg}",
+        ),
+        key_of(
             "hands",
-            Several(of=Below(tables=(MOVING_HAND, RECORDED_HAND)), form="list of at most two", most=2),
+            Several(of=Below(tables=_HANDS), form="list of at most two", most=MAX_HANDS),
             "none",
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
@@ -215,9 +227,7 @@ SUITE = Table(
     name="a suite",
     where="a suite",
     keys=(
-        key_of(
-            "suite", _LINE, REQUIRED, "what these scenarios are for", "suite: before a release"
-        ),
+        key_of("suite", _LINE, REQUIRED, "what these scenarios are for", "suite: before a release"),
         key_of("about", _PROSE, "empty", "why one would run it", "about: All of it takes a minute."),
         key_of(
             "scenarios",

@@ -100,13 +100,13 @@ def _value(value: Value) -> Schema:
 
 
 def _below(value: Below) -> Schema:
-    """One table, or several: which of them is meant is told by the first key of each."""
+    """One table, or several: which of them is meant is told by one key of each."""
     if not value.tables:
         return {"type": "object"}
     references = [{"$ref": f"#/$defs/{_pointer(_name(table))}"} for table in value.tables]
     if len(references) == 1:
         return references[0]
-    firsts = [table.keys[0].name for table in value.tables]
+    firsts = [table.told_by for table in value.tables]
     schema: Schema = {
         "type": "object",
         "anyOf": [{"required": [first]} for first in firsts],
@@ -120,8 +120,8 @@ def _below(value: Below) -> Schema:
 
 def _begins(table: Table, others: tuple[Table, ...]) -> Schema:
     """That a mapping is of this table: it has its first key, not that of another that knows it too."""
-    first = table.keys[0].name
-    wider = [other.keys[0].name for other in others if first in other.names and other is not table]
+    first = table.told_by
+    wider = [other.told_by for other in others if first in other.names and other is not table]
     mine: Schema = {"required": [first]}
     return {**mine, "not": {"anyOf": [{"required": [name]} for name in wider]}} if wider else mine
 

@@ -46,12 +46,13 @@ from safety_harness.settings import (
     HandFilter,
     HandSensor,
     Motion,
+    Object,
     Servo,
     Vector3,
 )
 
 Group = (
-    Clock | Cell | Camera | Hand | HandSensor | HandFilter | Servo | Motion | Avoidance | Braking
+    Clock | Cell | Object | Camera | Hand | HandSensor | HandFilter | Servo | Motion | Avoidance | Braking
 )  # one dataclass of settings
 G = TypeVar("G", bound=Group)
 Written = str | dict[str, str]  # a value, or a mapping of values, ready for a file
@@ -79,6 +80,8 @@ _DIMENSIONS: tuple[tuple[str, Dimension], ...] = (
     ("_s", TIME),
 )
 _FRAMES = ("_in_base", "_in_tcp")
+_OF_THE_OBJECT = ("polygon", "position", "yaw")  # keys that stood in the settings of the cell
+_MOVED = {f"object {key}": f"object: {{{key}: ...}} at the top of the file" for key in _OF_THE_OBJECT}
 _MAPPINGS = ("calibration error",)  # keys that share these first words stand in a mapping of their own
 
 
@@ -125,7 +128,7 @@ def _setting_key(group: str, name: str, kind: object) -> SettingKey:
 def read_group(field: Field, default: G) -> G:
     """``default`` with the values that the mapping ``field`` changes."""
     keys = setting_keys(type(default))
-    given = field.fields(tuple(dict.fromkeys(key.words[0] for key in keys)))
+    given = field.fields(tuple(dict.fromkeys(key.words[0] for key in keys)), hints=_MOVED)
     changes: dict[str, Any] = {}
     for first in _MAPPINGS:
         inner = given.optional(first)

@@ -8,24 +8,34 @@ from typing import TypeAlias
 
 from safety_harness.scenario.fault_phrases import write_fault
 from safety_harness.scenario.model import (
-    FollowTcp,
-    HandMove,
     HandTrajectory,
+    JoinedHand,
     JointStart,
-    MoveTo,
     MovingHand,
-    ReachForTcp,
+    PoseStart,
     RecordedHand,
     Scenario,
     TcpStart,
+)
+from safety_harness.scenario.moves import (
+    FollowTcp,
+    HandMove,
+    MoveTo,
+    Reach,
+    ReachForTcp,
+    Sweep,
     Wait,
+    Wander,
+    Withdraw,
 )
 from safety_harness.scenario.read import SETTINGS_KEYS, TOP_GROUPS
 from safety_harness.scenario.settings_keys import Written, write_group, write_vector
 from safety_harness.scenario.units import (
+    ACCELERATION,
     ANGLE,
     LENGTH,
     NUMBER,
+    RATE,
     SPEED,
     TIME,
     format_quantity,
@@ -75,46 +85,79 @@ def text_of(tree: Mapping[str, Tree]) -> str:
 def _start(start: TcpStart) -> dict[str, Tree]:
     if isinstance(start, JointStart):
         return {"joints": write_vector(start.joint_position_rad, ANGLE)}
-    return {
-        "offset": write_vector(start.offset_in_base_m, LENGTH),
-        "tilt": write_vector(start.tilt_in_tcp_rad, ANGLE),
-    }
+    tilt = write_vector(start.tilt_in_tcp_rad, ANGLE)
+    if isinstance(start, PoseStart):
+        return {"position": write_vector(start.position_in_base_m, LENGTH), "tilt": tilt}
+    return {"offset": write_vector(start.offset_in_base_m, LENGTH), "tilt": tilt}
 
 
 def _hand(hand: HandTrajectory) -> dict[str, Tree]:
+    if isinstance(hand, JoinedHand):
+        return {
+            "hand": scalar_text(hand.name),
+            "together with": scalar_text(hand.joined_to),
+            "apart": write_vector(hand.apart_in_base_m, LENGTH),
+            "elbow towards": write_vector(hand.elbow_towards_in_base_m, LENGTH),
+        }
     return _moving_hand(hand) if isinstance(hand, MovingHand) else _recorded_hand(hand)
 
 
 def _moving_hand(hand: MovingHand) -> dict[str, Tree]:
-    return {
+    tree: dict[str, Tree] = {
         "hand": scalar_text(hand.name),
         "starts at": write_vector(hand.starts_at_in_base_m, LENGTH),
         "elbow towards": write_vector(hand.elbow_towards_in_base_m, LENGTH),
-        "moves": [_move(move) for move in hand.moves],
+        "shifted by": write_vector(hand.shift_in_base_m, LENGTH),
+        "delayed by": format_quantity(hand.delay_s, TIME),
+        "speed at most": format_quantity(hand.max_speed_mps, SPEED),
+        "acceleration at most": format_quantity(hand.max_acceleration_mps2, ACCELERATION),
     }
+    if hand.tremor is not None:
+        tree["tremor"] = {
+            "amplitude": format_quantity(hand.tremor.amplitude_m, LENGTH),
+            "rate": format_quantity(hand.tremor.rate_hz, RATE),
+        }
+    tree["moves"] = [_move(move) for move in hand.moves]
+    return tree
 
 
 def _move(move: HandMove) -> dict[str, Tree]:
-    if isinstance(move, MoveTo):
-        return {
-            "move to": write_vector(move.position_in_base_m, LENGTH),
-            "speed": format_quantity(move.speed_mps, SPEED),
-        }
     if isinstance(move, Wait):
         return {"wait": format_quantity(move.duration_s, TIME)}
-    if isinstance(move, ReachForTcp):
-        return {
-            "reach for tcp": format_quantity(move.speed_mps, SPEED),
-            "until": format_quantity(move.until_distance_m, LENGTH),
-            "at most": format_quantity(move.at_most_s, TIME),
-        }
+    speed = format_quantity(move.speed_mps, SPEED)
+    if isinstance(move, MoveTo):
+        return {"move to": write_vector(move.position_in_base_m, LENGTH), "speed": speed}
     if isinstance(move, FollowTcp):
         return {
-            "follow tcp": format_quantity(move.speed_mps, SPEED),
+            "follow tcp": speed,
             "keeping": format_quantity(move.distance_m, LENGTH),
             "for": format_quantity(move.duration_s, TIME),
         }
-    return {"withdraw": format_quantity(move.speed_mps, SPEED)}
+    if isinstance(move, Wander):
+        corners = ", ".join(write_vector(corner, LENGTH) for corner in move.corners_in_base_m)
+        return {"wander": speed, "within": f"[{corners}]", "for": format_quantity(move.duration_s, TIME)}
+    if isinstance(move, Sweep):
+        return {
+            "sweep": speed,
+            "from": write_vector(move.from_in_base_m, LENGTH),
+            "to": write_vector(move.to_in_base_m, LENGTH),
+            "times": str(move.times),
+        }
+    if isinstance(move, Withdraw):
+        return {"withdraw": speed}
+    return _reach(move, speed)
+
+
+def _reach(reach: Reach, speed: str) -> dict[str, Tree]:
+    written: dict[str, Tree] = {
+        "reach for tcp" if isinstance(reach, ReachForTcp) else "reach for object": speed,
+        "until": format_quantity(reach.until_distance_m, LENGTH),
+        "at most": format_quantity(reach.at_most_s, TIME),
+    }
+    if reach.hesitation is not None:
+        written["hesitating at"] = format_quantity(reach.hesitation.distance_m, LENGTH)
+        written["for"] = format_quantity(reach.hesitation.duration_s, TIME)
+    return written
 
 
 def _recorded_hand(hand: RecordedHand) -> dict[str, Tree]:
@@ -125,10 +168,14 @@ def _recorded_hand(hand: RecordedHand) -> dict[str, Tree]:
         "track": scalar_text(hand.track),
         "starts at": write_vector(hand.starts_at_in_base_m, LENGTH),
         "turned": format_quantity(hand.turn_rad, ANGLE),
+        "shifted by": write_vector(hand.shift_in_base_m, LENGTH),
+        "delayed by": format_quantity(hand.delay_s, TIME),
         "speed factor": format_quantity(hand.speed_factor, NUMBER),
         "longest gap": format_quantity(hand.longest_gap_s, TIME),
         "fastest jump": format_quantity(hand.fastest_jump_mps, SPEED),
     }
+    if hand.max_speed_mps is not None:
+        tree["speed at most"] = format_quantity(hand.max_speed_mps, SPEED)
     if hand.from_s is not None:
         tree["from"] = format_quantity(hand.from_s, TIME)
     if hand.to_s is not None:

@@ -60,7 +60,7 @@ def desired_view(
     transform_object_to_camera: NDArray[np.float64],  # (4, 4) at the desired pose
     object_kind: ObjectKind,
     *,
-    place: Place = Place(field="settings.cell.object polygon"),  # noqa: B008 (frozen)
+    place: Place = Place(field="object.polygon"),  # noqa: B008 (frozen)
 ) -> DesiredView:
     """The desired view of a flat object given in its own frame.
 

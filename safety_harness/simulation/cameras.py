@@ -91,11 +91,11 @@ class Sensors:
 
 def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
     """(n, 3) vertices of the object on its plane."""
-    cell = settings.cell
-    c, s = np.cos(cell.object_yaw_rad), np.sin(cell.object_yaw_rad)
-    polygon = np.array(cell.object_polygon_m)
+    shape = settings.object
+    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
+    polygon = np.array(shape.polygon_m)
     flat = polygon @ np.array([[c, s], [-s, c]])
-    return np.column_stack([flat, np.zeros(len(flat))]) + cell.object_position_in_base_m
+    return np.column_stack([flat, np.zeros(len(flat))]) + shape.position_in_base_m
 
 
 def sensors(

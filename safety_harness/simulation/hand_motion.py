@@ -1,48 +1,42 @@
-"""Hands that move as the scenario says: an interpreter of hand moves, compiled for both worlds."""
+"""Hands that move as the scenario says: an interpreter of hand moves, compiled for both worlds.
+
+The velocity of a hand that moves is continuous, and changes by at most its acceleration times the
+time: straight ways are closed form from rest to rest (``follow_leg``), a hand that heads for the TCP
+turns its velocity towards it (``pursue``), and whoever is stopped brakes along its way (``brake``).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.scenario.model import (
-    MAX_HANDS,
-    FollowTcp,
-    HandMove,
-    HandTrajectory,
-    MoveTo,
-    MovingHand,
-    ReachForTcp,
-    RecordedHand,
-    Wait,
-)
-from safety_harness.settings import Hand
 
 
 class Kind(IntEnum):
     """What a compiled move does."""
 
-    MOVE_TO = 0
+    LEG = 0
     WAIT = 1
     REACH_FOR_TCP = 2
     FOLLOW_TCP = 3
 
 
-MOVE_TO, WAIT = int(Kind.MOVE_TO), int(Kind.WAIT)
+LEG, WAIT = int(Kind.LEG), int(Kind.WAIT)
 REACH_FOR_TCP, FOLLOW_TCP = int(Kind.REACH_FOR_TCP), int(Kind.FOLLOW_TCP)
 
+# A move of a scenario is a group of one or more of these, with one time limit.
 MOVE = np.dtype(
     [
         ("kind", np.int64),
-        ("target_in_base_m", np.float64, (3,)),
+        ("target_in_base_m", np.float64, (3,)),  # of a leg
         ("speed_mps", np.float64),
-        ("distance_m", np.float64),  # how near to the TCP
-        ("duration_s", np.float64),  # at most, for a reach
+        ("distance_m", np.float64),  # how near to the target, or to the TCP
+        ("duration_s", np.float64),  # of a wait
+        ("within_s", np.float64),  # of the group: then it is over
+        ("after", np.int64),  # where the next group begins, counted from the hand's first move
     ],
     align=True,
 )
@@ -51,77 +45,33 @@ HAND = np.dtype(
     [
         ("present", np.bool_),
         ("recorded", np.bool_),
+        ("leader", np.int64),  # the hand that this one is joined to, else -1
+        ("apart_in_base_m", np.float64, (3,)),  # from its leader
         ("position_in_base_m", np.float64, (3,)),
         ("elbow_in_base_m", np.float64, (3,)),
         ("elbow_towards_in_base_m", np.float64, (3,)),
         ("forearm_length_m", np.float64),
+        ("max_acceleration_mps2", np.float64),
+        ("tremor_m", np.float64),  # along each axis
+        ("tremor_radps", np.float64),
+        ("tremor_phase_rad", np.float64, (3,)),
         ("first", np.int64),  # of this hand's moves or samples
         ("count", np.int64),
         ("current", np.int64),  # which move or sample interval
         ("elapsed_s", np.float64),  # in the current move
+        ("spent_s", np.float64),  # in its group
+        ("steady_in_base_m", np.float64, (3,)),  # without tremor, as the next
+        ("velocity_in_base_mps", np.float64, (3,)),
+        ("on_leg", np.bool_),  # whether the current leg has begun; then it has:
+        ("leg_start_in_base_m", np.float64, (3,)),
+        ("leg_direction_in_base", np.float64, (3,)),
+        ("leg_way_m", np.float64),
+        ("leg_s", np.float64),  # time since it began
     ],
     align=True,
 )
 
-
-@dataclass(frozen=True, eq=False)
-class Hands:
-    """The hands of one episode: their state and their programs.
-
-    ``state`` (MAX_HANDS,) HAND; ``moves`` (m,) MOVE; ``samples`` (s, 7): time, hand, elbow.
-    """
-
-    state: NDArray[np.void]
-    moves: NDArray[np.void]
-    samples: NDArray[np.float64]
-
-
-def hands_at_start(trajectories: Sequence[HandTrajectory], hand: Hand) -> Hands:
-    """The hands as the scenario begins."""
-    state = np.zeros(MAX_HANDS, HAND)
-    state["position_in_base_m"] = state["elbow_in_base_m"] = np.nan
-    moves: list[NDArray[np.void]] = []
-    samples: list[NDArray[np.float64]] = []
-    for record, trajectory in zip(state, trajectories, strict=False):
-        record["present"] = True
-        record["forearm_length_m"] = hand.forearm_length_m
-        if isinstance(trajectory, RecordedHand):
-            motion = trajectory.motion
-            record["recorded"] = True
-            record["first"] = sum(map(len, samples))
-            record["count"] = len(motion.time_s)
-            samples.append(
-                np.column_stack(
-                    [motion.time_s, motion.hand_position_in_base_m, motion.elbow_position_in_base_m]
-                )
-            )
-        else:
-            record["position_in_base_m"] = trajectory.starts_at_in_base_m
-            record["elbow_towards_in_base_m"] = trajectory.elbow_towards_in_base_m
-            record["first"] = sum(map(len, moves))
-            record["count"] = len(trajectory.moves)
-            moves.append(np.array([_move(trajectory, move) for move in trajectory.moves], MOVE).reshape(-1))
-    hands = Hands(
-        state,
-        np.concatenate([*moves, np.zeros(1, MOVE)]),  # never empty: compiled code wants its type
-        np.concatenate([*samples, np.zeros((1, 7))]),
-    )
-    advance_hands(hands.state, hands.moves, hands.samples, np.zeros(3), 0.0, 0.0)
-    return hands
-
-
-def _move(hand: MovingHand, move: HandMove) -> tuple[int, tuple[float, float, float], float, float, float]:
-    """One MOVE record."""
-    nowhere = (0.0, 0.0, 0.0)
-    if isinstance(move, MoveTo):
-        return (MOVE_TO, move.position_in_base_m, move.speed_mps, 0.0, 0.0)
-    if isinstance(move, Wait):
-        return (WAIT, nowhere, 0.0, 0.0, move.duration_s)
-    if isinstance(move, ReachForTcp):
-        return (REACH_FOR_TCP, nowhere, move.speed_mps, move.until_distance_m, move.at_most_s)
-    if isinstance(move, FollowTcp):
-        return (FOLLOW_TCP, nowhere, move.speed_mps, move.distance_m, move.duration_s)
-    return (MOVE_TO, hand.starts_at_in_base_m, move.speed_mps, 0.0, 0.0)  # Withdraw
+ARRIVED_M = 1e-9
 
 
 @compiled
@@ -144,9 +94,18 @@ def advance_hands(
         if hand.recorded:
             follow_recording(hands, k, samples, time_s + dt_s)
             continue
+        if hand.leader >= 0:
+            leader = hands[hand.leader]
+            hand.position_in_base_m[:] = leader.position_in_base_m + hand.apart_in_base_m
+            point_forearm(hands, k)
+            continue
         left_s = dt_s
         while left_s > 0.0 and hand.current < hand.count:
             left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
+        brake(hands, k, left_s)
+        for i in range(3):
+            angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
+            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + hand.tremor_m * np.sin(angle)
         point_forearm(hands, k)
 
 
@@ -158,42 +117,152 @@ def advance_move(
     tcp_position_in_base_m: NDArray[np.float64],
     left_s: float,
 ) -> float:
-    """Spend up to ``left_s`` on the current move; returns what is left when the move is over."""
+    """Spend up to ``left_s`` on the current move; returns what is left of it."""
     hand = hands[k]
     move = moves[hand.first + hand.current]
+    allowed_s = min(left_s, move.within_s - hand.spent_s)
     if move.kind == WAIT:
-        used_s = min(left_s, move.duration_s - hand.elapsed_s)
-        over = hand.elapsed_s + left_s >= move.duration_s
+        used_s = min(allowed_s, move.duration_s - hand.elapsed_s)
+        brake(hands, k, used_s)
+        over = used_s >= move.duration_s - hand.elapsed_s
+    elif move.kind == LEG:
+        used_s, over = follow_leg(hands, k, move.target_in_base_m, move.distance_m, move.speed_mps, allowed_s)
     else:
-        goal = np.empty(3)
-        total = 0.0
-        for i in range(3):
-            goal[i] = move.target_in_base_m[i] if move.kind == MOVE_TO else tcp_position_in_base_m[i]
-            total += (goal[i] - hand.position_in_base_m[i]) ** 2
-        distance = np.sqrt(total)
-        gap = max(distance - move.distance_m, 0.0)
-        allowed_s = left_s
-        if move.kind != MOVE_TO:
-            allowed_s = min(left_s, move.duration_s - hand.elapsed_s)
-        step = min(gap, move.speed_mps * allowed_s)
-        for i in range(3):
-            if step > 0.0:
-                hand.position_in_base_m[i] += step / distance * (goal[i] - hand.position_in_base_m[i])
-        there = step >= gap
-        if move.kind == FOLLOW_TCP:
-            used_s = allowed_s
-            over = hand.elapsed_s + left_s >= move.duration_s
-        else:
-            used_s = step / move.speed_mps if there else allowed_s
-            over = there or (move.kind == REACH_FOR_TCP and hand.elapsed_s + left_s >= move.duration_s)
-            if there and move.kind == MOVE_TO:
-                hand.position_in_base_m[:] = move.target_in_base_m  # exactly, whatever the rounding
-    if over:
-        hand.current += 1
+        used_s, over = pursue(hands, k, tcp_position_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+        if over and move.kind == FOLLOW_TCP:
+            brake(hands, k, allowed_s)
+            used_s, over = allowed_s, False
+    group_over = used_s >= move.within_s - hand.spent_s
+    hand.elapsed_s += used_s
+    hand.spent_s += used_s
+    if over or group_over:
+        hand.current = move.after if group_over else hand.current + 1
         hand.elapsed_s = 0.0
-        return float(max(left_s - used_s, 0.0))
-    hand.elapsed_s += left_s
-    return 0.0
+        hand.on_leg = False
+        if hand.current == move.after:
+            hand.spent_s = 0.0
+    return float(max(left_s - used_s, 0.0))
+
+
+@compiled
+def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
+    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
+    hand = hands[k]
+    speed = np.sqrt((hand.velocity_in_base_mps**2).sum())
+    if speed == 0.0:
+        return 0.0
+    stop_s = speed / hand.max_acceleration_mps2
+    used_s = min(dt_s, stop_s)
+    kept = 0.0 if used_s >= stop_s else 1.0 - used_s / stop_s
+    for i in range(3):
+        hand.steady_in_base_m[i] += hand.velocity_in_base_mps[i] * 0.5 * (1.0 + kept) * used_s
+        hand.velocity_in_base_mps[i] *= kept
+    return float(used_s)
+
+
+@compiled
+def follow_leg(
+    hands: NDArray[np.void],
+    k: int,
+    target_in_base_m: NDArray[np.float64],  # (3,)
+    distance_m: float,
+    speed_mps: float,
+    dt_s: float,
+) -> tuple[float, bool]:
+    """Straight until ``distance_m`` from the target, from rest to rest; (time used, whether it is there).
+
+    The speed is a trapezoid over time, or a triangle where the way is too short for ``speed_mps``.
+    """
+    hand = hands[k]
+    used_s = 0.0
+    if not hand.on_leg:
+        used_s = brake(hands, k, dt_s)
+        if np.any(hand.velocity_in_base_mps != 0.0):
+            return dt_s, False
+        begin_leg(hands, k, target_in_base_m, distance_m)
+    acceleration, way = hand.max_acceleration_mps2, hand.leg_way_m
+    peak = min(speed_mps, np.sqrt(acceleration * way))
+    ramp_s = peak / acceleration
+    total_s = way / peak + ramp_s if peak > 0.0 else 0.0
+    if hand.leg_s + (dt_s - used_s) >= total_s:
+        for i in range(3):
+            hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + way * hand.leg_direction_in_base[i]
+            hand.velocity_in_base_mps[i] = 0.0
+            if distance_m == 0.0:
+                hand.steady_in_base_m[i] = target_in_base_m[i]  # exactly, whatever the rounding
+        return used_s + max(total_s - hand.leg_s, 0.0), True
+    hand.leg_s += dt_s - used_s
+    to_end_s = total_s - hand.leg_s
+    if hand.leg_s < ramp_s:
+        gone, rate = 0.5 * acceleration * hand.leg_s**2, acceleration * hand.leg_s
+    elif to_end_s < ramp_s:
+        gone, rate = way - 0.5 * acceleration * to_end_s**2, acceleration * to_end_s
+    else:
+        gone, rate = peak * (hand.leg_s - 0.5 * ramp_s), peak
+    for i in range(3):
+        hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + gone * hand.leg_direction_in_base[i]
+        hand.velocity_in_base_mps[i] = rate * hand.leg_direction_in_base[i]
+    return dt_s, False
+
+
+@compiled
+def begin_leg(
+    hands: NDArray[np.void], k: int, target_in_base_m: NDArray[np.float64], distance_m: float
+) -> None:
+    """Fix where the leg leads, from where the hand rests now."""
+    hand = hands[k]
+    hand.on_leg = True
+    hand.leg_s = 0.0
+    total = 0.0
+    for i in range(3):
+        hand.leg_start_in_base_m[i] = hand.steady_in_base_m[i]
+        hand.leg_direction_in_base[i] = target_in_base_m[i] - hand.steady_in_base_m[i]
+        total += hand.leg_direction_in_base[i] ** 2
+    length = np.sqrt(total)
+    hand.leg_way_m = max(length - distance_m, 0.0)
+    for i in range(3):
+        hand.leg_direction_in_base[i] = hand.leg_direction_in_base[i] / length if length > 0.0 else 0.0
+
+
+@compiled
+def pursue(
+    hands: NDArray[np.void],
+    k: int,
+    goal_in_base_m: NDArray[np.float64],  # (3,)
+    distance_m: float,
+    speed_mps: float,
+    dt_s: float,
+) -> tuple[float, bool]:
+    """Turn the velocity towards the goal for ``dt_s``; (time used, whether it is ``distance_m`` near).
+
+    The hand closes in at the largest speed w from which it can still stop on the gap g that is left:
+    with v now and a to brake, (v + w)/2 dt + w^2/2a = g.
+    """
+    hand = hands[k]
+    total, closing = 0.0, 0.0
+    for i in range(3):
+        ahead = goal_in_base_m[i] - hand.steady_in_base_m[i]
+        total += ahead**2
+        closing += ahead * hand.velocity_in_base_mps[i]
+    away = np.sqrt(total)
+    gap = away - distance_m
+    if gap <= ARRIVED_M:
+        return 0.0, True
+    change = hand.max_acceleration_mps2 * dt_s
+    room = 4.0 * hand.max_acceleration_mps2 * gap - 2.0 * change * closing / away
+    if room <= 0.0:
+        return brake(hands, k, dt_s), False
+    wanted = min(speed_mps, room / (change + np.sqrt(change**2 + 2.0 * room)))
+    step, squared = np.empty(3), 0.0
+    for i in range(3):
+        direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
+        step[i] = wanted * direction - hand.velocity_in_base_mps[i]
+        squared += step[i] ** 2
+    part = min(1.0, change / np.sqrt(squared)) if squared > 0.0 else 0.0
+    for i in range(3):
+        hand.steady_in_base_m[i] += (hand.velocity_in_base_mps[i] + 0.5 * part * step[i]) * dt_s
+        hand.velocity_in_base_mps[i] += part * step[i]
+    return dt_s, False
 
 
 @compiled

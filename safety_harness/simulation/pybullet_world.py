@@ -29,7 +29,8 @@ from safety_harness.simulation.faults import (
     spoil_hand_frame,
     spoil_object_frame,
 )
-from safety_harness.simulation.hand_motion import advance_hands, hands_at_start
+from safety_harness.simulation.hand_motion import advance_hands
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.sensing import (
     deliver,
@@ -66,7 +67,7 @@ class PyBulletWorld:
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector()
-        self._hands = hands_at_start(scenario.hands, settings.hand)
+        self._hands = hands_at_start(scenario)
         self._sensors = sensors(
             settings, scenario.seed, scenario.ticks, overhead_transform_sensor_to_base(settings)
         )

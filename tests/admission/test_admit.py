@@ -16,8 +16,17 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
-from safety_harness.scenario.model import Claim, JointStart, OffsetStart, Scenario, Verdict
-from safety_harness.settings import DEFAULTS, Avoidance, Camera, Cell, HandSensor, HandSensorKind
+from safety_harness.scenario.model import (
+    Claim,
+    JoinedHand,
+    JointStart,
+    OffsetStart,
+    PoseStart,
+    Scenario,
+    Verdict,
+)
+from safety_harness.scenario.moves import MoveTo, Tremor
+from safety_harness.settings import DEFAULTS, Avoidance, Camera, HandSensor, HandSensorKind, Object
 
 DOWNWARD = DEFAULTS.cell.preferred_joint_position_rad
 
@@ -43,6 +52,46 @@ def test_an_offset_start_is_where_it_was_asked_for() -> None:
     expected = desired_transform_tcp_to_base(DEFAULTS)
     expected[:3, 3] += offset
     np.testing.assert_allclose(transforms[7], expected, atol=1e-9)
+
+
+def test_a_start_by_its_position_is_the_offset_start_there() -> None:
+    tilt = (0.02, -0.03, 0.01)
+    desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
+    place = PoseStart(position_in_base_m=tuple(desired + (0.04, -0.12, 0.06)), tilt_in_tcp_rad=tilt)
+    offset = OffsetStart(offset_in_base_m=(0.04, -0.12, 0.06), tilt_in_tcp_rad=tilt)
+    joints = [start_joint_position(replace(scenario(), start=start), load_arm()) for start in (place, offset)]
+    assert joints[0] == pytest.approx(joints[1], abs=1e-12)
+
+
+def test_a_hand_of_a_program_is_held_to_its_bounds_too() -> None:
+    fast = hand(MoveTo(position_in_base_m=(1.0, -0.5, 0.3), speed_mps=2.1))
+    error = refusal(scenario(fast))
+    assert (error.place.field, error.got) == ("hands[0].moves[0]", "2.1 m/s")
+    assert admit(scenario(replace(fast, max_speed_mps=2.1)))
+    trembles = Tremor(amplitude_m=0.003, rate_hz=8.0)
+    assert (
+        "bound of 1.949 m/s" in refusal(scenario(replace(fast, max_speed_mps=2.1, tremor=trembles))).expected
+    )
+
+
+def test_a_hand_that_is_joined_to_none_before_it_is_refused() -> None:
+    joined = JoinedHand(
+        name="left",
+        joined_to="right",
+        apart_in_base_m=(0.0, 0.3, 0.0),
+        elbow_towards_in_base_m=(1.6, 0.5, 0.3),
+    )
+    assert admit(replace(scenario(), hands=(hand(), joined)))
+    for hands in ((joined, hand()), (joined,), (hand(name="other"), joined)):
+        assert "an earlier hand" in refusal(replace(scenario(), hands=hands)).expected
+
+
+def test_an_object_out_of_view_comes_with_the_place_for_the_tcp_that_sees_it_best() -> None:
+    away = replace(DEFAULTS.object, position_in_base_m=(0.8, 0.4, -0.3))
+    error = refusal(scenario(settings=replace(DEFAULTS, object=away)))
+    assert "desired tcp position: [800 mm, 355 mm, 350 mm]" in error.hint
+    cell = replace(DEFAULTS.cell, desired_tcp_position_in_base_m=(0.8, 0.355, 0.35))
+    assert admit(scenario(settings=replace(DEFAULTS, object=away, cell=cell)))
 
 
 def test_all_starts_of_the_default_workspace_are_admitted() -> None:
@@ -83,8 +132,8 @@ def test_a_hand_below_the_table_is_refused() -> None:
 
 
 def test_a_symmetric_object_is_refused() -> None:
-    isosceles = Cell(object_polygon_m=((-0.05, -0.04), (0.05, -0.04), (0.0, 0.08)))
-    assert "rank 6" in refusal(scenario(settings=replace(DEFAULTS, cell=isosceles))).expected
+    isosceles = Object(polygon_m=((-0.05, -0.04), (0.05, -0.04), (0.0, 0.08)))
+    assert "rank 6" in refusal(scenario(settings=replace(DEFAULTS, object=isosceles))).expected
 
 
 def test_an_eye_in_hand_sensor_with_other_optics_is_refused() -> None:

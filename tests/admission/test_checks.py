@@ -29,6 +29,12 @@ hands:
       - move to: [840 mm, -350 mm, 5 mm]
         speed: 0.5 m/s
 """
+TOGETHER = """\
+  - hand: left
+    together with: right
+    apart: [0 mm, 300 mm, 0 mm]
+    elbow towards: [1.6 m, 0.5 m, 300 mm]
+"""
 # One second of a hand that goes down by 400 mm, from 0.4 s to 0.5 s.
 DIP = "time_s,right_hand_x_m,right_hand_y_m,right_hand_z_m\n" + "".join(
     f"{k / 100},0,0,{-0.04 * min(max(k - 40, 0), 10)}\n" for k in range(101)
@@ -95,6 +101,45 @@ def refusal(text: str) -> InadmissibleError:
             "a hand that begins outside the robot, its forearm too",
             "one ",
         ),
+        (
+            HAND.replace("    moves:", "    shifted by: [0 m, 0 m, -310 mm]\n    moves:"),
+            "move to",
+            "hands[0].moves[1].move to",
+            "a hand above the table (z = -300 mm)",
+            "z = -305 mm with its shift",
+        ),
+        (
+            HAND.replace(
+                "wait: 1 s", "{wander: 1 m/s, for: 1 s, within: [[1 m, 0 m, 0 m], [1 m, 1 m, -1 m]]}"
+            ),
+            "wander",
+            "hands[0].moves[0].within",
+            "a hand above the table (z = -300 mm)",
+            "z = -1000 mm",
+        ),
+        (
+            HAND.replace(
+                "wait: 1 s", "{sweep: 1 m/s, from: [1 m, 0 m, 0 m], to: [1 m, 1 m, -1 m], times: 2}"
+            ),
+            "sweep",
+            "hands[0].moves[0].to",
+            "a hand above the table (z = -300 mm)",
+            "z = -1000 mm",
+        ),
+        (
+            HAND + TOGETHER.replace(" 0 mm]", " -306 mm]"),
+            "apart",
+            "hands[1].apart",
+            "a hand above the table (z = -300 mm)",
+            "z = -301 mm",
+        ),
+        (
+            HAND + TOGETHER.replace("[0 mm, 300 mm, 0 mm]", "[-400 mm, 640 mm, 0 mm]"),
+            "apart",
+            "hands[1].apart",
+            "a hand that begins outside the robot, its forearm too",
+            "one ",
+        ),
         # the cell
         (
             "settings: {cell: {desired tcp position: [1.8 m, 0 m, 350 mm]}}\n",
@@ -111,9 +156,9 @@ def refusal(text: str) -> InadmissibleError:
             "the position (700, 300, 350) mm",
         ),
         (
-            "settings: {cell: {object position: [700 mm, 400 mm, -300 mm]}}\n",
-            "settings",
-            "settings.cell.object position",
+            "object: {position: [700 mm, 400 mm, -300 mm]}\n",
+            "object",
+            "object.position",
             "a desired TCP position with the whole object in the camera's view",
             "the position (700, 0, 350) mm",
         ),
@@ -146,16 +191,23 @@ def refusal(text: str) -> InadmissibleError:
             "z = -300 mm",
         ),
         (
-            "settings:\n  cell: {object polygon: [[-50 mm, -40 mm], [50 mm, -40 mm], [0 mm, 80 mm]]}\n",
-            "cell",
-            "settings.cell.object polygon",
+            "object:\n  polygon: [[-50 mm, -40 mm], [50 mm, -40 mm], [0 mm, 80 mm]]\n",
+            "polygon",
+            "object.polygon",
             "an object whose interaction matrix has rank 6",
             "rank 5",
         ),
         (
-            "settings:\n  cell: {object polygon: [[0 mm, 0 mm], [50 mm, 0 mm], [100 mm, 0 mm]]}\n",
-            "cell",
-            "settings.cell.object polygon",
+            "object:\n  polygon: [[-66 mm, -40 mm], [67 mm, -40 mm], [2 mm, 80 mm]]\n",
+            "polygon",
+            "object.polygon",
+            "an object whose interaction matrix at the desired pose has a condition number of at most 1000",
+            "",
+        ),
+        (
+            "object:\n  polygon: [[0 mm, 0 mm], [50 mm, 0 mm], [100 mm, 0 mm]]\n",
+            "polygon",
+            "object.polygon",
             "an object with an area",
             "one that cannot be seen",
         ),
@@ -176,9 +228,9 @@ def refusal(text: str) -> InadmissibleError:
         ),
         *(
             (
-                f"settings:\n  cell: {{object polygon: {polygon}}}\n{more}",
-                "cell",
-                "settings.cell.object polygon",
+                f"object:\n  polygon: {polygon}\n{more}",
+                "polygon",
+                "object.polygon",
                 expected,
                 got,
             )
@@ -352,8 +404,8 @@ def test_the_restart_delay_is_explained_by_what_a_stop_takes() -> None:
         "camera: {rate: 30 Hz}\nfaults:\n  - camera: is late\n    delay: 2 s\n",
         "faults: [{hand sensor: sees a false hand, at: [3 m, 0 m, 0 m]}]\n",  # the ideal one has no border
         "hand sensor: {kind: eye in hand}\nfaults: [{hand sensor: sees a false hand, at: [3 m, 0 m, 0 m]}]\n",
-        f"settings: {{cell: {{object polygon: {ARROW}}}}}\n",
-        f"settings: {{cell: {{object polygon: {BOW}}}, servo: {{object kind: discrete}}}}\n",
+        f"object: {{polygon: {ARROW}}}\n",
+        f"object: {{polygon: {BOW}}}\nsettings: {{servo: {{object kind: discrete}}}}\n",
     ],
 )
 def test_what_just_fits_is_admitted(addition: str) -> None:

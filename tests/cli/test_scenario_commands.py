@@ -132,7 +132,7 @@ def test_explain_gives_meaning_unit_bounds_default_and_example(capsys: Captured)
 
 def test_a_key_of_several_places_is_explained_for_each_or_for_the_one_that_is_named(capsys: Captured) -> None:
     explain_key(["rate"])
-    assert capsys.readouterr().out.count("rate, of ") == 2
+    assert capsys.readouterr().out.count("rate, of ") == 3
     explain_key(["camera.rate"])
     assert capsys.readouterr().out.count("rate, of ") == 1
 

@@ -12,7 +12,7 @@ from examples import VISIT, hand, run, scenario
 from safety_harness.admission.admit import kinematics
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.kinematics import geometric_jacobian
-from safety_harness.scenario.model import FollowTcp, MoveTo, Wait, Withdraw
+from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings, Vector3
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace

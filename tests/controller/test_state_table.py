@@ -12,7 +12,7 @@ from examples import Displaced, hand, run, scenario
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.opposite import OppositePose
-from safety_harness.scenario.model import MoveTo, Wait, Withdraw
+from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check, Limit, Mode, Outcome, Trigger
 

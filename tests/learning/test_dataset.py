@@ -96,7 +96,7 @@ def test_a_nearer_candidate_that_does_not_see_the_object_is_not_selected_unless_
 
 
 def test_tcps_from_which_nothing_can_be_seen_are_refused() -> None:
-    below_the_object = np.array([DEFAULTS.cell.object_position_in_base_m]) - [0.0, 0.0, 0.2]
+    below_the_object = np.array([DEFAULTS.object.position_in_base_m]) - [0.0, 0.0, 0.2]
     with pytest.raises(DatasetError, match="1 of 1 TCPs"):
         ImageErrors.of(DEFAULTS).select(below_the_object[:, None])
 

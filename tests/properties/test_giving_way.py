@@ -13,7 +13,8 @@ from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.properties.giving_way import MovesAway, last_tick
 from safety_harness.properties.reference import progress
-from safety_harness.scenario.model import FollowTcp, MoveTo, MovingHand, Verdict, Wait
+from safety_harness.scenario.model import MovingHand, Verdict
+from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind, Settings
 from safety_harness.trace.records import Limit, Mode, Outcome, Trigger
 from safety_harness.trace.trace import Trace

@@ -8,16 +8,8 @@ import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.scenario.model import (
-    MAX_HANDS,
-    Claim,
-    MovingHand,
-    OffsetStart,
-    ReachForTcp,
-    Scenario,
-    Verdict,
-    Withdraw,
-)
+from safety_harness.scenario.model import MAX_HANDS, Claim, MovingHand, OffsetStart, Scenario, Verdict
+from safety_harness.scenario.moves import ReachForTcp, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import DECISION, TICK, Check, Limit, Mode, Outcome, Trigger
 from safety_harness.trace.trace import Provenance, Trace

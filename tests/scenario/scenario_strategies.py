@@ -16,21 +16,33 @@ from safety_harness.scenario.faults import MOST_FALSE_HANDS, FalseHand, Fault, J
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     Claim,
-    FollowTcp,
+    HandTrajectory,
+    JoinedHand,
     JointStart,
-    MoveTo,
     MovingHand,
     OffsetStart,
-    ReachForTcp,
+    PoseStart,
     RecordedHand,
     Robot,
     Scenario,
     Verdict,
+)
+from safety_harness.scenario.moves import (
+    FollowTcp,
+    Hesitation,
+    MoveTo,
+    ReachForObject,
+    ReachForTcp,
+    Sweep,
+    Tremor,
     Wait,
+    Wander,
     Withdraw,
+    shifted,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.read_hands import FASTEST_MPS, LARGEST_FACTOR, LONGEST_S
+from safety_harness.scenario.read_hands import ACCELERATIONS_MPS2, LARGEST_FACTOR, TREMORS_HZ, TREMORS_M
+from safety_harness.scenario.read_moves import FASTEST_MPS, LONGEST_S, MOST_TIMES
 from safety_harness.scenario.recording import load_recording
 from safety_harness.scenario.recording_table import parse_recording
 from safety_harness.scenario.settings_keys import SettingKey, setting_keys
@@ -80,15 +92,40 @@ prose = st.text(
     st.characters(exclude_categories=("Cc", "Cs", "Zl", "Zp"), include_characters="\n"), max_size=200
 )
 
+
+@st.composite
+def hesitations(draw: st.DrawFn) -> dict[str, Any]:
+    """Where a reach ends, and where it hesitates before that, if it does."""
+    until_m = draw(st.floats(min_value=0.0, max_value=9.0))
+    stop_m = draw(st.none() | st.floats(min_value=until_m, max_value=10.0, exclude_min=True))
+    hesitation = None if stop_m is None else Hesitation(distance_m=stop_m, duration_s=draw(durations))
+    return {"until_distance_m": until_m, "at_most_s": draw(durations), "hesitation": hesitation}
+
+
+two_points = st.tuples(points, points).filter(lambda pair: np.linalg.norm(np.subtract(*pair)) > 0.01)
 moves = st.one_of(
     st.builds(MoveTo, position_in_base_m=points, speed_mps=speeds),
     st.builds(Wait, duration_s=durations),
-    st.builds(ReachForTcp, speed_mps=speeds, until_distance_m=distances, at_most_s=durations),
+    st.builds(lambda v, how: ReachForTcp(speed_mps=v, **how), speeds, hesitations()),
+    st.builds(lambda v, how: ReachForObject(speed_mps=v, **how), speeds, hesitations()),
     st.builds(FollowTcp, speed_mps=speeds, distance_m=distances, duration_s=durations),
+    st.builds(Wander, speed_mps=speeds, corners_in_base_m=two_points, duration_s=durations),
+    st.builds(
+        lambda v, pair, times: Sweep(speed_mps=v, from_in_base_m=pair[0], to_in_base_m=pair[1], times=times),
+        speeds,
+        two_points,
+        st.integers(min_value=1, max_value=MOST_TIMES),
+    ),
     st.builds(Withdraw, speed_mps=speeds),
+)
+tremors = st.builds(
+    Tremor,
+    amplitude_m=st.floats(min_value=TREMORS_M[0], max_value=TREMORS_M[1]),
+    rate_hz=st.floats(min_value=TREMORS_HZ[0], max_value=TREMORS_HZ[1]),
 )
 starts = st.one_of(
     st.builds(OffsetStart, offset_in_base_m=points, tilt_in_tcp_rad=vectors(angles)),
+    st.builds(PoseStart, position_in_base_m=points, tilt_in_tcp_rad=vectors(angles)),
     st.builds(JointStart, joint_position_rad=st.tuples(*[angles] * 6)),
 )
 
@@ -125,14 +162,25 @@ settings = st.fixed_dictionaries({}, optional=_groups()).map(lambda groups: repl
 
 @st.composite
 def moving_hands(draw: st.DrawFn) -> MovingHand:
-    start, elbow = draw(points), draw(points)
-    if start == elbow:
+    start, elbow, shift = draw(points), draw(points), draw(points)
+    if start == elbow or shifted(start, shift) == elbow:
         elbow = (start[0] / 2 + 1.0, start[1], start[2])
+    done = tuple(draw(st.lists(moves, max_size=4)))
+    tremor = draw(st.none() | tremors)
+    fastest = max((getattr(move, "speed_mps", 0.0) for move in done), default=0.0)
+    least = fastest + (tremor.max_speed_mps if tremor else 0.0)
+    if least > FASTEST_MPS * 0.999:
+        done, least = (), tremor.max_speed_mps if tremor else 0.0
     return MovingHand(
         name=draw(sentences),
         starts_at_in_base_m=start,
         elbow_towards_in_base_m=elbow,
-        moves=tuple(draw(st.lists(moves, max_size=4))),
+        moves=done,
+        shift_in_base_m=shift,
+        delay_s=draw(st.floats(min_value=0.0, max_value=LONGEST_S)),
+        max_speed_mps=draw(st.floats(min_value=least * 1.0001 + 1e-9, max_value=FASTEST_MPS)),
+        max_acceleration_mps2=draw(st.floats(*ACCELERATIONS_MPS2)),
+        tremor=tremor,
     )
 
 
@@ -158,8 +206,19 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
     if elbow_track is None:
         usage["elbow_towards_in_base_m"] = draw(st.sampled_from([(-10.0, 10.0, 5.0), (0.1, 0.2, 9.9)]))
         usage["starts_at_in_base_m"] = draw(vectors(st.floats(min_value=-5.0, max_value=5.0)))
-    motion = load_recording(recording, forearm_length_m=forearm_length_m, **usage)
-    return RecordedHand(name=draw(sentences), recording=Path("walks/walk.csv"), motion=motion, **usage)
+    shift_in_base_m = draw(vectors(st.floats(min_value=-1.0, max_value=1.0)))
+    delay_s = draw(st.sampled_from([0.0, 0.5, 3600.0]))
+    placed = {**usage, "starts_at_in_base_m": shifted(usage["starts_at_in_base_m"], shift_in_base_m)}
+    motion = load_recording(recording, forearm_length_m=forearm_length_m, delay_s=delay_s, **placed)
+    return RecordedHand(
+        name=draw(sentences),
+        recording=Path("walks/walk.csv"),
+        motion=motion,
+        shift_in_base_m=shift_in_base_m,
+        delay_s=delay_s,
+        max_speed_mps=20.0 if usage["speed_factor"] > 1.0 else draw(st.sampled_from([None, 20.0])),
+        **usage,
+    )
 
 
 def fault_values(key: Key) -> st.SearchStrategy[Any]:
@@ -192,7 +251,14 @@ def _few_false_hands(several: list[Fault]) -> bool:
 def scenarios(draw: st.DrawFn) -> Scenario:
     chosen: Settings = draw(settings)
     hand = moving_hands() | recorded_hands(chosen.hand.forearm_length_m)
-    hands = draw(st.lists(hand, max_size=2, unique_by=lambda one: one.name))
+    hands: list[HandTrajectory] = draw(st.lists(hand, max_size=2, unique_by=lambda one: one.name))
+    if len(hands) == 2 and draw(st.booleans()):
+        hands[1] = JoinedHand(
+            name=hands[1].name,
+            joined_to=hands[0].name,
+            apart_in_base_m=draw(points),
+            elbow_towards_in_base_m=draw(points),
+        )
     claims = draw(st.dictionaries(sentences, st.sampled_from(Verdict), min_size=1, max_size=4))
     period_s = chosen.clock.control_period_s
     longest_s = min(LONGEST_S, MOST_TICKS * period_s)

@@ -30,6 +30,11 @@ hands:
   - hand: right
     starts at: [1.2 m, -0.7 m, 100 mm]
     elbow towards: [1.6 m, -1.2 m, 300 mm]
+    shifted by: [20 mm, 0 mm, 0 mm]
+    delayed by: 250 ms
+    speed at most: 2.2 m/s
+    acceleration at most: 8 m/s2
+    tremor: {{amplitude: 3 mm, rate: 9 Hz}}
     moves:
       - wait: 1 s
       - move to: [840 mm, -350 mm, 5 mm]
@@ -37,6 +42,18 @@ hands:
       - reach for tcp: 2 m/s
         until: 100 mm
         at most: 3 s
+        hesitating at: 300 mm
+        for: 400 ms
+      - reach for object: 0.8 m/s
+        until: 150 mm
+        at most: 2 s
+      - wander: 0.9 m/s
+        within: [[0.9 m, -0.6 m, 0 mm], [1.1 m, -0.4 m, 200 mm]]
+        for: 3 s
+      - sweep: 0.7 m/s
+        from: [0.9 m, -0.3 m, 50 mm]
+        to: [0.9 m, -0.7 m, 50 mm]
+        times: 3
       - follow tcp: 0.3 m/s
         keeping: 250 mm
         for: 4 s
@@ -48,10 +65,15 @@ hands:
     starts at: [1.4 m, -0.9 m, 200 mm]
     turned: 90 deg
     speed factor: 2.0
+    speed at most: 4 m/s
     from: 200 ms
     to: 1.5 s
     longest gap: 100 ms
     fastest jump: 4 m/s
+object:
+  polygon: [[-60 mm, -40 mm], [100 mm, -40 mm], [-40 mm, 80 mm]]
+  position: [710 mm, 40 mm, -300 mm]
+  yaw: 20 deg
 faults:
   - hand sensor: is late
     delay: 120 ms

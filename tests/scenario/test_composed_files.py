@@ -90,7 +90,7 @@ def test_without_drops_keys_and_claims_of_the_extended_file(folder: Path) -> Non
     [
         ("seed: 1\nduration: 1 m\n", ("more", 3, "duration"), "1 m"),
         ("tcp start: {offset: [0 m]}\n", ("more", 2, "tcp start.offset"), "a list of 1"),
-        ("tcp start:\n  joints: []\n", ("base", 4, "tcp start.offset"), "both"),
+        ("tcp start:\n  joints: []\n", ("more", 3, "tcp start.joints"), "both"),
         ("settings: {avoidance: {radios: 1 mm}}\n", ("more", 2, "settings.avoidance.radios"), "the key"),
         ("without: [duration]\n", ("more", 1, "duration"), "only scenario"),
         ("without: [sed]\n", ("more", 2, "without[0]"), "sed"),

@@ -67,6 +67,14 @@ def test_the_corpus_of_mistakes_is_not_empty() -> None:
         ("  servo: {interaction: mean}", "  gain far: 0.3", "write servo: {gain far: ...}"),
         (
             "  servo: {interaction: mean}",
+            "  cell: {object yaw: 10 deg}",
+            "object: {yaw: ...} at the top of the file",
+        ),
+        ("- reach for object: 0.8", "- reach for objekt: 0.8", 'did you mean "reach for object"?'),
+        ("- wander: 0.9", "- wandr: 0.9", 'did you mean "wander"?'),
+        ("{amplitude: 3 mm", "{amplitud: 3 mm", 'did you mean "amplitude"?'),
+        (
+            "  servo: {interaction: mean}",
             "  camera: {rate: 30 Hz}",
             '"camera:" stands at the top of the file',
         ),

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import fault_phrases, read, read_hands, units
+from safety_harness.scenario import fault_phrases, moves, read, read_hands, read_moves, units
 from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
 from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
@@ -81,7 +81,7 @@ def test_every_example_can_be_read(example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(blocks("yaml")) == 8
+    assert len(blocks("yaml")) == 12
 
 
 def test_the_first_example_is_complete() -> None:
@@ -125,9 +125,11 @@ def test_the_composed_example_and_the_suite_can_be_read(tmp_path: Path) -> None:
     [
         ("## Files made of others", COMPOSING),
         ("## Top of the file", KEYS),
-        ("## A hand that moves", read_hands._MOVING_KEYS),
+        ("## A hand that moves", (*read_hands._MOVING_KEYS, *read_hands._TREMOR_KEYS)),
+        ("## A hand that holds the same part as another", read_hands._JOINED_KEYS),
         ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
-        ("## `tcp start`", ("offset", "tilt", "joints")),
+        ("## `tcp start`", read.START_KEYS),
+        ("## `object`", {key.words[0] for key in setting_keys(type(DEFAULTS.object))}),
         ("### The time of a fault", fault_phrases.TIMES),
         ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
         ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
@@ -138,9 +140,9 @@ def test_the_tables_name_every_key_and_no_other(heading: str, keys: tuple[str, .
 
 
 def test_the_page_names_every_move() -> None:
-    for move, (further, _) in read_hands._MOVES.items():
+    for move, (further, _) in read_moves.MOVES.items():
         (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
-        assert tuple(re.findall("`(.*?)`", line)) == further
+        assert tuple(re.findall("`(.*?)`", line.split("|")[0])) == further
         (table,) = (table for table in MOVES if table.name == move)
         assert table.names == (move, *further)
 
@@ -162,8 +164,8 @@ def test_the_tables_of_settings_name_every_key_with_its_default(group: str) -> N
     assert parse_scenario(text, FILE).settings == DEFAULTS
 
 
-@pytest.mark.parametrize("group", ["camera", "hand sensor"])
-def test_the_defaults_of_the_cameras_are_the_defaults(group: str) -> None:
+@pytest.mark.parametrize("group", ["object", "camera", "hand sensor"])
+def test_the_defaults_of_the_groups_at_the_top_are_the_defaults(group: str) -> None:
     text = completed("") + f"{group}:\n" + defaults_of(f"## `{group}`", "  ")
     assert parse_scenario(text, FILE).settings == DEFAULTS
 
@@ -174,6 +176,10 @@ def test_the_other_defaults_are_the_defaults() -> None:
     fastest_jump_mps = units.parse_quantity(default["fastest jump"], units.SPEED, Place())
     assert longest_gap_s == read_hands.DEFAULT_LONGEST_GAP_S
     assert fastest_jump_mps == read_hands.DEFAULT_FASTEST_JUMP_MPS
+    moving = {row.keys[-1]: row.default for row in rows("## A hand that moves")}
+    assert units.parse_quantity(moving["speed at most"], units.SPEED, Place()) == moves.REACHING_MPS
+    bound = units.parse_quantity(moving["acceleration at most"], units.ACCELERATION, Place())
+    assert bound == moves.REACHING_MPS2
     top = {key: row.default for row in rows("## Top of the file") for key in row.keys}
     assert top["avoider"] == read.DEFAULT_AVOIDER
     assert {key for key in top if top[key] == "required"} == set(BASE)
@@ -196,9 +202,9 @@ def bounds_of(text: str, dimension: Dimension) -> Bounds:
     return Bounds(*(units.parse_quantity(bound, dimension, Place()) for bound in (least, most)))
 
 
-@pytest.mark.parametrize("group", [*SETTINGS_KEYS, "camera", "hand sensor"])
+@pytest.mark.parametrize("group", [*SETTINGS_KEYS, "object", "camera", "hand sensor"])
 def test_the_tables_have_every_keys_own_bounds_and_no_others(group: str) -> None:
-    at_the_top = group in ("camera", "hand sensor")
+    at_the_top = group in ("object", "camera", "hand sensor")
     table = {row.keys: row.value for row in rows(f"## `{group}`" if at_the_top else f"### `{group}`")}
     kind = type(getattr(DEFAULTS, group.replace(" ", "_")))
     for key in setting_keys(kind):

@@ -31,7 +31,8 @@ from safety_harness.scenario.faults import (
     Joint,
     JointStuck,
 )
-from safety_harness.scenario.model import MoveTo, MovingHand, Scenario, Wait
+from safety_harness.scenario.model import MovingHand, Scenario
+from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import Check, Mode, Outcome

@@ -25,7 +25,7 @@ from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.cell import Bodies, build_cell, place_hands
 from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import exact_object
-from safety_harness.simulation.hand_motion import hands_at_start
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 
@@ -82,7 +82,7 @@ class Cell:
 
 def hands_at(*positions: Vector, towards: Vector = (1.6, -1.2, 0.3)) -> np.ndarray:
     trajectories = [replace(hand(at=position), elbow_towards_in_base_m=towards) for position in positions]
-    return hands_at_start(trajectories, DEFAULTS.hand).state
+    return hands_at_start(scenario(*trajectories)).state
 
 
 def nowhere() -> np.ndarray:

@@ -21,7 +21,7 @@ from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, ObjectKind, Settings
 from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
-from safety_harness.simulation.hand_motion import hands_at_start
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.sensing import (
     deliver,
     hand_frame_due,
@@ -214,7 +214,9 @@ def seen(
     capsules = cell_capsules(load_capsules(arm.name), settings)
     placed = np.empty((len(capsules.names), 2, 3))
     place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
-    state = hands_at_start([hand(at=tuple(position)) for position in hands], settings.hand).state
+    state = hands_at_start(
+        scenario(*(hand(at=tuple(position)) for position in hands), settings=settings)
+    ).state
     cameras = sensors(settings, 1, 0, overhead_transform_sensor_to_base(settings))
     boxes = np.zeros((MAX_DETECTIONS, 5))
     count = exact_boxes(cameras.state, state, transforms[TCP], placed, capsules.radius_m, boxes)
@@ -300,10 +302,10 @@ def object_at(offset: tuple[float, float, float], settings: Settings = DEFAULTS)
 def test_the_object_lies_on_its_plane_turned_by_its_yaw() -> None:
     polygon = object_polygon_in_base(DEFAULTS)
     assert polygon[:, 2] == pytest.approx(DEFAULTS.cell.table_height_m)
-    flat = np.array(DEFAULTS.cell.object_polygon_m)
-    relative = (polygon - DEFAULTS.cell.object_position_in_base_m)[:, :2]
+    flat = np.array(DEFAULTS.object.polygon_m)
+    relative = (polygon - DEFAULTS.object.position_in_base_m)[:, :2]
     angle = np.arctan2(relative[:, 1], relative[:, 0]) - np.arctan2(flat[:, 1], flat[:, 0])
-    assert np.mod(angle, 2 * np.pi) == pytest.approx(np.full(len(flat), DEFAULTS.cell.object_yaw_rad))
+    assert np.mod(angle, 2 * np.pi) == pytest.approx(np.full(len(flat), DEFAULTS.object.yaw_rad))
     assert np.linalg.norm(relative, axis=1) == pytest.approx(np.linalg.norm(flat, axis=1))
 
 
@@ -320,4 +322,4 @@ def test_a_set_of_points_has_the_moments_of_points() -> None:
     settings = replace(DEFAULTS, servo=replace(DEFAULTS.servo, object_kind=ObjectKind.DISCRETE))
     visible, moments = object_at((0.0, 0.0, 0.0), settings)
     assert visible
-    assert moments[0] == len(DEFAULTS.cell.object_polygon_m)  # m00 counts the points
+    assert moments[0] == len(DEFAULTS.object.polygon_m)  # m00 counts the points

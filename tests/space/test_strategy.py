@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, Phase, find, given, settings
 from hypothesis import strategies as st
 from spaces import FILES, HEAD, everything, of_duration
 
-from safety_harness.scenario.model import MoveTo, Scenario
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.moves import MoveTo
 from safety_harness.space.boxes import InRegion
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace

@@ -1,0 +1,107 @@
+"""Hands against the cell, their bounds and each other: what only a whole scenario shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.scenario.model import JoinedHand, MovingHand, RecordedHand, Scenario
+from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
+from safety_harness.simulation.hand_programs import hands_at_start
+from safety_harness.simulation.truth import cell_capsules
+
+
+def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
+    """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
+    table_m = scenario.settings.cell.table_height_m
+    for number, hand in enumerate(scenario.hands):
+        leader, above_m = scenario.leader(hand), 0.0
+        if leader is None:
+            raise InadmissibleError(
+                place=scenario.place(f"hands[{number}].together with"),
+                expected="the name of an earlier hand that moves by itself",
+                got=f'"{hand.joined_to}"' if isinstance(hand, JoinedHand) else hand.name,
+            )
+        if isinstance(hand, MovingHand):
+            _check_speeds(scenario, number, hand)
+        if isinstance(hand, JoinedHand):
+            above_m = hand.apart_in_base_m[2]
+        for field, words, height_m in _lowest_points(leader, scenario.duration_s):
+            if height_m + above_m < table_m:
+                raise InadmissibleError(
+                    place=scenario.place(
+                        f"hands[{number}].{'apart' if isinstance(hand, JoinedHand) else field}"
+                    ),
+                    expected=f"a hand above the table (z = {table_m * 1e3:.0f} mm)",
+                    got=f"z = {(height_m + above_m) * 1e3:.0f} mm{words}",
+                )
+    _check_clear_of_the_robot(scenario, arm, joint_position_rad)
+
+
+def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
+    """Files are held to this when they are read; a scenario that a program made is here."""
+    for index, move in enumerate(hand.moves):
+        if not isinstance(move, Wait) and not move.speed_mps <= hand.max_move_speed_mps:
+            raise InadmissibleError(
+                place=scenario.place(f"hands[{number}].moves[{index}]"),
+                expected=f"a speed within the hand's bound of {hand.max_move_speed_mps:.4g} m/s",
+                got=f"{move.speed_mps:g} m/s",
+            )
+
+
+def _lowest_points(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
+    """(field, words that say when, z [m]) of whatever could be the lowest point of a hand's centre.
+
+    A tremor is left out of it.
+    """
+    if isinstance(hand, RecordedHand):
+        motion = hand.motion
+        used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
+        height_m = motion.hand_position_in_base_m[:used, 2]
+        lowest = int(height_m.argmin())
+        words = f" after {motion.time_s[lowest]:.2f} s of the run, in {hand.recording}"
+        return [("starts at", words, float(height_m[lowest]))]
+    points = [("starts at", hand.starts_at_in_base_m)]
+    for number, move in enumerate(hand.moves):
+        if isinstance(move, MoveTo):
+            points.append((f"moves[{number}].move to", move.position_in_base_m))
+        if isinstance(move, Wander):
+            points += [(f"moves[{number}].within", corner) for corner in move.corners_in_base_m]
+        if isinstance(move, Sweep):
+            points.append((f"moves[{number}].from", move.from_in_base_m))
+            points.append((f"moves[{number}].to", move.to_in_base_m))
+    shift_m = hand.shift_in_base_m[2]
+    words = " with its shift" if shift_m else ""
+    return [(field, words, point[2] + shift_m) for field, point in points]
+
+
+def _check_clear_of_the_robot(
+    scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]
+) -> None:
+    settings = scenario.settings
+    capsules = cell_capsules(load_capsules(arm.name), settings)
+    transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
+    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+    hands = hands_at_start(scenario).state
+    for number, _ in enumerate(scenario.hands):
+        distance_m, nearest = hand_distance(
+            placed,
+            capsules.radius_m,
+            hands[number]["position_in_base_m"],
+            hands[number]["elbow_in_base_m"],
+            settings.hand.radius_m,
+            settings.hand.forearm_radius_m,
+        )
+        if not distance_m > 0.0:
+            part = capsules.names[nearest].replace("_", " ")
+            raise InadmissibleError(
+                place=scenario.place(f"hands[{number}].starts at", f"hands[{number}].apart"),
+                expected="a hand that begins outside the robot, its forearm too",
+                got=f"one {-distance_m * 1e3:.0f} mm inside the {part}'s capsule",
+            )

@@ -1,0 +1,190 @@
+"""A scenario's hands as records for the interpreter: each move becomes legs, waits and pursuits.
+
+A wander's points are drawn here, from the scenario's seed, the hand's number and the move's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.scenario.model import MAX_HANDS, JoinedHand, MovingHand, RecordedHand, Scenario
+from safety_harness.scenario.moves import (
+    FollowTcp,
+    HandMove,
+    MoveTo,
+    Reach,
+    ReachForObject,
+    ReachForTcp,
+    Sweep,
+    Wait,
+    Wander,
+    shifted,
+)
+from safety_harness.seeds import Branch, generator
+from safety_harness.settings import Vector3
+from safety_harness.simulation.hand_motion import HAND, MOVE, Kind, advance_hands
+
+NOWHERE: Vector3 = (0.0, 0.0, 0.0)
+FIRST_DRAWN = 256
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """The hands of one episode: their state and their programs.
+
+    ``state`` (MAX_HANDS,) HAND; ``moves`` (m,) MOVE; ``samples`` (s, 7): time, hand, elbow.
+    """
+
+    state: NDArray[np.void]
+    moves: NDArray[np.void]
+    samples: NDArray[np.float64]
+
+
+def hands_at_start(scenario: Scenario) -> Hands:
+    """The hands as the scenario begins."""
+    state = np.zeros(MAX_HANDS, HAND)
+    state["position_in_base_m"] = state["elbow_in_base_m"] = np.nan
+    state["leader"] = -1
+    moves: list[NDArray[np.void]] = [np.zeros(1, MOVE)]  # never empty: compiled code wants its type
+    samples: list[NDArray[np.float64]] = [np.zeros((1, 7))]
+    for number, (record, hand) in enumerate(zip(state, scenario.hands, strict=False)):
+        record["present"] = True
+        record["forearm_length_m"] = scenario.settings.hand.forearm_length_m
+        if isinstance(hand, RecordedHand):
+            motion = hand.motion
+            record["recorded"] = True
+            record["first"], record["count"] = sum(map(len, samples)), len(motion.time_s)
+            positions = (motion.hand_position_in_base_m, motion.elbow_position_in_base_m)
+            samples.append(np.column_stack([motion.time_s, *positions]))
+            continue
+        record["elbow_towards_in_base_m"] = hand.elbow_towards_in_base_m
+        if isinstance(hand, JoinedHand):
+            leader = scenario.leader(hand)
+            assert leader is not None  # admission sees to it
+            record["leader"] = scenario.hands.index(leader)
+            record["apart_in_base_m"] = hand.apart_in_base_m
+            continue
+        program = _program(hand, number, scenario)
+        record["first"], record["count"] = sum(map(len, moves)), len(program)
+        moves.append(program)
+        _begin(record, hand, number, scenario)
+    hands = Hands(state, np.concatenate(moves), np.concatenate(samples))
+    advance_hands(hands.state, hands.moves, hands.samples, np.zeros(3), 0.0, 0.0)
+    return hands
+
+
+def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -> None:
+    """A moving hand at rest at its start, and its tremor."""
+    record["steady_in_base_m"] = shifted(hand.starts_at_in_base_m, hand.shift_in_base_m)
+    record["max_acceleration_mps2"] = hand.max_acceleration_mps2
+    if hand.tremor is not None:
+        record["tremor_m"] = hand.tremor.amplitude_m / np.sqrt(3.0)
+        record["tremor_radps"] = 2.0 * np.pi * hand.tremor.rate_hz
+        phases = generator(scenario.seed, Branch.HAND_MOTION, number).uniform(0.0, 2.0 * np.pi, 3)
+        record["tremor_phase_rad"] = phases
+
+
+def _program(hand: MovingHand, number: int, scenario: Scenario) -> NDArray[np.void]:
+    """(m,) MOVE: every move that can begin within the scenario's duration."""
+    groups: list[NDArray[np.void]] = []
+    least_s, count = hand.delay_s, 0
+    if hand.delay_s > 0.0:
+        groups.append(_record(Kind.WAIT, duration_s=hand.delay_s))
+    for index, move in enumerate(hand.moves):
+        if least_s > scenario.duration_s:
+            break
+        if isinstance(move, Wander):
+            rng = generator(scenario.seed, Branch.HAND_MOTION, number, index)
+            groups.append(_wander(move, hand, scenario.duration_s, rng))
+        else:
+            groups.append(_group(move, hand, scenario))
+        least_s += _least_s(move, hand)
+    for group in groups:
+        count += len(group)
+        group["after"] = count
+    return np.concatenate([*groups, np.zeros(0, MOVE)])
+
+
+def _record(
+    kind: Kind,
+    target: Vector3 = NOWHERE,
+    *,
+    speed_mps: float = 0.0,
+    distance_m: float = 0.0,
+    duration_s: float = 0.0,
+    within_s: float = np.inf,
+) -> NDArray[np.void]:
+    """(1,) MOVE."""
+    return np.array([(int(kind), target, speed_mps, distance_m, duration_s, within_s, 0)], MOVE)
+
+
+def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> NDArray[np.void]:
+    """The records of one move, but for a wander."""
+    shift = hand.shift_in_base_m
+    if isinstance(move, Wait):
+        return _record(Kind.WAIT, duration_s=move.duration_s)
+    if isinstance(move, ReachForTcp | ReachForObject):
+        return _reach(move, scenario.settings.object.position_in_base_m)
+    if isinstance(move, FollowTcp):
+        return _record(
+            Kind.FOLLOW_TCP,
+            speed_mps=move.speed_mps,
+            distance_m=move.distance_m,
+            within_s=move.duration_s,
+        )
+    if isinstance(move, Sweep):
+        there = _record(Kind.LEG, shifted(move.from_in_base_m, shift), speed_mps=move.speed_mps)
+        aside = _record(Kind.LEG, shifted(move.to_in_base_m, shift), speed_mps=move.speed_mps)
+        return np.concatenate([there, np.tile(np.concatenate([aside, there]), move.times)])
+    goal = move.position_in_base_m if isinstance(move, MoveTo) else hand.starts_at_in_base_m
+    return _record(Kind.LEG, shifted(goal, shift), speed_mps=move.speed_mps)
+
+
+def _reach(move: Reach, object_position_in_base_m: Vector3) -> NDArray[np.void]:
+    """To the TCP or to the object, in one go or with a hesitation on the way."""
+    kind = Kind.REACH_FOR_TCP if isinstance(move, ReachForTcp) else Kind.LEG
+    stops = [move.until_distance_m]
+    if move.hesitation is not None:
+        stops.insert(0, move.hesitation.distance_m)
+    parts = [
+        _record(kind, object_position_in_base_m, speed_mps=move.speed_mps, distance_m=stop) for stop in stops
+    ]
+    if move.hesitation is not None:
+        parts.insert(1, _record(Kind.WAIT, duration_s=move.hesitation.duration_s))
+    group = np.concatenate(parts)
+    group["within_s"] = move.at_most_s
+    return group
+
+
+def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> NDArray[np.void]:
+    """As many legs as fill its duration, or the run's, however near the first point is."""
+    corners = np.sort(np.array(move.corners_in_base_m) + hand.shift_in_base_m, axis=0)
+    points, filled_s = np.empty((0, 3)), 0.0
+    while filled_s < min(move.duration_s, longest_s):
+        more = rng.uniform(corners[0], corners[1], (max(FIRST_DRAWN, len(points)), 3))
+        points = np.concatenate([points, more])
+        way_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        filled_s = float(_leg_s(way_m, move.speed_mps, hand.max_acceleration_mps2).sum())
+    group = np.zeros(len(points), MOVE)
+    group["kind"], group["target_in_base_m"] = int(Kind.LEG), points
+    group["speed_mps"], group["within_s"] = move.speed_mps, move.duration_s
+    return group
+
+
+def _leg_s(way_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:
+    """How long straight ways take from rest to rest."""
+    peak = np.minimum(speed_mps, np.sqrt(acceleration_mps2 * way_m))
+    return np.divide(way_m, peak, out=np.zeros_like(way_m), where=peak > 0.0) + peak / acceleration_mps2
+
+
+def _least_s(move: HandMove, hand: MovingHand) -> float:
+    """A time that a move cannot be done sooner in."""
+    if isinstance(move, Wait | FollowTcp | Wander):
+        return move.duration_s
+    if isinstance(move, Sweep):
+        way_m = np.linalg.norm(np.subtract(move.to_in_base_m, move.from_in_base_m))
+        return 2 * move.times * float(_leg_s(np.array(way_m), move.speed_mps, hand.max_acceleration_mps2))
+    return 0.0
