@@ -9,25 +9,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness import admit, judge, read_scenario, run_trial
+from safety_harness import admit, judge, run_trial
+from safety_harness.admission.avoiders import NAMES
+from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.fault_table import KINDS
 from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.trace.records import Mode, Trigger
 from safety_harness.trace.trace import Trace
 
 FOLDER = Path(__file__).parents[1] / "scenarios"
-FILES = sorted(FOLDER.glob("*.yaml"))
+SHIPPED = {scenario.name: scenario for scenario in read_all_scenarios(FOLDER)}
 S, R, P, L = Mode.SERVOING, Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST
 
 
 @lru_cache
 def trace_of(name: str) -> Trace:
-    return run_trial(admit(read_scenario(FOLDER / f"{name}.yaml")))
+    return run_trial(admit(SHIPPED[name]))
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_every_verdict_is_the_expected_one(file: Path) -> None:
-    trace = trace_of(file.stem)
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_verdict_is_the_expected_one(name: str) -> None:
+    trace = trace_of(name)
     assert trace.complete
     for claim, evaluation in zip(trace.scenario.claims, judge(trace), strict=True):
         assert evaluation.verdict is claim.expected, evaluation
@@ -70,15 +72,15 @@ def test_a_hand_that_returns_triggers_twice_from_servoing() -> None:
 
 
 def test_there_are_honest_violations_and_recorded_hands_among_them() -> None:
-    scenarios = [read_scenario(file) for file in FILES]
-    assert len(scenarios) >= 12
+    scenarios = list(SHIPPED.values())
+    assert len(scenarios) >= 25
     expected_violated = [s for s in scenarios if any(c.expected is Verdict.VIOLATED for c in s.claims)]
     assert len(expected_violated) >= 3
     recorded = [s for s in scenarios if any(isinstance(hand, RecordedHand) for hand in s.hands)]
     assert len({hand.recording for s in recorded for hand in s.hands if isinstance(hand, RecordedHand)}) == 6
 
 
-FAULTY = [file.stem for file in FILES if file.stem.startswith("fault-")]
+FAULTY = [name for name in SHIPPED if name.startswith("fault-")]
 
 
 def test_every_kind_of_fault_and_every_robot_is_in_a_shipped_scenario_and_acts_there() -> None:
@@ -88,7 +90,11 @@ def test_every_kind_of_fault_and_every_robot_is_in_a_shipped_scenario_and_acts_t
     for trace in traces:
         for k in range(len(trace.scenario.faults)):
             assert np.any(trace.ticks["faults"] >> k & 1), trace.scenario.name
-    assert {read_scenario(file).robot for file in FILES} == set(Robot)
+    assert {scenario.robot for scenario in SHIPPED.values()} == set(Robot)
+
+
+def test_every_shipped_avoider_is_in_a_shipped_scenario() -> None:
+    assert {scenario.avoider for scenario in SHIPPED.values()} == set(NAMES)
 
 
 @pytest.mark.parametrize("name", FAULTY)

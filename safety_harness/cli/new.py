@@ -42,7 +42,7 @@ hand sensor:
   rate: 30 Hz
   latency: 33 ms
 
-# Everything else keeps its default; docs/scenario-files.md has them all.
+# Everything else keeps its default; docs/scenario-language.md has them all.
 settings:
   avoidance:
     critical distance: 400 mm

@@ -2,7 +2,7 @@
 
 What lies beyond is a slip of the unit or a system that nobody builds; within, every number that a
 run computes stays finite and the servo loop stable (the largest gain times the longest control
-period is 0.5).  docs/scenario-files.md names every bound.
+period is 0.5).  docs/scenario-language.md names every bound.
 """
 
 from __future__ import annotations

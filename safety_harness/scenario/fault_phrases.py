@@ -1,6 +1,6 @@
 """How faults are written in a scenario file: ``- hand sensor: is late``, ``delay: 200 ms``.
 
-One table serves reading, writing and reports; docs/scenario-files.md has it for people.
+One table serves reading, writing and reports; docs/scenario-language.md has it for people.
 """
 
 from __future__ import annotations

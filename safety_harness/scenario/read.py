@@ -1,6 +1,6 @@
 """Scenario files: ``read_scenario`` turns the text that a safety engineer wrote into a Scenario.
 
-docs/scenario-files.md is the reference of the language.  One function reads one object; all
+docs/scenario-language.md is the reference of the language.  One function reads one object; all
 checks that need no kinematics are made here, every error has file, line and field.
 """
 

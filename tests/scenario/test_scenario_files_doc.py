@@ -1,4 +1,4 @@
-"""docs/scenario-files.md: its examples run, its tables name every key, its defaults are the defaults."""
+"""docs/scenario-language.md: its examples run, its tables name every key, its defaults are the defaults."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ assert _SPEC is not None
 assert _SPEC.loader is not None
 tables = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(tables)
-TEXT = (ROOT / "docs/scenario-files.md").read_text()
+TEXT = (ROOT / "docs/scenario-language.md").read_text()
 FILE = ROOT / "scenarios/example.yaml"  # examples stand where the recordings are
 BASE = {
     "scenario": "scenario: an example",

@@ -20,7 +20,7 @@ from safety_harness.space.strategy import near, strategy, values
 
 EVERYTHING = everything()
 QUICK = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-SEARCH = settings(max_examples=2000, deadline=None, database=None, phases=[Phase.generate, Phase.shrink])
+SEARCH = settings(max_examples=6000, deadline=None, database=None, phases=[Phase.generate, Phase.shrink])
 
 
 def least(space: ScenarioSpace, predicate: Callable[[Scenario], bool]) -> Scenario:
