@@ -21,8 +21,8 @@ seed: 1
 tcp start:
   offset: [30 mm, -60 mm, 60 mm]
 
-# What proposes where the tool gives way to: a name, FILE.py:NAME or FILE.safetensors.
-avoider: opposite pose
+# What proposes where the tool gives way to: a name, FILE.py:NAME, FILE.onnx or FILE.safetensors.
+avoider: mc-dropout
 
 # At most two hands; each does one move after another, then rests.
 hands:
