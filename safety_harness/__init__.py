@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from safety_harness.space.read import parse_space, read_space
     from safety_harness.space.space import ScenarioSpace
     from safety_harness.space.strategy import strategy
-    from safety_harness.space.typed import By, OneOf, Repeat, The
+    from safety_harness.space.typed import By, OneOf, Repeat, The, space_from
     from safety_harness.space.writing import write_space
     from safety_harness.trace.compare import first_difference
     from safety_harness.trace.store import load_trace, save_trace
@@ -76,6 +76,7 @@ __all__ = [
     "read_space",
     "run_trial",
     "save_trace",
+    "space_from",
     "strategy",
     "write_report",
     "write_scenario",
@@ -100,7 +101,7 @@ _HOMES = {
     "space.read": ("parse_space", "read_space"),
     "space.space": ("ScenarioSpace",),
     "space.strategy": ("strategy",),
-    "space.typed": ("By", "OneOf", "Repeat", "The"),
+    "space.typed": ("By", "OneOf", "Repeat", "The", "space_from"),
     "space.writing": ("write_space",),
     "trace.compare": ("first_difference",),
     "trace.store": ("load_trace", "save_trace"),

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,9 +30,6 @@ from safety_harness.space.cube import log_density_at as log_density_of_values
 from safety_harness.space.cube import values_at as values_of_cube
 from safety_harness.space.matching import matches
 from safety_harness.space.template import Keyed, Parameter, Template, filled
-
-if TYPE_CHECKING:
-    from safety_harness.space.typed import Value
 
 Vector = NDArray[np.float64]
 
@@ -57,19 +53,6 @@ class ScenarioSpace:
     parameters: tuple[Parameter, ...]
     notes: tuple[str, ...] = ()
     recordings: Mapping[str, bytes] | None = None  # by their SHA-256, in place of files
-
-    @staticmethod
-    def of(
-        scenario: Scenario,
-        varied: Mapping[str, Value],
-        *,
-        choices: Mapping[str, Value] | None = None,
-        seed: int | None = None,
-    ) -> ScenarioSpace:
-        """``scenario`` with distributions at the paths of ``varied``: see ``typed.space_from``."""
-        from safety_harness.space.typed import space_from  # which reads what it has written
-
-        return space_from(scenario, varied, choices=choices, seed=seed)
 
     @property
     def dimension(self) -> int:

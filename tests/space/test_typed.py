@@ -12,7 +12,7 @@ from safety_harness.space.boxes import InBox, InRegion
 from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.space.typed import By, OneOf, Repeat, The, Value
+from safety_harness.space.typed import By, OneOf, Repeat, The, Value, space_from
 from safety_harness.space.writing import write_space
 
 VISIT = parse_scenario(
@@ -76,7 +76,7 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
         {"move to": InShell((1.0, 0.0, 0.5), 0.1, 0.2), "speed": The("reach speed")},
     )
     tilt = 0.08726646259971647  # 5 deg
-    space = ScenarioSpace.of(
+    space = space_from(
         VISIT,
         {
             "duration": Uniform(2.0, 4.0),
@@ -120,31 +120,29 @@ def test_what_is_written_of_a_space_is_the_space(text: str) -> None:
 
 
 def test_a_number_takes_the_unit_of_its_place() -> None:
-    space = ScenarioSpace.of(
-        VISIT, {"hands[0].moves[0].wait": OneOf((0.5, 1.5)), "duration": Uniform(1.0, 2.0)}
-    )
+    space = space_from(VISIT, {"hands[0].moves[0].wait": OneOf((0.5, 1.5)), "duration": Uniform(1.0, 2.0)})
     assert "wait:\n          one of: [0.5 s, 1.5 s]" in write_space(space)
     assert "duration: from 1.0 s to 2.0 s" in write_space(space)
 
 
 def test_a_setting_that_the_scenario_leaves_at_its_default_can_be_varied() -> None:
-    space = ScenarioSpace.of(VISIT, {"camera.latency": Uniform(0.0, 0.1)})
+    space = space_from(VISIT, {"camera.latency": Uniform(0.0, 0.1)})
     assert space.draw(1, 1).settings.camera.latency_s == space.values_of(space.draw(1, 1))[0]
 
 
 def test_a_whole_seed_is_kept_when_it_is_given() -> None:
     varied = {"duration": Uniform(1.0, 2.0)}
-    assert {s.seed for s in ScenarioSpace.of(VISIT, varied, seed=5).draws(1, 3)} == {5}
-    assert len({s.seed for s in ScenarioSpace.of(VISIT, varied).draws(1, 3)}) == 3
+    assert {s.seed for s in space_from(VISIT, varied, seed=5).draws(1, 3)} == {5}
+    assert len({s.seed for s in space_from(VISIT, varied).draws(1, 3)}) == 3
 
 
 def test_the_scenario_itself_is_in_the_space_that_is_made_of_it() -> None:
-    assert VISIT in ScenarioSpace.of(VISIT, {"hands[0].moves[0].wait": Uniform(0.5, 1.5)})
+    assert VISIT in space_from(VISIT, {"hands[0].moves[0].wait": Uniform(0.5, 1.5)})
 
 
 def test_a_recording_is_found_from_python_too() -> None:
     recorded = read_space(FOLDER / "recorded-variations.yaml").draw(1, 1)
-    space = ScenarioSpace.of(recorded, {"hands[0].speed factor": Uniform(0.5, 1.0)})
+    space = space_from(recorded, {"hands[0].speed factor": Uniform(0.5, 1.0)})
     assert space.draw(2, 1).hands[0].speed_factor < 1.0  # type: ignore[union-attr]
 
 
@@ -153,14 +151,14 @@ def test_a_recording_is_found_from_python_too() -> None:
 )
 def test_a_path_that_the_scenario_has_not_is_refused(path: str) -> None:
     with pytest.raises(ScenarioError, match="the path of a value"):
-        ScenarioSpace.of(VISIT, {path: Uniform(1.0, 2.0)})
+        space_from(VISIT, {path: Uniform(1.0, 2.0)})
 
 
 def test_a_misspelt_path_has_a_hint() -> None:
     with pytest.raises(ScenarioError, match=r"did you mean .*moves\[0\]\.wait"):
-        ScenarioSpace.of(VISIT, {"hands[0].moves[0].wiat": Uniform(1.0, 2.0)})
+        space_from(VISIT, {"hands[0].moves[0].wiat": Uniform(1.0, 2.0)})
 
 
 def test_a_value_of_another_kind_is_refused() -> None:
     with pytest.raises(ScenarioError, match="expected a time"):
-        ScenarioSpace.of(VISIT, {"duration": Uniform(1.0, 2.0, "m")})
+        space_from(VISIT, {"duration": Uniform(1.0, 2.0, "m")})
