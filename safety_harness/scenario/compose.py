@@ -121,7 +121,7 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
         raise asked.error(f"a chain of at most {LONGEST_CHAIN} files", got="a longer one")
     base = _extended(base_path, library, here, asked.place)
     if not isinstance(base, Mapping) or SUITE in _keys(base):
-        raise asked.error("a scenario file", got=f"{shown(str(base_path))}, which is none")
+        raise asked.error("a scenario file", got=f"{base_path}, which is none")
     if base_path.parent.resolve() != path.parent.resolve():
         base = _moved(base, base_path.parent, path.parent)
     assert isinstance(base, Mapping)

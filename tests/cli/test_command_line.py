@@ -92,8 +92,8 @@ def test_two_files_of_one_name_are_refused(good: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_means_its_yaml_files_in_order() -> None:
-    files = [scenario.file for scenario in gather([SCENARIOS]).scenarios]
-    assert files == sorted(SCENARIOS.glob("*.yaml"))
+    files = [scenario.file for scenario in gather([SCENARIOS]).scenarios]  # a matrix gives several a file
+    assert list(dict.fromkeys(files)) == sorted(SCENARIOS.glob("*.yaml"))
 
 
 def test_an_empty_folder_is_bad_input(tmp_path: Path) -> None:

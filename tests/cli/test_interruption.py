@@ -91,10 +91,10 @@ def test_ctrl_c_in_a_run_keeps_it_and_those_before(
 def test_ctrl_c_while_files_are_read_runs_nothing(
     files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(path: Path) -> None:
+    def interrupted(paths: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(run_module, "read_scenario", interrupted)
+    monkeypatch.setattr(run_module, "gather", interrupted)
     assert run(files, tmp_path / "out") == INTERRUPTED
     assert "nothing was run" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
