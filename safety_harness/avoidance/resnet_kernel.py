@@ -21,6 +21,7 @@ Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
 STEP = 8  # inputs taken in one go; WIDTH is a multiple of it
+ROWS = 5  # rows taken in one go
 FULL_PLACES = LAYERS + 1  # of "full" dropout: before every layer and before fc_out
 ZERO = np.float32(0.0)
 
@@ -33,31 +34,90 @@ SLOTS = 5
 def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, rows: int, out: int) -> None:
     """Fill out = bias + x weight of ``layer``, batch norm included; no ReLU.
 
-    STEP inputs are written out: a unit's sum stays in a register meanwhile.  The bounds of the
-    inner loops are constants: with others they do not become vector instructions.
+    Five rows at a time, so that each weight is loaded once for all of them and no sum waits for
+    itself; what is left, row by row.  A unit's sum takes its inputs in the same order either way.
+    All is written out here: as functions of their own, or with other bounds than constants, the inner
+    loops do not become vector instructions.
     """
-    for row in range(rows):
+    together = rows - rows % ROWS
+    for row in range(together):
         for j in range(WIDTH):
             work[out, row, j] = bias[layer, j]
-        for i in range(0, WIDTH, STEP):
-            x0, x1, x2, x3 = work[x, row, i], work[x, row, i + 1], work[x, row, i + 2], work[x, row, i + 3]
-            x4, x5, x6, x7 = (
-                work[x, row, i + 4],
-                work[x, row, i + 5],
-                work[x, row, i + 6],
-                work[x, row, i + 7],
-            )
+    for row in range(0, together, ROWS):
+        for i in range(0, WIDTH, 4):
+            a0, a1 = work[x, row, i], work[x, row, i + 1]
+            a2, a3 = work[x, row, i + 2], work[x, row, i + 3]
+            b0, b1 = work[x, row + 1, i], work[x, row + 1, i + 1]
+            b2, b3 = work[x, row + 1, i + 2], work[x, row + 1, i + 3]
+            c0, c1 = work[x, row + 2, i], work[x, row + 2, i + 1]
+            c2, c3 = work[x, row + 2, i + 2], work[x, row + 2, i + 3]
+            d0, d1 = work[x, row + 3, i], work[x, row + 3, i + 1]
+            d2, d3 = work[x, row + 3, i + 2], work[x, row + 3, i + 3]
+            e0, e1 = work[x, row + 4, i], work[x, row + 4, i + 1]
+            e2, e3 = work[x, row + 4, i + 2], work[x, row + 4, i + 3]
             for j in range(WIDTH):
-                total = work[out, row, j]
-                total += x0 * weight[layer, i, j]
-                total += x1 * weight[layer, i + 1, j]
-                total += x2 * weight[layer, i + 2, j]
-                total += x3 * weight[layer, i + 3, j]
-                total += x4 * weight[layer, i + 4, j]
-                total += x5 * weight[layer, i + 5, j]
-                total += x6 * weight[layer, i + 6, j]
-                total += x7 * weight[layer, i + 7, j]
-                work[out, row, j] = total
+                w0, w1 = weight[layer, i, j], weight[layer, i + 1, j]
+                w2, w3 = weight[layer, i + 2, j], weight[layer, i + 3, j]
+                t0 = work[out, row, j]
+                t1 = work[out, row + 1, j]
+                t2 = work[out, row + 2, j]
+                t3 = work[out, row + 3, j]
+                t4 = work[out, row + 4, j]
+                t0 += a0 * w0
+                t1 += b0 * w0
+                t2 += c0 * w0
+                t3 += d0 * w0
+                t4 += e0 * w0
+                t0 += a1 * w1
+                t1 += b1 * w1
+                t2 += c1 * w1
+                t3 += d1 * w1
+                t4 += e1 * w1
+                t0 += a2 * w2
+                t1 += b2 * w2
+                t2 += c2 * w2
+                t3 += d2 * w2
+                t4 += e2 * w2
+                t0 += a3 * w3
+                t1 += b3 * w3
+                t2 += c3 * w3
+                t3 += d3 * w3
+                t4 += e3 * w3
+                work[out, row, j] = t0
+                work[out, row + 1, j] = t1
+                work[out, row + 2, j] = t2
+                work[out, row + 3, j] = t3
+                work[out, row + 4, j] = t4
+    for row in range(together, rows):
+        _layer_of_row(weight, bias, layer, work, x, row, out)
+
+
+@compiled
+def _layer_of_row(
+    weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, row: int, out: int
+) -> None:
+    """The same for one row: STEP inputs are written out, so that sums stay in registers meanwhile."""
+    for j in range(WIDTH):
+        work[out, row, j] = bias[layer, j]
+    for i in range(0, WIDTH, STEP):
+        x0, x1, x2, x3 = work[x, row, i], work[x, row, i + 1], work[x, row, i + 2], work[x, row, i + 3]
+        x4, x5, x6, x7 = (
+            work[x, row, i + 4],
+            work[x, row, i + 5],
+            work[x, row, i + 6],
+            work[x, row, i + 7],
+        )
+        for j in range(WIDTH):
+            total = work[out, row, j]
+            total += x0 * weight[layer, i, j]
+            total += x1 * weight[layer, i + 1, j]
+            total += x2 * weight[layer, i + 2, j]
+            total += x3 * weight[layer, i + 3, j]
+            total += x4 * weight[layer, i + 4, j]
+            total += x5 * weight[layer, i + 5, j]
+            total += x6 * weight[layer, i + 6, j]
+            total += x7 * weight[layer, i + 7, j]
+            work[out, row, j] = total
 
 
 @compiled
