@@ -86,9 +86,12 @@ def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
 
 
 def file_name(run: JudgedRun) -> str:
-    """What the scenario's file is called; its name where there is none."""
+    """What the scenario's file is called, and which one of its matrix this is; its name without a file."""
     scenario = run.trace.scenario
-    return scenario.file.name if scenario.file else scenario.name
+    if scenario.file is None:
+        return scenario.name
+    label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
+    return scenario.file.name + (f" {label}" if label.startswith("[") else "")
 
 
 def _margin_sort(evaluation: Evaluation) -> str:

@@ -323,3 +323,10 @@ def test_a_scenario_with_faults_has_a_lane_and_a_note_for_each_and_its_robot_sta
     assert "Fault:" not in plain
     assert "UR5" in page
     assert "UR5" not in plain
+
+
+def test_scenarios_of_one_matrix_are_told_apart() -> None:
+    run = factory.holds_run()
+    scenario = replace(run.trace.scenario, file=Path("visit.yaml"), name="visit[late,far]")
+    of_matrix = replace(run, trace=replace(run.trace, scenario=scenario))
+    assert "visit.yaml [late,far]" in text_for([of_matrix])
