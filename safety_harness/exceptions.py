@@ -76,6 +76,11 @@ class TraceError(InputError):
 class OutputError(InputError):
     """A folder or file that results should go to cannot be written."""
 
+    @classmethod
+    def of(cls, path: Path, error: OSError) -> OutputError:
+        """What the operating system said of ``path``."""
+        return cls(place=Place(file=path), expected="a place that can be written", got=str(error))
+
 
 class ModelError(InputError):
     """A model file is missing, damaged, incomplete or of a kind that this version does not run."""

@@ -27,7 +27,7 @@ from safety_harness.cli.console import (
     without_repetition,
 )
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
-from safety_harness.exceptions import InputError, OutputError, Place, SafetyHarnessError
+from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.report.decisions import fault_notes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.expand import gather
@@ -88,7 +88,7 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     try:
         traces.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        explain(_unwritable(traces, error))
+        explain(OutputError.of(traces, error))
         return BAD_INPUT
     session = Session(out, shlex.join(_command(paths, out, avoider)), len(admitted))
     session.run_all(admitted)
@@ -185,7 +185,7 @@ class Session:
                 )
                 write_json(self.out / DATA, self.runs, interrupted=interrupted)
         except OSError as error:
-            explain(_unwritable(path, error))
+            explain(OutputError.of(path, error))
             return False
         except KeyboardInterrupt:
             self.interrupted = True
@@ -195,10 +195,6 @@ class Session:
         return True
 
 
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(place=Place(file=path), expected="a place that can be written", got=str(error))
-
-
 def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> JudgedRun:
     """Simulate, save, judge."""
     trace = run_trial(admitted, on_tick=progress.tick)
@@ -206,7 +202,7 @@ def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> Ju
     try:
         save_trace(trace, file)
     except OSError as error:
-        raise _unwritable(file, error) from error
+        raise OutputError.of(file, error) from error
     return JudgedRun(
         trace=trace,
         evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),

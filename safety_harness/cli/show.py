@@ -16,23 +16,32 @@ from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.report.scene import Boxes, draw_scene
+from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import RecordedHand, Scenario
-from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.boxes import InBox, InRegion
-from safety_harness.space.read import is_space, read_space
+from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace
 
 PICTURES = (".png", ".svg", ".pdf")
 
 
 def show(files: Sequence[Path], *, out: Path, draws: int = 200, seed: int = 0) -> int:
-    """One picture a file: a scenario, or ``draws`` admissible draws of a space; returns the exit code."""
+    """One picture a scenario, and one of ``draws`` admissible draws of each space; returns the exit code."""
     try:
-        for file in files:
-            path = out if out.suffix in PICTURES and len(files) == 1 else out / f"{file.stem}.png"
-            _show_one(file, path, draws, seed)
-            result(str(path))
+        gathered = gather(files, spaces=True)
+        if gathered.errors:
+            raise gathered.errors[0]
+        alone = out.suffix in PICTURES and len(gathered.scenarios) + len(gathered.spaces) == 1
+        for scenario in gathered.scenarios:
+            _draw(out if alone else out / f"{scenario.name}.png", [scenario], scenario.title)
+        for variant, file in gathered.spaces:
+            space = space_of(variant.tree, file, name=variant.name)
+            drawn = draw_admissible(space, seed, draws)
+            say(f"{file}: {drawn}")
+            path = out if alone else out / f"{space.name}.png"
+            _draw(path, drawn.scenarios, space.title, regions_of(space))
     except InputError as error:
         explain(error)
         return BAD_INPUT
@@ -66,23 +75,13 @@ def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
     return AS_EXPECTED
 
 
-def _show_one(file: Path, path: Path, draws: int, seed: int) -> None:
-    from safety_harness.report.scene import draw_scene  # matplotlib is slow to import
-
-    regions: list[tuple[str, NDArray[np.float64], NDArray[np.float64]]] = []
-    if is_space(file):
-        space = read_space(file)
-        drawn = draw_admissible(space, seed, draws)
-        say(f"{file}: {drawn}")
-        previews = [preview_of(admit(scenario)) for scenario in drawn.scenarios]
-        title, regions = space.title, regions_of(space)
-    else:
-        scenario = read_scenario(file)
-        title, previews = scenario.title, [preview_of(admit(scenario))]
+def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> None:
+    previews = [preview_of(admit(scenario)) for scenario in scenarios]
     try:
         draw_scene(path, previews, title=title, regions=regions)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise OutputError.of(path, error) from error
+    result(str(path))
 
 
 def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
@@ -124,8 +123,4 @@ def _write(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise _unwritable(path, error) from error
-
-
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(place=Place(file=path), expected="a place that can be written", got=str(error))
+        raise OutputError.of(path, error) from error

@@ -196,6 +196,4 @@ def _save(model: Model, path: Path) -> None:
     try:
         save_model(model, path)
     except OSError as error:
-        raise OutputError(
-            place=Place(file=path), expected="a place that can be written", got=str(error)
-        ) from error
+        raise OutputError.of(path, error) from error

@@ -77,7 +77,7 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _unwritable(path.parent, error) from error
+        raise OutputError.of(path.parent, error) from error
     return None
 
 
@@ -102,7 +102,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise OutputError.of(path, error) from error
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
@@ -150,10 +150,6 @@ def _difference(expected: object, got: object) -> tuple[str, str]:
 def _group(arrays: Tensors, group: str) -> dict[str, NDArray[np.float32]]:
     prefix = group + "/"
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-
-
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(place=Place(file=path), expected="a place that can be written", got=str(error))
 
 
 def _refused(path: Path, field: str | None, expected: str, got: str) -> ModelError:

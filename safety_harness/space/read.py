@@ -12,7 +12,6 @@ from safety_harness.scenario.compose import MATRIX, Library, variants
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
-from safety_harness.scenario.only_in_spaces import is_space as is_space_tree
 from safety_harness.space.boxes import InRegion
 from safety_harness.space.probing import try_out
 from safety_harness.space.reading import read_template
@@ -30,11 +29,6 @@ def read_space(path: Path) -> ScenarioSpace:
         got = f"a matrix of {len(found)}"
         raise ScenarioError(place=Place(file=path, field=MATRIX), expected="one scenario space", got=got)
     return space_of(found[0].tree, path, name=found[0].name)
-
-
-def is_space(path: Path) -> bool:
-    """Whether the file says that it is a space; InputError if it is no file with a tree in it."""
-    return is_space_tree(variants(path, Library())[0].tree)
 
 
 def parse_space(

@@ -79,3 +79,8 @@ def test_samples_are_files_that_can_be_run_and_are_of_the_space(
 
 def test_a_count_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
     assert sample(SCENARIOS / "spaces" / "nominal.yaml", out=tmp_path, count=0) == BAD_INPUT
+
+
+def test_each_scenario_of_a_matrix_has_its_picture(tmp_path: Path) -> None:
+    assert show([SCENARIOS / "every-avoider.yaml"], out=tmp_path) == AS_EXPECTED
+    assert len(list(tmp_path.glob("every-avoider*.png"))) == 7
