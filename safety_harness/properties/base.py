@@ -33,6 +33,10 @@ class Unit(Enum):
     SPEED = ("mm/s", 1e3)
     ANGULAR_SPEED = ("deg/s", 180.0 / np.pi)
     TIME = ("s", 1.0)
+    ACCELERATION = ("m/s2", 1.0)
+    ANGULAR_ACCELERATION = ("deg/s2", 180.0 / np.pi)
+    FRACTION = ("%", 100.0)
+    COUNT = ("", 1.0)
 
     @property
     def symbol(self) -> str:
@@ -51,7 +55,8 @@ class Evaluation:
 
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
-    been violated (0 for a property that was never put to the test).
+    been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
+    conjuncts, if it is made of several.
     """
 
     sentence: str
@@ -61,13 +66,15 @@ class Evaluation:
     worst_time_s: float | None
     reason: str
     exercised: int
+    parts: tuple[Evaluation, ...] = ()
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
         if self.margin is None:
             return "-"
         shown = self.margin * self.unit.per_si
-        return f"{shown:+.1f} {self.unit.symbol}" if abs(shown) >= 1.0 else f"{shown:+.3g} {self.unit.symbol}"
+        number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
+        return f"{number} {self.unit.symbol}".rstrip()
 
 
 class Property(Protocol):

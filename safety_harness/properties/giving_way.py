@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
+from safety_harness.properties.entry import Entry
 from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, Progress, progress
 from safety_harness.trace.records import Mode, Outcome, Trigger
 from safety_harness.trace.trace import Trace
@@ -169,3 +170,20 @@ def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
     positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
     step: NDArray[np.float64] = positions[1] - positions[0]
     return step / trace.scenario.settings.clock.control_period_s
+
+
+MOVES_AWAY = Entry(
+    example="repulsion moves away from every hand",
+    pattern="repulsion moves away from every hand",
+    make=lambda *_: MovesAway(),
+    unit=Unit.LENGTH,
+    rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
+    source="the paper, section 4.1",
+    margin="component of the planned displacement away from the hand, least over all hands; negative also if "
+    "the arm does not do it",
+    parameters="the repulsion speed and acceleration of the settings",
+    exercised="a true hand was there, and the repulsion had time for 10 mm of way",
+    inconclusive="a chosen position that is not finite",
+    scenario="hand-visits-and-leaves",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import closest_approach_between
+from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
@@ -239,3 +241,23 @@ def _closest_in_trace(
         if not bound >= best:  # a NaN must come out, not be passed over
             best, index, fraction = bound, k, where
     return best, index, fraction
+
+
+HAND_DISTANCE = Entry(
+    example="hand distance never below 50 mm",
+    pattern=r"hand distance never below (.+)",
+    make=lambda match, scenario, place: HandDistance(
+        minimum_m=quantity(match[1], LENGTH, place),
+        near_m=scenario.settings.avoidance.critical_distance_m,
+    ),
+    unit=Unit.LENGTH,
+    rationale="contact with a moving robot is the hazard itself",
+    source="ISO/TS 15066, the protective separation distance as a constant",
+    margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "
+    "certified bound between ticks",
+    parameters="the limit; the hands' sizes and the critical distance of the settings",
+    exercised="a hand comes within the critical distance of the arm's surface",
+    inconclusive="a hand that is not where its scenario moves it",
+    scenario="hand-visits-and-leaves",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry, quantity
 from safety_harness.robot.description import load_arm
+from safety_harness.scenario.units import SPEED
 from safety_harness.trace.trace import Trace
 
 
@@ -103,3 +105,49 @@ class TcpSpeedLimit:
             reason=f"fastest {speed[tick] * 1e3:.1f} mm/s",
             exercised=int(np.count_nonzero(speed > 1e-3)),
         )
+
+
+JOINT_POSITIONS = Entry(
+    example="joint positions within limits",
+    pattern="joint positions within limits",
+    make=lambda *_: JointLimits(),
+    unit=Unit.ANGLE,
+    rationale="an arm at a mechanical or safety-rated stop no longer goes where its controller sends it",
+    source="the robot's URDF",
+    margin="angle left to the nearer limit, least over joints and time",
+    parameters="the limits of the robot's description",
+    exercised="always",
+    inconclusive="-",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller that turns a joint on and on",
+)
+
+JOINT_SPEEDS = Entry(
+    example="joint speeds within limits",
+    pattern="joint speeds within limits",
+    make=lambda *_: JointSpeedLimits(),
+    unit=Unit.ANGULAR_SPEED,
+    rationale="beyond them the drives no longer follow",
+    source="the robot's URDF",
+    margin="speed left to the limit, least over joints and time; the mean speed between ticks counts too",
+    parameters="the limits of the robot's description",
+    exercised="the arm moves",
+    inconclusive="-",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller that turns a joint too fast",
+)
+
+TCP_SPEED = Entry(
+    example="TCP speed never above 250 mm/s",
+    pattern=r"TCP speed never above (.+)",
+    make=lambda match, _, place: TcpSpeedLimit(maximum_mps=quantity(match[1], SPEED, place)),
+    unit=Unit.SPEED,
+    rationale="a person beside the robot can still step back from one that moves at reduced speed",
+    source="ISO 10218-1, reduced speed",
+    margin="speed left to the limit, least over time; the mean speed between ticks counts too",
+    parameters="the limit",
+    exercised="the arm moves",
+    inconclusive="-",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller that turns a joint too fast",
+)

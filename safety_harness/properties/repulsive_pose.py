@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
+from safety_harness.properties.entry import Entry
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.trace.records import Outcome
@@ -99,3 +100,29 @@ def reach_margin(
         min_singular_value=min_singular_value,
     )
     return reach_m - length_m
+
+
+def _entry(*, proposed: bool) -> Entry:
+    prop = RepulsivePosesReachable(proposed=proposed)
+    return Entry(
+        example=prop.sentence,
+        pattern=prop.sentence,
+        make=lambda *_: prop,
+        unit=prop.unit,
+        rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
+        source="the paper, table 4",
+        margin="the same for what the avoider proposed, before the gate"
+        if proposed
+        else "how far beyond the chosen position the straight way goes on being reachable within the joint "
+        "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
+        parameters="the least singular value of the settings",
+        exercised="a decision was made" if proposed else "a position was chosen",
+        inconclusive="-",
+        scenario="hand-visits-and-leaves",
+        broken_by="an avoider that proposes a position two metres away"
+        + ("" if proposed else ", behind a gate that passes everything"),
+    )
+
+
+REPULSIVE_POSES = _entry(proposed=False)
+PROPOSED_POSES = _entry(proposed=True)

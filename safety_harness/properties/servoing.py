@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry, quantity
+from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
@@ -167,3 +169,49 @@ class Converged:
         far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
         near_s = np.log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
         return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)
+
+
+GAIN_SWITCH = Entry(
+    example="gain switch reached",
+    pattern="gain switch reached",
+    make=lambda *_: GainSwitchReached(),
+    unit=Unit.TIME,
+    rationale="an avoider that leaves the arm where servoing cannot go on ends the task",
+    source="the paper, eq. 15",
+    margin="time left of 1.25 times the closed form plus 1 s, counted from when the last hand has left",
+    parameters="the gains and the switch of the settings",
+    exercised="the error is above the switch after the last hand has left",
+    inconclusive="a hand is near to the end, or the run ends before the time allowed",
+    scenario="servoing-alone",
+    broken_by="a controller that does nothing",
+)
+
+GAIN_SWITCH_WITHIN = Entry(
+    example="gain switch reached within 5 s",
+    pattern=r"gain switch reached within (.+)",
+    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
+    unit=Unit.TIME,
+    rationale="the same, for a cell with a cycle time",
+    source="the paper, eq. 15",
+    margin="time left of the time allowed",
+    parameters="the time allowed",
+    exercised="the error is above the switch after the last hand has left",
+    inconclusive="a hand is near to the end, or the run ends before the time allowed",
+    scenario="servoing-alone",
+    broken_by="a controller that does nothing",
+)
+
+CONVERGED = Entry(
+    example="converged to the desired pose",
+    pattern="converged to the desired pose",
+    make=lambda *_: Converged(),
+    unit=Unit.LENGTH,
+    rationale="small image errors can belong to another pose of the same triangle",
+    source="the P3P ambiguity of a triangle; judged by pose",
+    margin="1 mm less the distance at the end (and 0.1 degree)",
+    parameters="the gains of the settings",
+    exercised="the TCP was farther off than that at some tick",
+    inconclusive="the run is shorter than the closed form needs",
+    scenario="servoing-alone",
+    broken_by="a controller that does nothing",
+)

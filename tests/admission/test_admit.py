@@ -11,9 +11,10 @@ from examples import TowardsTheHand, hand, scenario
 
 from safety_harness import admit
 from safety_harness.admission.admit import start_joint_position
-from safety_harness.admission.claims import CATALOGUE, property_of
+from safety_harness.admission.claims import property_of
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.model import (
@@ -162,7 +163,8 @@ def test_the_given_avoider_takes_the_place_of_the_named_one() -> None:
 
 
 def test_every_example_of_the_catalogue_is_understood_and_written_back() -> None:
-    for example, _, _ in CATALOGUE:
+    for entry in CATALOGUE:
+        example = entry.example
         claim = Claim(sentence=example, expected=Verdict.HOLDS)
         assert property_of(claim, scenario()).sentence == example
 

@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 from examples import VISIT, TowardsTheHand, run, scenario
 
-from safety_harness.admission.claims import CATALOGUE, property_of
+from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import judge
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.replay import judge_again
 from safety_harness.exceptions import TraceError
+from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.consistency import first_untruth
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
-EVERY = tuple(Claim(sentence=example, expected=Verdict.HOLDS) for example, _, _ in CATALOGUE)
+EVERY = tuple(Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,23 @@
+"""The catalogue: every property that a scenario file can claim, in the order of the pages."""
+
+from __future__ import annotations
+
+from safety_harness.properties.entry import Entry
+from safety_harness.properties.giving_way import MOVES_AWAY
+from safety_harness.properties.hand_distance import HAND_DISTANCE
+from safety_harness.properties.limits import JOINT_POSITIONS, JOINT_SPEEDS, TCP_SPEED
+from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
+from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
+
+CATALOGUE: tuple[Entry, ...] = (
+    HAND_DISTANCE,
+    REPULSIVE_POSES,
+    PROPOSED_POSES,
+    MOVES_AWAY,
+    JOINT_POSITIONS,
+    JOINT_SPEEDS,
+    TCP_SPEED,
+    GAIN_SWITCH,
+    GAIN_SWITCH_WITHIN,
+    CONVERGED,
+)

@@ -1,0 +1,66 @@
+"""For each property of the catalogue a run that violates it, as ``Entry.broken_by`` says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import lru_cache
+
+from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHand, hand, run, scenario
+
+from safety_harness.admission.admit import kinematics
+from safety_harness.avoidance.gate import Gate
+from safety_harness.scenario.moves import MoveTo, Wait
+from safety_harness.settings import DEFAULTS
+from safety_harness.trace.trace import Trace
+
+STAYS = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
+
+
+def passing() -> Gate:
+    gate = Gate.of(DEFAULTS, kinematics())
+    return PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
+
+
+@lru_cache
+def seeks_the_hand() -> Trace:
+    return run(scenario(STAYS, duration_s=3.0), avoider=TowardsTheHand(), gate=passing())
+
+
+@lru_cache
+def proposes_far_away() -> Trace:
+    return run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=passing())
+
+
+@lru_cache
+def turns_too_fast() -> Trace:
+    return run(scenario(duration_s=0.2), controller=ConstantSpeed((2.5, 0.0, 0.0, 0.0, 0.0, 0.0)))
+
+
+@lru_cache
+def turns_on_and_on() -> Trace:
+    return run(scenario(duration_s=1.0), controller=ConstantSpeed((0.0, 0.0, 2.5, 0.0, 0.0, 0.0)))
+
+
+@lru_cache
+def does_nothing(duration_s: float = 6.0) -> Trace:
+    return run(scenario(duration_s=duration_s), controller=ConstantSpeed((0.0,) * 6))
+
+
+def does_nothing_for_a_minute() -> Trace:
+    start = replace(scenario(duration_s=56.0, offset=(0.02, -0.03, 0.02)))
+    return run(start, controller=ConstantSpeed((0.0,) * 6))
+
+
+BROKEN: dict[str, Callable[[], Trace]] = {
+    "hand distance never below 50 mm": seeks_the_hand,
+    "repulsive poses reachable": proposes_far_away,
+    "proposed repulsive poses reachable": proposes_far_away,
+    "repulsion moves away from every hand": seeks_the_hand,
+    "joint positions within limits": turns_on_and_on,
+    "joint speeds within limits": turns_too_fast,
+    "TCP speed never above 250 mm/s": turns_too_fast,
+    "gain switch reached": does_nothing,
+    "gain switch reached within 5 s": does_nothing,
+    "converged to the desired pose": does_nothing_for_a_minute,
+}
