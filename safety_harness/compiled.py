@@ -53,8 +53,8 @@ def _imports(file: Path) -> tuple[Path, ...]:
     return tuple(PACKAGE / (module.replace(".", "/") + ".py") for module in modules)
 
 
-def sources_of(file: Path) -> frozenset[Path]:
-    """A file of the package and every other that it imports, directly or not.
+def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozenset[Path]:
+    """A file of the package and every other that it imports, directly or not, through none of ``without``.
 
     A file outside the package (a benchmark, say) may use anything: all of it.
     """
@@ -64,7 +64,7 @@ def sources_of(file: Path) -> frozenset[Path]:
     waiting = [file]
     while waiting:
         one = waiting.pop()
-        if one not in found:
+        if one not in found and one not in without:
             found.add(one)
             waiting.extend(_imports(one))
     return frozenset(found)

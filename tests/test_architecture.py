@@ -26,6 +26,7 @@ ORDER = [
     {"properties"},
     {"admission"},
     {"report"},
+    {"reproduction"},
     {"cli"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
@@ -95,6 +96,11 @@ def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_re
                 assert module.with_suffix(".py").is_file(), f"{file}: {node.module} is no file"
 
 
-def test_only_the_command_line_imports_learning() -> None:
+def test_only_the_reproduction_and_the_command_line_import_learning() -> None:
     importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
-    assert importers <= {"learning", "cli"}
+    assert importers <= {"learning", "reproduction", "cli"}
+
+
+def test_only_the_command_line_imports_the_reproduction() -> None:
+    importers = {room_of(file) for file in FILES if "reproduction" in rooms_imported_by(file)}
+    assert importers == {"reproduction", "cli"}

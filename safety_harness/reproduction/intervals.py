@@ -1,0 +1,177 @@
+"""What a handful of trainings or trials says of the true value, and how surely.
+
+A *training* is the unit of most figures: five seeds give five numbers, whose mean has a t interval.  Shares
+of independent trials have exact intervals (``learning.proportions``).  Nothing here takes a number that is
+not finite.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.learning.proportions import LEVEL, Proportion
+
+BOOTSTRAP_DRAWS = 4000
+_STEPS = 4000  # of Simpson's rule
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A value with its 95 % interval, and where one more observation of the same kind would lie.
+
+    ``next_low`` to ``next_high`` is the 95 % prediction interval for one more training (or whatever ``of``
+    counts): the paper's own figure is one.  NaN where that makes no sense, infinite ends from a single
+    observation.
+    """
+
+    value: float
+    low: float
+    high: float
+    next_low: float = math.nan
+    next_high: float = math.nan
+    of: str = ""
+
+
+def mean_of(values: ArrayLike, of: str = "trainings") -> Estimate:
+    """The mean of independent numbers, with Student's intervals; one alone has infinite ones.
+
+    ValueError for none at all, or one that is not finite.
+    """
+    numbers = _finite(values)
+    n, mean = len(numbers), float(numbers.mean())
+    if n == 1:
+        ends = (-math.inf, math.inf)
+        return Estimate(
+            value=mean, low=ends[0], high=ends[1], next_low=ends[0], next_high=ends[1], of=f"1 of the {of}"
+        )
+    spread = student_quantile(n - 1) * float(numbers.std(ddof=1))
+    half, half_next = spread / math.sqrt(n), spread * math.sqrt(1.0 + 1.0 / n)
+    return Estimate(
+        value=mean,
+        low=mean - half,
+        high=mean + half,
+        next_low=mean - half_next,
+        next_high=mean + half_next,
+        of=f"{n} {of}",
+    )
+
+
+def share_of(having: ArrayLike, of: str = "trials") -> Estimate:
+    """A share of independent trials with its exact (Clopper-Pearson) interval."""
+    found = Proportion.of(np.asarray(having, dtype=np.bool_))
+    return Estimate(value=found.share, low=found.low, high=found.high, of=f"{found.trials} {of}")
+
+
+def bootstrap_of(
+    rows: ArrayLike, statistic: str, *, seed: int, of: str = "trials", draws: int = BOOTSTRAP_DRAWS
+) -> Estimate:
+    """The mean of (n,), or the ratio of the means of (n, 2), with a percentile interval over redrawn rows."""
+    numbers = _finite(rows)
+    if statistic not in ("mean", "ratio of means") or numbers.ndim != (1 if statistic == "mean" else 2):
+        raise ValueError(f"no statistic {statistic!r} of an array with {numbers.ndim} dimensions")
+    rng = np.random.Generator(np.random.PCG64(seed))
+    redrawn = numbers[rng.integers(0, len(numbers), (draws, len(numbers)))].mean(
+        axis=1
+    )  # (draws,) or (draws, 2)
+    whole = numbers.mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = redrawn if statistic == "mean" else redrawn[:, 0] / redrawn[:, 1]
+        value = float(whole if statistic == "mean" else whole[0] / whole[1])
+    low, high = np.quantile(values, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    return Estimate(value=value, low=float(low), high=float(high), of=f"{len(numbers)} {of}")
+
+
+def median_of(values: ArrayLike, of: str = "calls") -> Estimate:
+    """The median with an interval between two order statistics, exact for independent numbers.
+
+    The ends are infinite where there are too few numbers for 95 %.
+    """
+    numbers = np.sort(_finite(values))
+    n = len(numbers)
+    below, chance = 0, 0.5**n if n < 1000 else 0.0
+    total = chance
+    if n >= 1000:  # the normal approximation is better than the sum's rounding
+        below = math.floor(n / 2.0 - 0.98 * math.sqrt(n))
+    else:
+        while total <= (1.0 - LEVEL) / 2.0:
+            below += 1
+            chance *= (n - below + 1) / below
+            total += chance
+    low, high = (
+        (-math.inf, math.inf) if below == 0 else (float(numbers[below - 1]), float(numbers[n - below]))
+    )
+    return Estimate(value=float(np.median(numbers)), low=low, high=high, of=f"{n} {of}")
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Two yes-or-no outcomes of the same trials: McNemar's table.
+
+    ``first_only`` trials had it with the first alone, ``second_only`` with the second alone.
+    """
+
+    first_only: int
+    second_only: int
+    trials: int
+
+    @classmethod
+    def of(cls, first: ArrayLike, second: ArrayLike) -> Paired:
+        """From two boolean arrays (n,); ValueError if they differ in length or are empty."""
+        a, b = np.asarray(first, dtype=np.bool_), np.asarray(second, dtype=np.bool_)
+        if a.shape != b.shape or a.ndim != 1 or not len(a):
+            raise ValueError(f"expected two outcomes of each of the same trials; got {a.shape} and {b.shape}")
+        return cls(int(np.count_nonzero(a & ~b)), int(np.count_nonzero(~a & b)), len(a))
+
+    @property
+    def p_value(self) -> float:
+        """Of the exact two-sided test that either alone is equally likely; 1 without a discordant trial."""
+        n, least = self.first_only + self.second_only, min(self.first_only, self.second_only)
+        return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(least + 1)) / 2**n)
+
+
+@lru_cache
+def student_quantile(degrees: int, level: float = LEVEL) -> float:
+    """The t with P(|T| <= t) = ``level`` for Student's T: by bisection of Simpson's integral."""
+    if degrees < 1:
+        raise ValueError(f"at least one degree of freedom; got {degrees}")
+    factor = math.exp(math.lgamma((degrees + 1) / 2.0) - math.lgamma(degrees / 2.0)) / math.sqrt(math.pi)
+
+    def within(t: float) -> float:
+        # with x = sqrt(degrees) tan(a) the density becomes factor cos(a)^(degrees - 1) da: smooth and bounded
+        ends = math.atan(t / math.sqrt(degrees))
+        angles = np.linspace(0.0, ends, _STEPS + 1)
+        weights = np.where(np.arange(_STEPS + 1) % 2, 4.0, 2.0)
+        weights[[0, -1]] = 1.0
+        return (
+            float(2.0 * factor)
+            * float((weights * np.cos(angles) ** (degrees - 1)).sum())
+            * ends
+            / _STEPS
+            / 3.0
+        )
+
+    low, high = 0.0, 1e4
+    while low < (middle := (low + high) / 2.0) < high and high - low > 1e-10:
+        low, high = (middle, high) if within(middle) < level else (low, middle)
+    return (low + high) / 2.0
+
+
+def _finite(values: ArrayLike) -> NDArray[np.float64]:
+    array = np.asarray(values, dtype=np.float64)
+    if not array.size or not np.all(np.isfinite(array)):
+        raise ValueError("expected at least one number, and only finite ones")
+    return array
+
+
+def differences(first: Sequence[float], second: Sequence[float]) -> NDArray[np.float64]:
+    """(n,) first - second, pair by pair; ValueError where the pairs do not fit."""
+    a, b = _finite(first), _finite(second)
+    if a.shape != b.shape:
+        raise ValueError(f"expected as many of the one as of the other; got {a.shape} and {b.shape}")
+    return a - b
