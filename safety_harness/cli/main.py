@@ -266,6 +266,38 @@ def export(
     _end(export_model(model, out=out, format=format, seed=seed))
 
 
+@app.command()
+def reproduce(
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            help="all, table1 ... table5, figure5 ... figure8, timing, outlook, safety; or sensitivity, "
+            "which is not part of all.",
+            metavar="WHAT...",
+        ),
+    ],
+    scale: Annotated[
+        str, typer.Option(help="quick: minutes, to see it run; default: an hour or so; paper: days.")
+    ] = "default",
+    out: Annotated[
+        Path, typer.Option(help="Folder for reproduction.html, reproduction.json and work/.")
+    ] = Path("reports/reproduction"),
+    seed: Seed = 0,
+    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
+) -> None:
+    """Measure the paper's tables and figures again: its numbers beside ours, and a verdict on each.
+
+    Several networks of each kind are trained, evaluated, and tried in PyBullet. A line a verdict goes to
+    standard output: reproduced, direction only, or not reproduced, and why.
+    Ctrl-C keeps every finished step; the same command goes on from there.
+    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Exit code 0; 1: a step failed, the page says which; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cli.reproduce import reproduce as reproduce_parts
+
+    _end(reproduce_parts(what, scale=scale, out=out, seed=seed, jobs=jobs))
+
+
 def _end(code: int) -> NoReturn:
     raise typer.Exit(code)
 

@@ -8,7 +8,6 @@ not finite.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -132,7 +131,7 @@ class Paired:
     def p_value(self) -> float:
         """Of the exact two-sided test that either alone is equally likely; 1 without a discordant trial."""
         n, least = self.first_only + self.second_only, min(self.first_only, self.second_only)
-        return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(least + 1)) / 2**n)
+        return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(least + 1)) / (1 << n))
 
 
 @lru_cache
@@ -140,26 +139,24 @@ def student_quantile(degrees: int, level: float = LEVEL) -> float:
     """The t with P(|T| <= t) = ``level`` for Student's T: by bisection of Simpson's integral."""
     if degrees < 1:
         raise ValueError(f"at least one degree of freedom; got {degrees}")
-    factor = math.exp(math.lgamma((degrees + 1) / 2.0) - math.lgamma(degrees / 2.0)) / math.sqrt(math.pi)
+    factor: float = math.exp(math.lgamma((degrees + 1) / 2.0) - math.lgamma(degrees / 2.0)) / math.sqrt(
+        math.pi
+    )
 
     def within(t: float) -> float:
-        # with x = sqrt(degrees) tan(a) the density becomes factor cos(a)^(degrees - 1) da: smooth and bounded
-        ends = math.atan(t / math.sqrt(degrees))
+        # With x = sqrt(degrees) tan(a) the density becomes factor cos(a)^(degrees - 1) da: smooth and bounded
+        ends: float = math.atan(t / math.sqrt(degrees))
         angles = np.linspace(0.0, ends, _STEPS + 1)
         weights = np.where(np.arange(_STEPS + 1) % 2, 4.0, 2.0)
         weights[[0, -1]] = 1.0
-        return (
-            float(2.0 * factor)
-            * float((weights * np.cos(angles) ** (degrees - 1)).sum())
-            * ends
-            / _STEPS
-            / 3.0
-        )
+        total: float = float((weights * np.cos(angles) ** (degrees - 1)).sum())
+        return float(2.0 * factor * total * ends / (3.0 * _STEPS))
 
     low, high = 0.0, 1e4
-    while low < (middle := (low + high) / 2.0) < high and high - low > 1e-10:
+    while high - low > 1e-10 * high:
+        middle = (low + high) / 2.0
         low, high = (middle, high) if within(middle) < level else (low, middle)
-    return (low + high) / 2.0
+    return high
 
 
 def _finite(values: ArrayLike) -> NDArray[np.float64]:
@@ -169,7 +166,7 @@ def _finite(values: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def differences(first: Sequence[float], second: Sequence[float]) -> NDArray[np.float64]:
+def differences(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
     """(n,) first - second, pair by pair; ValueError where the pairs do not fit."""
     a, b = _finite(first), _finite(second)
     if a.shape != b.shape:

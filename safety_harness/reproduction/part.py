@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from safety_harness.reproduction.scale import Scale
 from safety_harness.reproduction.result import Result
+from safety_harness.reproduction.scale import Scale
 from safety_harness.reproduction.work import Done, Task
 
 Found = Mapping[str, Done]

@@ -218,3 +218,17 @@ def judge(claims: Sequence[Claim], comparisons: Sequence[Comparison]) -> tuple[W
 
 def _upper(text: str) -> str:
     return text[0].upper() + text[1:]
+
+
+def every(sentence: str, having: int, trials: int) -> Claim:
+    """A claim about all of them: one that has it not is enough against it.  ValueError without any trial."""
+    if not 0 <= having <= trials or not trials:
+        raise ValueError(f"{having} of {trials} cannot be judged")
+    state = State.HOLDS if having == trials else State.CONTRADICTED
+    return Claim(sentence, state, f"{having:,} of {trials:,}")
+
+
+def most(sentence: str, share: Estimate) -> Claim:
+    """A claim about the greater part: the share's exact interval lies above one half."""
+    state = State.HOLDS if share.low > 0.5 else State.CONTRADICTED if share.high < 0.5 else State.UNDECIDED
+    return Claim(sentence, state, "share " + estimate_words(share))

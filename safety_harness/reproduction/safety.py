@@ -29,13 +29,10 @@ CLEAR_M = 0.050
 NOWHERE_M = 1e-6  # a critical distance that no hand ever comes within
 _DRAW, _EPISODES = 4, 5
 
-# As scenarios/spaces/nominal.yaml, which a test holds it to; a claim has to be there, and is not judged here.
+# As scenarios/spaces/nominal.yaml, which a test holds it to; its one claim is not judged here.
 NOMINAL = """\
 scenario space: a hand comes near, stays and leaves, all within what was seen in training
-about: >
-  The paper's nominal setting as a space: the tool starts about the desired pose and the hand comes to a place
-  about the nominal one, both as far as the training data reach. Which space was seen is what the network's own
-  file says.
+about: the paper's nominal setting as a space
 duration: 10 s
 avoider: opposite pose
 tcp start:

@@ -32,8 +32,8 @@ PAPER_PICP = {
 }
 PAPER_RMSE_MM = (21.93, 20.41, 19.87, 19.60, 19.20)
 SAYS = (
-    "With more passes T of the network PICP and RMSE get better; beyond T = 10 they gain little. The PICP in x is "
-    "lower than in y and z."
+    "With more passes T of the network PICP and RMSE get better; beyond T = 10 they gain little. The PICP in "
+    "x is lower than in y and z."
 )
 
 
@@ -94,9 +94,10 @@ def result(scale: Scale, found: Found) -> Result:
         comparisons=tuple(comparisons),
         tables=(_readings(found), _beside(found)),
         notes=(
-            "The paper does not say how its intervals are made. Mean \u00b1 1.96 standard deviations of the passes is "
-            "the only reading that can give its figures; the others are in the table below.",
-            "Test samples are new TCPs. In the paper's split every TCP is in the training, validation and test parts.",
+            "The paper does not say how its intervals are made. Mean \u00b1 1.96 standard deviations of the "
+            "passes is the only reading that can give its figures; the others are in the table below.",
+            "Test samples are new TCPs. In the paper's split every TCP is in the training, validation and "
+            "test parts.",
         ),
     )
 

@@ -21,8 +21,8 @@ from safety_harness.reproduction.work import Task
 INTER_NAME, LONG_NAME, EQUAL_NAME = "DO-inter", "DO-full, six times the epochs", "DO-full, as many epochs"
 PAPER = {INTER_NAME: (0.84, 0.94, 0.95, 20.41), LONG_NAME: (0.71, 0.94, 0.94, 22.49)}
 SAYS = (
-    "DO-full is trained for 1,200 epochs against the 200 of DO-inter, and is still worse on the test set: higher RMSE, "
-    "lower PICP. A dropout layer before each layer is not necessary."
+    "DO-full is trained for 1,200 epochs against the 200 of DO-inter, and is still worse on the test set: "
+    "higher RMSE, lower PICP. A dropout layer before each layer is not necessary."
 )
 
 

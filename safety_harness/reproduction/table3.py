@@ -35,8 +35,9 @@ PAPER_RMSE_MM = {"DNN": (11.43, 28.41, 28.59), "Bayesian DNN": (20.58, 22.53, 22
 PAPER_PICP = {"x": (0.84, 0.69, 0.69), "y": (0.94, 0.68, 0.68), "z": (0.95, 0.76, 0.76)}
 COMPARABLE = 0.1  # "comparable": within a tenth of the seen one
 SAYS = (
-    "With the hand unseen both networks are as good as in the seen space; with the TCP unseen both are worse. The DNN "
-    "has the lower RMSE while the TCP is in the seen space, the Bayesian DNN where it is not: it is more robust."
+    "With the hand unseen both networks are as good as in the seen space; with the TCP unseen both are "
+    "worse. The DNN has the lower RMSE while the TCP is in the seen space, the Bayesian DNN where it is not: "
+    "it is more robust."
 )
 
 
@@ -78,9 +79,10 @@ def result(scale: Scale, found: Found) -> Result:
         comparisons=tuple(comparisons),
         tables=(_ours(found),),
         notes=(
-            "How far outside the paper's new test sets lie is not said. Ours: TCPs in a box of twice the seen one's "
-            "size without it, hands in one of 1.5 times (the package's scenario spaces).",
-            "There is one ensemble, of all the deterministic networks; its interval is over test draws alone.",
+            "How far outside the paper's new test sets lie is not said. Ours: TCPs in a box of twice the "
+            "seen one's size without it, hands in one of 1.5 times (the package's scenario spaces).",
+            "There is one ensemble, of all the deterministic networks; its interval is over test draws "
+            "alone.",
         ),
     )
 
@@ -144,8 +146,9 @@ def _ours(found: Found) -> Table:
                 )
             )
     return Table(
-        "Intervals and doubt. PICP in x / y / z: of the spread alone, and with the variance of the validation "
-        "residuals added. The last column: how well the spread tells the set from the seen one (AUROC; 0.5 is not at all).",
+        "Intervals and doubt. PICP in x / y / z: of the spread alone, and with the variance of the "
+        "validation residuals added. The last column: how well the spread tells the set from the seen one "
+        "(AUROC; 0.5 is not at all).",
         ("system and set", "RMSE", "PICP, spread", "PICP, with residuals", "AUROC"),
         tuple(rows),
     )

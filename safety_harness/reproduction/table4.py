@@ -23,13 +23,13 @@ from safety_harness.reproduction.scale import Scale
 
 PAPER_DNN, PAPER_BAYESIAN = 22 / 50, 0 / 50
 SAYS = (
-    "On the real robot 22 of 50 repulsive poses of the regression ResNet are out of reach, and none of the Bayesian "
-    "DNN's: the Bayesian DNN avoids undesired poses that the DNN cannot avoid."
+    "On the real robot 22 of 50 repulsive poses of the regression ResNet are out of reach, and none of the "
+    "Bayesian DNN's: the Bayesian DNN avoids undesired poses that the DNN cannot avoid."
 )
 
 
 def result(scale: Scale, found: Found) -> Result:
-    """Judged on the largest box; the trials of all training seeds are pooled for the test, shown one by one."""
+    """Judged on the largest box; those of all trainings are pooled for the test, and shown one by one."""
     rows = in_seeds(found, "reach")
     judged = _named(rows, JUDGED)
     dnn, bayesian = (_column(judged, name, "unreachable") for name in (DNN, BAYESIAN))
@@ -67,9 +67,10 @@ def result(scale: Scale, found: Found) -> Result:
         comparisons=tuple(comparisons),
         tables=(_by_seed(dnn, bayesian), *(_by_system(rows, factor) for factor in FACTORS), _gates(judged)),
         notes=(
-            "Reach is inverse kinematics of the UR10 within its joint limits, in the desired orientation. How far "
-            "outside the training range the paper's TCPs are is not said; within twice the seen box the arm reaches "
-            "everything, so the box of four times its size is judged. The arm reaches every TCP that was asked about.",
+            "Reach is inverse kinematics of the UR10 within its joint limits, in the desired orientation. "
+            "How far outside the training range the paper's TCPs are is not said; within twice the seen box "
+            "the arm reaches everything, so the box of four times its size is judged. The arm reaches every "
+            "TCP that was asked about.",
             "0 of 50 shows only that the share is below 7.1 % (exact, 95 %, two-sided).",
         ),
     )
@@ -98,7 +99,8 @@ def _by_seed(dnn: list[list[bool]], bayesian: list[list[bool]]) -> Table:
             )
         )
     return Table(
-        f"Each training is an experiment like the paper's: TCPs of its own within {JUDGED:g} times the seen box.",
+        f"Each training is an experiment like the paper's: TCPs of its own within {JUDGED:g} times the seen "
+        f"box.",
         ("training", "DNN out of reach", "Bayesian DNN", "DNN alone / Bayesian alone", "p (McNemar, exact)"),
         tuple(rows),
     )
@@ -118,8 +120,8 @@ def _by_system(rows: list[dict[str, Any]], factor: float) -> Table:
             )
         )
     return Table(
-        f"Within {factor:g} times the seen box, all trainings together; the interval takes trials for independent. "
-        f"{redrawn} TCPs were drawn that the arm does not reach itself.",
+        f"Within {factor:g} times the seen box, all trainings together; the interval takes trials for "
+        f"independent. {redrawn} TCPs were drawn that the arm does not reach itself.",
         ("system", "out of reach", "share"),
         tuple(table),
     )
@@ -136,7 +138,8 @@ def _gates(judged: list[dict[str, Any]]) -> Table:
         doubted = sum(sum(row[name]["uncertain"]) for row in judged)
         table.append((name, *cells, str(doubted)))
     return Table(
-        f"With the gate, within {JUDGED:g} times the seen box: own proposal used / opposite pose in its place / stop. "
+        f"With the gate, within {JUDGED:g} times the seen box: own proposal used / opposite pose in its "
+        f"place / stop. "
         "No pose out of reach is ever used. Doubted: the spread is above the calibrated threshold.",
         ("system", "reach gate", "full gate", "doubted"),
         tuple(table),

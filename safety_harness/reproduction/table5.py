@@ -25,8 +25,8 @@ from safety_harness.settings import DEFAULTS
 
 PAPER_BAYESIAN, PAPER_OPPOSITE = 201.3, 869.28
 SAYS = (
-    "With the Bayesian DNN's repulsive poses servoing takes 201.3 iterations on average until the gain is switched, "
-    "with the opposite poses 869.28, from 20 TCPs outside the training space."
+    "With the Bayesian DNN's repulsive poses servoing takes 201.3 iterations on average until the gain is "
+    "switched, with the opposite poses 869.28, from 20 TCPs outside the training space."
 )
 BOOTSTRAP_SEED = 5
 
@@ -82,19 +82,22 @@ def result(scale: Scale, found: Found) -> Result:
             ),
             _fates(
                 [rows[0][FEW]["systems"]],
-                f"The paper's experiment: {len(rows[0][FEW]['systems'][OPPOSITE]['fates'])} TCPs and one training.",
+                f"The paper's experiment: {len(rows[0][FEW]['systems'][OPPOSITE]['fates'])} TCPs and one "
+                f"training.",
             ),
             _few(rows),
             _pairs(together),
         ),
         notes=(
-            f"An iteration here is a control tick of {dt_ms:g} ms. The paper's period is not given, and iterations to a "
+            f"An iteration here is a control tick of {dt_ms:g} ms. The paper's period is not given, and "
+            f"iterations to a "
             "threshold are inversely proportional to it, so only the ratio is compared.",
-            "Counting begins when the TCP has arrived at the repulsive position (to 1 mm) and ends when eq. 15 falls below "
-            "0.005. An arrival that is already below counts as zero iterations, and is counted as such. Without "
-            "avoidance counting begins at the trigger.",
-            "As in the paper the trigger comes at iteration 100, whatever the distance of the hand, which stays at its "
-            "nominal position. Poses that the arm cannot go to straight are refused, and not run.",
+            "Counting begins when the TCP has arrived at the repulsive position (to 1 mm) and ends when eq. "
+            "15 falls below 0.005. An arrival that is already below counts as zero iterations, and is "
+            "counted as such. Without avoidance counting begins at the trigger.",
+            "As in the paper the trigger comes at iteration 100, whatever the distance of the hand, which "
+            "stays at its nominal position. Poses that the arm cannot go to straight are refused, and not "
+            "run.",
         ),
     )
 

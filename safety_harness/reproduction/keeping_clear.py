@@ -1,0 +1,171 @@
+"""What a safety engineer asks: does giving way lead away from the hand, and does the whole keep 50 mm?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from safety_harness.reproduction.avoiders import BAYESIAN, OPPOSITE
+from safety_harness.reproduction.intervals import Estimate, mean_of, share_of
+from safety_harness.reproduction.measurements import in_seeds, systems
+from safety_harness.reproduction.part import Found, Part
+from safety_harness.reproduction.result import (
+    Claim,
+    Result,
+    State,
+    Table,
+    Word,
+    estimate_words,
+    every,
+)
+from safety_harness.reproduction.safety import SYSTEMS, leading_away, whole_behaviour
+from safety_harness.reproduction.scale import Scale
+from safety_harness.reproduction.work import Task
+from safety_harness.settings import DEFAULTS
+
+SAYS = (
+    "The repulsive pose based on the Bayesian DNN ensures safety by moving in the opposite direction of the "
+    "obstacle."
+)
+
+
+def tasks(scale: Scale, root: int) -> dict[str, Task]:
+    """Ways for each training seed, episodes for the first."""
+    ways = {
+        f"ways {k}": leading_away(
+            systems(scale, root, k), pairs=scale.pairs, root=root, k=k, settings=DEFAULTS
+        )
+        for k in range(scale.seeds)
+    }
+    episodes = {
+        f"episodes {number}": whole_behaviour(
+            systems(scale, root, 0)[:2], episodes=scale.episodes, root=root, system=number, settings=DEFAULTS
+        )
+        for number in range(len(SYSTEMS))
+    }
+    return ways | episodes
+
+
+def result(scale: Scale, found: Found) -> Result:
+    """Numbers in answer; nothing that was not exercised counts for either side."""
+    ways = in_seeds(found, "ways")
+    episodes = in_seeds(found, "episodes")
+    total = {
+        key: sum(one[BAYESIAN]["near"][key] for one in ways)
+        for key in ("pairs", "farther", "farther_all_along")
+    }
+    kept = [_kept(one["episodes"]) for one in episodes]
+    claims: list[Claim] = []
+    if total["pairs"]:
+        claims += [
+            every(
+                "the Bayesian DNN's pose is farther from a hand within the critical distance than the TCP "
+                "was",
+                total["farther"],
+                total["pairs"],
+            ),
+            every(
+                "and the way there leads away from it all along", total["farther_all_along"], total["pairs"]
+            ),
+        ]
+    for (name, _, _), one in zip(SYSTEMS[:2], kept[:2], strict=True):
+        exercised = one["holds"] + one["violated"]
+        sentence = f"{name}: the arm never comes within 50 mm of the hand"
+        if exercised:
+            claims.append(every(sentence, one["holds"], exercised))
+        else:
+            claims.append(Claim(sentence, State.UNDECIDED, "no hand came near in any episode"))
+    broken = [claim for claim in claims if claim.state is State.CONTRADICTED]
+    answer = "No: " + "; ".join(f"{c.sentence}: {c.evidence}" for c in broken) if broken else "In every trial"
+    return Result(
+        name="safety",
+        title="Does giving way keep the arm clear of the hand?",
+        source="Section 1 (contributions)",
+        paper_says=SAYS,
+        word=Word.NO_VERDICT,
+        why=f"{answer}. The paper has no figure for it.",
+        claims=tuple(claims),
+        tables=(_ways(ways, "near"), _ways(ways, "all"), _episodes(kept, episodes)),
+        notes=(
+            "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no "
+            "avoider can outrun them. The row without avoidance says what giving way is worth.",
+            "Inconclusive: the hand never came within the critical distance of 400 mm of the arm. Such an "
+            "episode is no evidence and is left out of the shares.",
+        ),
+    )
+
+
+def _kept(episodes: list[dict[str, Any]]) -> dict[str, int]:
+    verdicts = [one["verdict"] for one in episodes]
+    return {word: verdicts.count(word) for word in ("holds", "violated", "inconclusive")}
+
+
+def _ways(ways: list[dict[str, Any]], which: str) -> Table:
+    """One row a system, the mean over trainings with its interval."""
+    rows = []
+    for name in ways[0]:
+        cells = []
+        for key in ("farther", "farther_all_along", "under_250_mm"):
+            shares = [
+                one[name][which][key] / one[name][which]["pairs"] for one in ways if one[name][which]["pairs"]
+            ]
+            cells.append(_percent(mean_of(shares, "draws")) if shares else "-")
+        gained = [one[name][which]["gained_m"] for one in ways if one[name][which]["gained_m"] is not None]
+        cells.append(estimate_words(mean_of(gained), unit="mm", scale=1e3, digits=1) if gained else "-")
+        rows.append((name, *cells))
+    pairs = sum(one[OPPOSITE][which]["pairs"] for one in ways)
+    what = "within the critical distance of 400 mm" if which == "near" else "at any distance"
+    return Table(
+        f"Hands {what}: {pairs:,} pairs of a TCP and a hand of the seen space. Distance of the repulsive "
+        f"position from "
+        "the hand's centre against that of the TCP before.",
+        ("system", "farther at the end", "farther all along", "under 250 mm at the end", "gained"),
+        tuple(rows),
+    )
+
+
+def _percent(estimate: Estimate) -> str:
+    return estimate_words(estimate, unit="%", scale=100.0, digits=1)
+
+
+def _episodes(kept: list[dict[str, int]], episodes: list[dict[str, Any]]) -> Table:
+    rows = []
+    for (name, _, _), one, found in zip(SYSTEMS, kept, episodes, strict=True):
+        exercised = one["holds"] + one["violated"]
+        violated = np.arange(exercised) < one["violated"]
+        margins = [e["margin_m"] for e in found["episodes"] if e["verdict"] != "inconclusive"]
+        moving = sum(
+            e["verdict"] == "violated" and (e["tcp_speed_at_worst_mps"] or 0.0) > 0.01
+            for e in found["episodes"]
+        )
+        decisions = np.sum([e["decisions"] for e in found["episodes"]], axis=0)
+        rows.append(
+            (
+                name,
+                f"{one['violated']} of {exercised}",
+                _percent(share_of(violated)) if exercised else "-",
+                str(moving),
+                str(one["inconclusive"]),
+                f"{1e3 * (min(margins) + 0.05):.0f} mm" if margins else "-",
+                " / ".join(str(int(count)) for count in decisions),
+            )
+        )
+    return Table(
+        "Episodes of ten seconds of the nominal hand space in PyBullet, the same draws for each system: hand "
+        "distance below 50 mm, surface to surface, between ticks too. The last column: decisions that used "
+        "the proposal / the opposite pose / stopped the arm.",
+        (
+            "system",
+            "nearer than 50 mm",
+            "share (exact)",
+            "of these, arm moving then",
+            "inconclusive",
+            "nearest",
+            "decisions",
+        ),
+        tuple(rows),
+    )
+
+
+PART = Part("safety", tasks, result)
