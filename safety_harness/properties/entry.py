@@ -42,6 +42,10 @@ class Entry:
     scenario: str
     broken_by: str
 
+    def understands(self, sentence: str) -> re.Match[str] | None:
+        """The match of a sentence that claims this property, whatever its case and outer spaces."""
+        return re.fullmatch(self.pattern, sentence.strip(), re.IGNORECASE)
+
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
     """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
