@@ -79,8 +79,7 @@ def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n, ...) to (n,): is anything wrong in the record?"""
-    found: NDArray[np.bool_] = wrong.any(axis=tuple(range(1, wrong.ndim)))
-    return found
+    return np.asarray(wrong.any(axis=tuple(range(1, wrong.ndim))))
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
