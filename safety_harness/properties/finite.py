@@ -50,9 +50,7 @@ class FiniteTrace:
             trace,
             margin=float(-total),
             worst_time_s=max(first, 0) * period_s,
-            reason=f"{total} of {len(ticks)} ticks and {len(decisions)} decisions are not"
-            if total
-            else f"{len(ticks)} ticks and {len(decisions)} decisions are",
+            reason=f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}",
             exercised=len(ticks),
         )
 
