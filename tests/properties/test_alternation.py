@@ -9,8 +9,9 @@ from examples import hand, run, scenario
 from hypothesis import given
 from hypothesis import strategies as st
 
+from safety_harness.admission.claims import property_of
 from safety_harness.properties.alternation import GivesWayAtMost, gives_way_at
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
@@ -51,3 +52,10 @@ def test_a_hand_that_comes_twice_makes_the_arm_give_way_twice() -> None:
     assert (once.verdict, once.margin, once.worst_time_s) == (Verdict.VIOLATED, -1.0, trace.time_s[second])
     assert GivesWayAtMost(most=2).evaluate(trace).verdict is Verdict.HOLDS
     assert first < second
+
+
+def test_once_is_one_time() -> None:
+    sentence = "gives way at most 1 time"
+    prop = property_of(Claim(sentence=sentence, expected=Verdict.HOLDS), scenario())
+    assert prop == GivesWayAtMost(most=1)
+    assert prop.sentence == sentence
