@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.avoidance.candidates import continuous_optimum
 from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.opposite import OppositePose
-from safety_harness.learning.dataset import continuous_optimum
 from safety_harness.reproduction.networks import avoider_in
 from safety_harness.reproduction.work import Done
 from safety_harness.settings import Settings

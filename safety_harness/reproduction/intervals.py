@@ -1,7 +1,7 @@
 """What a handful of trainings or trials says of the true value, and how surely.
 
 A *training* is the unit of most figures: five seeds give five numbers, whose mean has a t interval.  Shares
-of independent trials have exact intervals (``learning.proportions``).  Nothing here takes a number that is
+of independent trials have exact intervals (``proportions``).  Nothing here takes a number that is
 not finite.
 """
 
@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from safety_harness.learning.proportions import LEVEL, Proportion
+from safety_harness.proportions import LEVEL, Proportion
 
 BOOTSTRAP_DRAWS = 4000
 _STEPS = 4000  # of Simpson's rule
@@ -82,7 +82,10 @@ def bootstrap_of(
     with np.errstate(divide="ignore", invalid="ignore"):
         values = redrawn if statistic == "mean" else redrawn[:, 0] / redrawn[:, 1]
         value = float(whole if statistic == "mean" else whole[0] / whole[1])
-    low, high = np.quantile(values, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    ends = [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0]
+    low, high = np.quantile(
+        values, ends, method="inverted_cdf"
+    )  # a ratio may be infinite: nothing in between
     return Estimate(value=value, low=float(low), high=float(high), of=f"{len(numbers)} {of}")
 
 

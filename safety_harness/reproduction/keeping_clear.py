@@ -18,12 +18,21 @@ from safety_harness.reproduction.result import (
     Word,
     estimate_words,
     every,
+    number,
 )
-from safety_harness.reproduction.safety import SYSTEMS, leading_away, whole_behaviour
+from safety_harness.reproduction.safety import (
+    DISTANCE,
+    OWN_SPEEDS,
+    SEPARATION,
+    SYSTEMS,
+    leading_away,
+    whole_behaviour,
+)
 from safety_harness.reproduction.scale import Scale
 from safety_harness.reproduction.work import Task
 from safety_harness.settings import DEFAULTS
 
+MOVING_MPS = 0.010
 SAYS = (
     "The repulsive pose based on the Bayesian DNN ensures safety by moving in the opposite direction of the "
     "obstacle."
@@ -55,7 +64,6 @@ def result(scale: Scale, found: Found) -> Result:
         key: sum(one[BAYESIAN]["near"][key] for one in ways)
         for key in ("pairs", "farther", "farther_all_along")
     }
-    kept = [_kept(one["episodes"]) for one in episodes]
     claims: list[Claim] = []
     if total["pairs"]:
         claims += [
@@ -69,13 +77,14 @@ def result(scale: Scale, found: Found) -> Result:
                 "and the way there leads away from it all along", total["farther_all_along"], total["pairs"]
             ),
         ]
-    for (name, _, _), one in zip(SYSTEMS[:2], kept[:2], strict=True):
-        exercised = one["holds"] + one["violated"]
-        sentence = f"{name}: the arm never comes within 50 mm of the hand"
-        if exercised:
-            claims.append(every(sentence, one["holds"], exercised))
-        else:
-            claims.append(Claim(sentence, State.UNDECIDED, "no hand came near in any episode"))
+    for (name, _, _), found_one in zip(SYSTEMS[:2], episodes[:2], strict=True):
+        for claim in (DISTANCE, SEPARATION, OWN_SPEEDS):
+            one = _kept(found_one["episodes"], claim)
+            exercised = one["holds"] + one["violated"]
+            if exercised:
+                claims.append(every(f"{name}: {claim}", one["holds"], exercised))
+            else:
+                claims.append(Claim(f"{name}: {claim}", State.UNDECIDED, "exercised in no episode"))
     broken = [claim for claim in claims if claim.state is State.CONTRADICTED]
     answer = "No: " + "; ".join(f"{c.sentence}: {c.evidence}" for c in broken) if broken else "In every trial"
     return Result(
@@ -86,7 +95,12 @@ def result(scale: Scale, found: Found) -> Result:
         word=Word.NO_VERDICT,
         why=f"{answer}. The paper has no figure for it.",
         claims=tuple(claims),
-        tables=(_ways(ways, "near"), _ways(ways, "all"), _episodes(kept, episodes)),
+        tables=(
+            _ways(ways, "near"),
+            _ways(ways, "all"),
+            *(_episodes(episodes, claim) for claim in (DISTANCE, SEPARATION, OWN_SPEEDS)),
+            _decisions(episodes),
+        ),
         notes=(
             "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no "
             "avoider can outrun them. The row without avoidance says what giving way is worth.",
@@ -96,8 +110,8 @@ def result(scale: Scale, found: Found) -> Result:
     )
 
 
-def _kept(episodes: list[dict[str, Any]]) -> dict[str, int]:
-    verdicts = [one["verdict"] for one in episodes]
+def _kept(episodes: list[dict[str, Any]], claim: str = DISTANCE) -> dict[str, int]:
+    verdicts = [one[claim]["verdict"] for one in episodes]
     return {word: verdicts.count(word) for word in ("holds", "violated", "inconclusive")}
 
 
@@ -129,17 +143,19 @@ def _percent(estimate: Estimate) -> str:
     return estimate_words(estimate, unit="%", scale=100.0, digits=1)
 
 
-def _episodes(kept: list[dict[str, int]], episodes: list[dict[str, Any]]) -> Table:
+def _episodes(episodes: list[dict[str, Any]], claim: str) -> Table:
     rows = []
-    for (name, _, _), one, found in zip(SYSTEMS, kept, episodes, strict=True):
+    for (name, _, _), found in zip(SYSTEMS, episodes, strict=True):
+        one = _kept(found["episodes"], claim)
         exercised = one["holds"] + one["violated"]
         violated = np.arange(exercised) < one["violated"]
-        margins = [e["margin_m"] for e in found["episodes"] if e["verdict"] != "inconclusive"]
+        judged = [e[claim] for e in found["episodes"]]
+        margins = [
+            e["margin_m"] for e in judged if e["verdict"] != "inconclusive" and e["margin_m"] is not None
+        ]
         moving = sum(
-            e["verdict"] == "violated" and (e["tcp_speed_at_worst_mps"] or 0.0) > 0.01
-            for e in found["episodes"]
+            e["verdict"] == "violated" and (e["tcp_speed_at_worst_mps"] or 0.0) > MOVING_MPS for e in judged
         )
-        decisions = np.sum([e["decisions"] for e in found["episodes"]], axis=0)
         rows.append(
             (
                 name,
@@ -147,23 +163,26 @@ def _episodes(kept: list[dict[str, int]], episodes: list[dict[str, Any]]) -> Tab
                 _percent(share_of(violated)) if exercised else "-",
                 str(moving),
                 str(one["inconclusive"]),
-                f"{1e3 * (min(margins) + 0.05):.0f} mm" if margins else "-",
-                " / ".join(str(int(count)) for count in decisions),
+                f"{number(1e3 * min(margins), 0)} mm" if margins else "-",
             )
         )
     return Table(
-        "Episodes of ten seconds of the nominal hand space in PyBullet, the same draws for each system: hand "
-        "distance below 50 mm, surface to surface, between ticks too. The last column: decisions that used "
-        "the proposal / the opposite pose / stopped the arm.",
-        (
-            "system",
-            "nearer than 50 mm",
-            "share (exact)",
-            "of these, arm moving then",
-            "inconclusive",
-            "nearest",
-            "decisions",
-        ),
+        f"{claim[0].upper()}{claim[1:]}: episodes of ten seconds of the nominal hand space in PyBullet, the "
+        f"same draws "
+        "for each system. Moving: the TCP was faster than 10 mm/s at the worst moment.",
+        ("system", "violated", "share (exact)", "of these, arm moving", "inconclusive", "least margin"),
+        tuple(rows),
+    )
+
+
+def _decisions(episodes: list[dict[str, Any]]) -> Table:
+    rows = []
+    for (name, _, _), found in zip(SYSTEMS, episodes, strict=True):
+        total = np.sum([e["decisions"] for e in found["episodes"]], axis=0)
+        rows.append((name, *(str(int(count)) for count in total)))
+    return Table(
+        "How the decisions of these episodes ended.",
+        ("system", "proposal used", "opposite pose", "stop"),
         tuple(rows),
     )
 

@@ -17,15 +17,23 @@ from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.learning.evaluation_sets import leaf
 from safety_harness.learning.spaces import seen
+from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
+from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.reproduction.avoiders import BAYESIAN, DNN, NONE, OPPOSITE, with_networks
 from safety_harness.reproduction.networks import avoider_in
 from safety_harness.reproduction.work import Done, Json, Task
 from safety_harness.settings import GateKind, Settings
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
 
 CLEAR_M = 0.050
+DISTANCE, SEPARATION, OWN_SPEEDS = (
+    "hand distance never below 50 mm",
+    "protective separation kept",
+    "protective separation kept from hands at their own speeds",
+)
 NOWHERE_M = 1e-6  # a critical distance that no hand ever comes within
 _DRAW, _EPISODES = 4, 5
 
@@ -142,29 +150,32 @@ def measure_episodes(
     }
     critical_m = NOWHERE_M if avoider_name == NONE else settings.avoidance.critical_distance_m
     own = replace(settings, avoidance=replace(settings.avoidance, gate=gate, critical_distance_m=critical_m))
-    claim = HandDistance(minimum_m=CLEAR_M, near_m=settings.avoidance.critical_distance_m)
+    claims: dict[str, Property] = {
+        DISTANCE: HandDistance(minimum_m=CLEAR_M, near_m=settings.avoidance.critical_distance_m),
+        SEPARATION: ProtectiveSeparation(),
+        OWN_SPEEDS: ProtectiveSeparation(own_speeds=True),
+    }
     drawn = draw_admissible(nominal_space(), draw_seed, episodes)
     found: list[Json] = []
     for scenario in drawn.scenarios:
         trace = run_trial(admit(replace(scenario, settings=own), avoider=avoiders[avoider_name]))
-        judged = claim.evaluate(trace)
-        worst = (
-            None
-            if judged.worst_time_s is None
-            else int(np.argmin(np.abs(trace.time_s - judged.worst_time_s)))
-        )
         outcomes = trace.decisions["outcome"]
         found.append(
-            {
-                "verdict": judged.verdict.value,
-                "margin_m": judged.margin,
-                "tcp_speed_at_worst_mps": None
-                if worst is None
-                else float(trace.ticks["tcp_speed_mps"][worst]),
-                "decisions": [int(np.count_nonzero(outcomes == code)) for code in range(3)],
-            }
+            {name: _judged(claim, trace) for name, claim in claims.items()}
+            | {"decisions": [int(np.count_nonzero(outcomes == code)) for code in range(3)]}
         )
     return {"system": name, "drawn": drawn.drawn, "episodes": found}
+
+
+def _judged(claim: Property, trace: Trace) -> Json:
+    judged = claim.evaluate(trace)
+    margin = judged.margin if judged.margin is not None and np.isfinite(judged.margin) else None
+    worst = None
+    if judged.worst_time_s is not None:
+        worst = float(
+            trace.ticks["tcp_speed_mps"][int(np.argmin(np.abs(trace.time_s - judged.worst_time_s)))]
+        )
+    return {"verdict": judged.verdict.value, "margin_m": margin, "tcp_speed_at_worst_mps": worst}
 
 
 def nominal_space() -> ScenarioSpace:

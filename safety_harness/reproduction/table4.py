@@ -21,7 +21,7 @@ from safety_harness.reproduction.result import (
 )
 from safety_harness.reproduction.scale import Scale
 
-PAPER_DNN, PAPER_BAYESIAN = 22 / 50, 0 / 50
+PAPER_DNN, PAPER_BAYESIAN, PAPER_TRIALS = 22, 0, 50
 SAYS = (
     "On the real robot 22 of 50 repulsive poses of the regression ResNet are out of reach, and none of the "
     "Bayesian DNN's: the Bayesian DNN avoids undesired poses that the DNN cannot avoid."
@@ -45,15 +45,13 @@ def result(scale: Scale, found: Found) -> Result:
         Comparison(
             label=f"{name}: share out of reach",
             ours=mean_of([float(np.mean(one)) for one in values]),
-            paper=paper,
+            paper=100.0 * count / PAPER_TRIALS,
             unit="%",
             digits=1,
             scale=100.0,
+            paper_ends=exact_ends(count),
         )
-        for name, values, paper in (
-            (DNN, dnn, 100.0 * PAPER_DNN),
-            (BAYESIAN, bayesian, 100.0 * PAPER_BAYESIAN),
-        )
+        for name, values, count in ((DNN, dnn, PAPER_DNN), (BAYESIAN, bayesian, PAPER_BAYESIAN))
     ]
     word, why = judge(claims, comparisons)
     return Result(
@@ -74,6 +72,12 @@ def result(scale: Scale, found: Found) -> Result:
             "0 of 50 shows only that the share is below 7.1 % (exact, 95 %, two-sided).",
         ),
     )
+
+
+def exact_ends(count: int) -> tuple[float, float]:
+    """Of the paper's share, in per cent: Clopper and Pearson."""
+    share = share_of(np.arange(PAPER_TRIALS) < count)
+    return 100.0 * share.low, 100.0 * share.high
 
 
 def _named(rows: list[dict[str, Any]], factor: float) -> list[dict[str, Any]]:
