@@ -120,7 +120,11 @@ def _results(
             why = next((f"{task.label}: {failed[task]}" for task in lost if task in failed), "")
             missing.append((part.name, why or f"{len(lost)} of its measurements are not done"))
         else:
-            results.append(part.result(scale, {name: done[task] for name, task in tasks[part.name].items()}))
+            found = {name: done[task] for name, task in tasks[part.name].items()}
+            try:
+                results.append(part.result(scale, found))
+            except Exception as error:  # hours of measuring are not lost for one part of the page
+                missing.append((part.name, f"{type(error).__name__}: {error}, a defect of safety-harness"))
     return results, missing
 
 

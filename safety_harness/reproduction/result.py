@@ -211,12 +211,13 @@ def judge(claims: Sequence[Claim], comparisons: Sequence[Comparison]) -> tuple[W
     )
     lost = [one for one in claims if one.state is not State.HOLDS]
     if lost:
-        verb = "does not hold" if len(lost) == 1 else "do not hold"
         reasons = "; ".join(f"{one.sentence} ({one.state.value})" for one in lost)
-        return (
-            Word.NOT_REPRODUCED,
-            f"{len(lost)} of {len(claims)} claims {verb}: {reasons}. {_upper(figures)}.",
+        some = (
+            f"{len(lost)} of {len(claims)} claims do not hold"
+            if len(claims) > 1
+            else "the claim does not hold"
         )
+        return Word.NOT_REPRODUCED, f"{_upper(some)}: {reasons}. {_upper(figures)}."
     all_hold = "the claim holds" if len(claims) == 1 else f"all {len(claims)} claims hold"
     if not agreeing or sum(agreeing) >= AGREEING_SHARE * len(agreeing):
         return Word.REPRODUCED, f"{_upper(all_hold)}, and {figures}."

@@ -10,7 +10,7 @@ from safety_harness.reproduction.avoiders import BAYESIAN, DNN
 from safety_harness.reproduction.intervals import Paired, mean_of, share_of
 from safety_harness.reproduction.measurements import in_seeds, reaches
 from safety_harness.reproduction.part import Found, Part
-from safety_harness.reproduction.reach import FACTORS, JUDGED
+from safety_harness.reproduction.reach import EDGE, SETS
 from safety_harness.reproduction.result import (
     Comparison,
     Result,
@@ -29,9 +29,9 @@ SAYS = (
 
 
 def result(scale: Scale, found: Found) -> Result:
-    """Judged on the largest box; those of all trainings are pooled for the test, and shown one by one."""
+    """Judged at the edge of reach; those of all trainings are pooled for the test, and shown one by one."""
     rows = in_seeds(found, "reach")
-    judged = _named(rows, JUDGED)
+    judged = _named(rows, EDGE)
     dnn, bayesian = (_column(judged, name, "unreachable") for name in (DNN, BAYESIAN))
     claims = [
         fewer(
@@ -63,12 +63,12 @@ def result(scale: Scale, found: Found) -> Result:
         why=why,
         claims=tuple(claims),
         comparisons=tuple(comparisons),
-        tables=(_by_seed(dnn, bayesian), *(_by_system(rows, factor) for factor in FACTORS), _gates(judged)),
+        tables=(_by_seed(dnn, bayesian), *(_by_system(rows, name) for name in SETS), _gates(judged)),
         notes=(
             "Reach is inverse kinematics of the UR10 within its joint limits, in the desired orientation. "
-            "How far outside the training range the paper's TCPs are is not said; within twice the seen box "
-            "the arm reaches everything, so the box of four times its size is judged. The arm reaches every "
-            "TCP that was asked about.",
+            "Where the paper's TCPs are is not said. Within four times the seen box everything 100 mm away "
+            "is in reach, so TCPs at the edge of reach are judged: the arm reaches them, sees the whole "
+            "object from them, and does not reach all that is 100 mm away. This was fixed by geometry alone.",
             "0 of 50 shows only that the share is below 7.1 % (exact, 95 %, two-sided).",
         ),
     )
@@ -80,8 +80,8 @@ def exact_ends(count: int) -> tuple[float, float]:
     return 100.0 * share.low, 100.0 * share.high
 
 
-def _named(rows: list[dict[str, Any]], factor: float) -> list[dict[str, Any]]:
-    return [row[f"{factor:g}"]["avoiders"] for row in rows]
+def _named(rows: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    return [row[name]["avoiders"] for row in rows]
 
 
 def _column(rows: list[dict[str, Any]], name: str, key: str) -> list[list[bool]]:
@@ -103,16 +103,15 @@ def _by_seed(dnn: list[list[bool]], bayesian: list[list[bool]]) -> Table:
             )
         )
     return Table(
-        f"Each training is an experiment like the paper's: TCPs of its own within {JUDGED:g} times the seen "
-        f"box.",
+        f"Each training is an experiment like the paper's: TCPs of its own {EDGE}.",
         ("training", "DNN out of reach", "Bayesian DNN", "DNN alone / Bayesian alone", "p (McNemar, exact)"),
         tuple(rows),
     )
 
 
-def _by_system(rows: list[dict[str, Any]], factor: float) -> Table:
-    named = _named(rows, factor)
-    redrawn = sum(row[f"{factor:g}"]["redrawn"] for row in rows)
+def _by_system(rows: list[dict[str, Any]], where: str) -> Table:
+    named = _named(rows, where)
+    redrawn = sum(row[where]["redrawn"] for row in rows)
     table = []
     for name in named[0]:
         out = np.concatenate(_column(named, name, "unreachable"))
@@ -124,8 +123,8 @@ def _by_system(rows: list[dict[str, Any]], factor: float) -> Table:
             )
         )
     return Table(
-        f"Within {factor:g} times the seen box, all trainings together; the interval takes trials for "
-        f"independent. {redrawn} TCPs were drawn that the arm does not reach itself.",
+        f"TCPs {where}, all trainings together; the interval takes trials for independent. {redrawn:,} TCPs "
+        "were drawn that would not do.",
         ("system", "out of reach", "share"),
         tuple(table),
     )
@@ -142,7 +141,7 @@ def _gates(judged: list[dict[str, Any]]) -> Table:
         doubted = sum(sum(row[name]["uncertain"]) for row in judged)
         table.append((name, *cells, str(doubted)))
     return Table(
-        f"With the gate, within {JUDGED:g} times the seen box: own proposal used / opposite pose in its "
+        f"With the gate, {EDGE}: own proposal used / opposite pose in its "
         f"place / stop. "
         "No pose out of reach is ever used. Doubted: the spread is above the calibrated threshold.",
         ("system", "reach gate", "full gate", "doubted"),

@@ -19,6 +19,7 @@ import signal
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -159,7 +160,7 @@ class Workshop:
             return
         try:
             done[task] = result()
-        except OutputError:
+        except (OutputError, BrokenProcessPool):
             raise
         except Exception as error:  # what one step costs must not cost the others
             what = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
@@ -182,8 +183,8 @@ class Workshop:
             os.environ.setdefault(name, "1")
         context = multiprocessing.get_context("spawn")
         jobs = at_once or self.jobs
+        waiting, running = list(tasks), dict[Future[Done], Task]()
         with ProcessPoolExecutor(jobs, mp_context=context, initializer=_ignore_ctrl_c) as pool:
-            waiting, running = list(tasks), dict[Future[Done], Task]()
             try:
                 while waiting or running:
                     for task in list(waiting):
@@ -193,13 +194,17 @@ class Workshop:
                             waiting.remove(task)
                             self._finish(task, _never, done, left)
                         elif all(need in done for need in task.needs):
-                            waiting.remove(task)
                             needs = self._done_needs(task, done)
                             running[pool.submit(_do, task, needs, self.folder)] = task
+                            waiting.remove(task)
                     if not running:
                         continue
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        self._finish(running.pop(future), future.result, done, left)
+                        self._finish(running[future], future.result, done, left)
+                        del running[future]
+            except BrokenProcessPool:  # one was killed: for its memory, or by hand
+                for task in (*running.values(), *waiting):
+                    self.failed.setdefault(task, "a process ended before its time; ask for the same again")
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in list((pool._processes or {}).values()):
