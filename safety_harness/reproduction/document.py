@@ -54,7 +54,11 @@ def write_document(path: Path, results: Sequence[Result], about: About) -> None:
 
 def comparison_words(one: Comparison) -> tuple[str, str, str]:
     """The paper's figure, ours with its interval, and whether they agree, as texts."""
-    paper = "\u2013" if one.paper is None else f"{one.paper:g}{' ' + one.unit if one.unit else ''}"
+    paper = "\u2013"
+    if one.paper is not None:
+        rounded = f"{one.paper:.{one.digits}f}"
+        paper = rounded if float(rounded) == one.paper else f"{one.paper:g}"  # none of its digits is lost
+        paper += f" {one.unit}" if one.unit else ""
     ours = estimate_words(one.ours, unit=one.unit, scale=one.scale, digits=one.digits)
     agrees = {None: "\u2013" if one.paper is None else "not compared", True: "yes", False: "no"}[one.agrees]
     return paper, ours, agrees

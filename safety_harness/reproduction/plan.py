@@ -13,6 +13,7 @@ from safety_harness.reproduction.figure8 import PART as FIGURE8
 from safety_harness.reproduction.keeping_clear import PART as SAFETY
 from safety_harness.reproduction.object_pose import PART as OUTLOOK
 from safety_harness.reproduction.part import Part
+from safety_harness.reproduction.sensitivity import PART as SENSITIVITY
 from safety_harness.reproduction.table1 import PART as TABLE1
 from safety_harness.reproduction.table2 import PART as TABLE2
 from safety_harness.reproduction.table3 import PART as TABLE3
@@ -34,7 +35,7 @@ PARTS = (
     OUTLOOK,
     SAFETY,
 )
-ON_THEIR_OWN: tuple[Part, ...] = ()  # not part of "all"
+ON_THEIR_OWN = (SENSITIVITY,)  # not part of "all"
 LAST = (TABLE2,)  # its long trainings take as much time as everything else together
 
 

@@ -51,7 +51,7 @@ def result(scale: Scale, found: Found) -> Result:
         Comparison(
             label="opposite / Bayesian DNN, ratio of the means",
             ours=ratio,
-            paper=PAPER_OPPOSITE / PAPER_BAYESIAN,
+            paper=round(PAPER_OPPOSITE / PAPER_BAYESIAN, 2),
         )
     ]
     for name, column, paper in ((BAYESIAN, 0, PAPER_BAYESIAN), (OPPOSITE, 1, PAPER_OPPOSITE)):

@@ -1,0 +1,84 @@
+"""Write docs/reproduction-results.md and the small sample beside it from a reproduction.json.
+
+Run: python benchmarks/reproduction_results.py reports/reproduction/reproduction.json
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE, SAMPLE = DOCS / "reproduction-results.md", DOCS / "reproduction-results.json"
+HEAD = """\
+# What came out of the reproduction
+
+Written by `python benchmarks/reproduction_results.py` from the JSON of one run: scale {scale}, seed {seed},
+{trainings} trainings of each network, {date}, safety-harness {package_version}, source hash `{source_hash}`.
+How it was measured, and by which rule judged, is in [reproduction.md](reproduction.md); the plots are on the
+page that the command writes. The numbers are in [reproduction-results.json](reproduction-results.json).
+
+| part | verdict | why |
+|---|---|---|
+"""
+
+
+def row(*cells: str) -> str:
+    """One line of a table; a bar inside a cell would end it."""
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def lines(found: dict[str, Any]) -> Iterator[str]:
+    """The whole page."""
+    about = found["about"]
+    yield HEAD.format(**about, date=about["generated_at"][:10]).rstrip("\n")
+    for one in found["results"]:
+        yield row(f"[{one['source']}](#{one['name']}): {one['title']}", f"**{one['word']}**", one["why"])
+    for name, why in about["missing"]:
+        yield row(name, "*missing*", why)
+    for one in found["results"]:
+        yield from part(one)
+
+
+def part(one: dict[str, Any]) -> Iterator[str]:
+    """One part: claims, figures, tables, notes."""
+    yield f"\n## {one['name']}\n\n**{one['source']}: {one['title']}.** The paper: {one['paper_says']}\n"
+    yield f"**{one['word']}.** {one['why']}"
+    if one["claims"]:
+        yield "\n| claim | | evidence |\n|---|---|---|"
+        for claim in one["claims"]:
+            yield row(claim["sentence"], claim["state"], claim["evidence"])
+    if one["comparisons"]:
+        yield "\n| figure | the paper | ours | agree? |\n|---|---|---|---|"
+        for figure in one["comparisons"]:
+            yield row(figure["label"], figure["paper_words"], figure["ours_words"], figure["agrees_words"])
+    for table in one["tables"]:
+        yield f"\n{table['caption']}\n\n{row(*table['head'])}\n|{'---|' * len(table['head'])}"
+        for cells in table["rows"]:
+            yield row(*cells)
+    if one["notes"]:
+        yield ""
+        yield from (f"- {note}" for note in one["notes"])
+
+
+def sample(found: dict[str, Any]) -> dict[str, Any]:
+    """All but the plots' points and the keys."""
+    about = {key: value for key, value in found["about"].items() if key not in ("keys", "command")}
+    results = [{key: value for key, value in one.items() if key != "plots"} for one in found["results"]]
+    return found | {"about": about, "results": results}
+
+
+def main() -> None:
+    """Read, write both."""
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    found = json.loads(Path(sys.argv[1]).read_text("utf-8"))
+    PAGE.write_text("\n".join(lines(found)) + "\n", "utf-8")
+    SAMPLE.write_text(json.dumps(sample(found), indent=1, ensure_ascii=False) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
