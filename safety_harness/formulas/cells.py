@@ -63,7 +63,7 @@ def tent(value: Values, way: Values, slack: Values | float) -> tuple[Values, Val
 
 
 def tcp_way_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP goes within each tick: the largest speed at the ends or in the mean, times dt."""
+    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
     steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
     way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)

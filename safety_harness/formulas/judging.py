@@ -9,6 +9,7 @@ from safety_harness.formulas.asked import shown_in, signals_of, unit_of
 from safety_harness.formulas.cells import rises
 from safety_harness.formulas.formula import Comparison, Formula, Initially, Truth, Until, Whenever
 from safety_harness.formulas.semantics import (
+    LEAST,
     Bounds,
     Margins,
     comparison_bounds,
@@ -144,6 +145,7 @@ def _told(
 ) -> Evaluation:
     """A verdict with the moment that decided it, and what was seen then."""
     unit = unit_of(part)
+    margin = 0.0 if margin == LEAST else margin
     if not np.isfinite(margin):
         margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
     if found.atom is None or found.tick >= len(trace.ticks):
@@ -155,6 +157,7 @@ def _told(
     else:
         shown = shown_in(signal.dimension)
         reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
+        reason += ", exactly the limit" if abs(margin) <= LEAST else ""
     return _evaluation(part, verdict, margin, float(trace.time_s[found.tick]), reason, exercised, unit)
 
 

@@ -250,7 +250,7 @@ class _Parser:
             raise self.error(error.expected, token, error.hint, text) from error
 
     def window(self, from_now: str) -> Span | None:
-        """``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``, if it is there."""
+        """``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
         word = self.take(from_now, "from")
         if word is None:
             return None

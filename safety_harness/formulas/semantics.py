@@ -3,8 +3,8 @@
 The margin of a comparison is the distance to its limit, that of a truth +-inf; "not" turns the sign,
 "and" and "always" take the least, "or" and "eventually" the largest, "until" the largest over the
 ticks j of its window of the least of second(j) and first before j.  Windows are in control ticks,
-ends included.  A limit that < or > leaves out is missed by ``LEAST``, the smallest normal number:
-so a formula and its negation never both hold.
+ends included.  A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <=
+and >=, and on the wrong side of < and >: no margin is 0, and a formula and its negation never both hold.
 
 Each margin is an interval from ``low`` to ``high``: NaN, ticks that were not reached and windows that run
 beyond the last tick make it [-inf, inf], and every operator takes the bounds of its parts to its own.
@@ -150,19 +150,14 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Boun
     """The margins of a comparison whose signal lies between ``low`` and ``high`` (NaN: unknown)."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
-    if low is high:
-        margin = low - limit if above else limit - low
-        if relation in (Relation.ABOVE, Relation.BELOW):
-            margin[margin == 0.0] = -LEAST
-        if not np.isnan(margin).any():
-            return Bounds(margin, margin)
-        unknown = np.isnan(margin)
-        return Bounds(np.where(unknown, -np.inf, margin), np.where(unknown, np.inf, margin))
-    least, most = (low - limit, high - limit) if above else (limit - high, limit - low)
+    least = low - limit if above else limit - high
+    most = least if low is high else high - limit if above else limit - low
+    at_limit = -LEAST if relation in (Relation.ABOVE, Relation.BELOW) else LEAST
     for margin in (least, most):
-        if relation in (Relation.ABOVE, Relation.BELOW):
-            margin[margin == 0.0] = -LEAST
+        margin[margin == 0.0] = at_limit
     unknown = np.isnan(least) | np.isnan(most)
+    if not unknown.any():
+        return Bounds(least, most)
     return Bounds(np.where(unknown, -np.inf, least), np.where(unknown, np.inf, most))
 
 
