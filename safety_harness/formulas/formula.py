@@ -173,9 +173,11 @@ class Eventually(_Over):
     span: Span | None = None
 
     def __str__(self) -> str:
-        words = self.span.words("within") if self.span else "eventually"
-        words = f"eventually {words}" if words.startswith("from") else words
-        return f"{words} {operand(self.body)}"
+        body = operand(self.body)
+        if self.span is None:  # "eventually within 1 s" is one operator
+            return f"eventually ({body})" if body.startswith("within") else f"eventually {body}"
+        words = self.span.words("within")
+        return f"eventually {words} {body}" if words.startswith("from") else f"{words} {body}"
 
 
 @dataclass(frozen=True)

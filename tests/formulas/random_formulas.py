@@ -1,4 +1,4 @@
-"""Random formulas over made-up signals, the signals, and a judge of them written from the definition alone."""
+"""Random formulas over made-up signals, and a judge of them written from the definition alone."""
 
 from __future__ import annotations
 

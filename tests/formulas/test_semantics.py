@@ -37,7 +37,7 @@ from safety_harness.formulas.quantities import mm, ms
 from safety_harness.formulas.semantics import LEAST
 
 anything = formulas(comparisons | truths)
-many = settings(max_examples=200, deadline=None)
+many = settings(max_examples=100, deadline=None)
 
 
 def pairs(formula: Formula, run: Run) -> list[tuple[float, float]]:
