@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from difflib import get_close_matches
 
 from safety_harness.exceptions import InadmissibleError
@@ -20,7 +19,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
     InadmissibleError with the catalogue for what is no formula either.
     """
     for entry in CATALOGUE:
-        match = re.fullmatch(entry.pattern, claim.sentence.strip(), re.IGNORECASE)
+        match = entry.understands(claim.sentence)
         if match:
             return entry.make(match, scenario, claim.place)
     if looks_like_formula(claim.sentence):
