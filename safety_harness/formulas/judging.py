@@ -47,6 +47,8 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     found = witness(between, 0, period_s, low=True)
     told = _told(part, Verdict.HOLDS, float(low), found, trace, sampled, exercised)
     doubt = ""
+    if exercised == 0 and np.isinf(low):  # nothing was asked at all
+        return _evaluation(part, Verdict.INCONCLUSIVE, None, None, f"never exercised: {untried}", 0)
     if exercised == 0:
         doubt = f"never exercised: {untried}"
     elif not trace.complete:

@@ -224,7 +224,8 @@ def test_each_part_that_and_joins_keeps_its_margin_and_unit(visit: Trace) -> Non
     assert (stop.verdict, stop.margin, stop.unit) == (HOLDS, 1.0, Unit.COUNT)
     assert (evaluation.verdict, evaluation.margin, evaluation.unit) == (VIOLATED, speed.margin, Unit.SPEED)
     assert speed.sentence == "always TCP speed < 100 mm/s"
-    assert evaluation.reason.startswith("always TCP speed < 100 mm/s: ")
+    for part in evaluation.parts:
+        assert f"{part.sentence}: {part.verdict.value}, {part.margin_text()} (" in evaluation.reason
 
 
 def test_the_worst_of_two_violations_in_one_unit_is_shown_and_an_open_part_is_graver_than_one_that_holds(
