@@ -9,8 +9,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth, formula_error
-from safety_harness.formulas.quantities import Quantity, plain
+from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth
+from safety_harness.formulas.quantities import Quantity, formula_error, plain
 from safety_harness.scenario.units import NUMBER, Dimension
 from safety_harness.trace.trace import Trace
 

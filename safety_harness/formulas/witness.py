@@ -14,12 +14,12 @@ from safety_harness.formulas.formula import (
     Eventually,
     Not,
     Or,
-    Span,
     Truth,
     Until,
     Whenever,
 )
 from safety_harness.formulas.semantics import Bounds, Margins, ticks_of, where_triggered
+from safety_harness.formulas.span import Span
 
 
 @dataclass(frozen=True)
