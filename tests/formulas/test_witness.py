@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, nan
 
 from hypothesis import given, settings
 from random_formulas import PERIOD_S, P, Run, X, bounds_of, comparisons, formulas, margins_of, runs, truths
@@ -65,3 +65,10 @@ def test_each_operator_names_the_tick_that_decides() -> None:
     assert of(Until(ABOVE_0, Not(Truth(P))), *x) == Witness(0, ABOVE_0)
     assert of(Whenever(Truth(P), ABOVE_0), *x) == Witness(2, ABOVE_0)
     assert of(Always(ABOVE_0, Span(ms(0), ms(40))), *x) == Witness(4, None)
+
+
+def test_what_is_not_known_decides_only_the_bound_that_it_bounds() -> None:
+    x = (nan, -0.001, 0.002)
+    assert of(Always(ABOVE_0), *x) == Witness(0, ABOVE_0)
+    assert of(Always(ABOVE_0), *x, low=False) == Witness(1, ABOVE_0)
+    assert of(Not(Always(ABOVE_0)), *x) == Witness(1, ABOVE_0)
