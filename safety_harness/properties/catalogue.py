@@ -6,11 +6,19 @@ from safety_harness.properties.entry import Entry
 from safety_harness.properties.giving_way import MOVES_AWAY
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.properties.limits import JOINT_POSITIONS, JOINT_SPEEDS, TCP_SPEED
+from safety_harness.properties.protective_separation import (
+    PROTECTIVE_SEPARATION,
+    PROTECTIVE_SEPARATION_AT,
+    PROTECTIVE_SEPARATION_OWN,
+)
 from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
 
 CATALOGUE: tuple[Entry, ...] = (
     HAND_DISTANCE,
+    PROTECTIVE_SEPARATION,
+    PROTECTIVE_SEPARATION_AT,
+    PROTECTIVE_SEPARATION_OWN,
     REPULSIVE_POSES,
     PROPOSED_POSES,
     MOVES_AWAY,
