@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.giving_way import MOVES_AWAY
 from safety_harness.properties.hand_distance import HAND_DISTANCE
@@ -22,6 +23,7 @@ CATALOGUE: tuple[Entry, ...] = (
     REPULSIVE_POSES,
     PROPOSED_POSES,
     MOVES_AWAY,
+    CLEAR_WAYS,
     JOINT_POSITIONS,
     JOINT_SPEEDS,
     TCP_SPEED,

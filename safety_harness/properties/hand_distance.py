@@ -161,6 +161,14 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
+    reach_m = reach_of_joints_m(trace)
+    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
+    bend: NDArray[np.float64] = change @ reach_m * trace.scenario.settings.clock.control_period_s / 4.0
+    return bend
+
+
+def reach_of_joints_m(trace: Trace) -> NDArray[np.float64]:
+    """(6,) how far from each joint any point that it moves can be, whatever the other joints are."""
     arm = load_arm(trace.scenario.robot.arm_name)
     _, link_index, start_in_link, end_in_link, _ = _capsules(arm, trace.scenario.settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
@@ -172,9 +180,7 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
         for last, end in zip(link, ends, strict=True):
             if last > joint:
                 reach_m[joint] = max(reach_m[joint], offsets[joint + 1 : last].sum() + end)
-    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
-    bend: NDArray[np.float64] = change @ reach_m * trace.scenario.settings.clock.control_period_s / 4.0
-    return bend
+    return reach_m
 
 
 def _capsules(

@@ -212,4 +212,5 @@ def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: floa
     """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none."""
     if length == 0.0:
         return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    return max((velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]) / length, 0.0)
+    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    return float(max(total / length, 0.0))

@@ -33,6 +33,11 @@ def proposes_far_away() -> Trace:
 
 
 @lru_cache
+def proposes_below_the_table() -> Trace:
+    return run(scenario(STAYS, duration_s=5.0), avoider=Displaced((0.0, 0.0, -0.7)), gate=passing())
+
+
+@lru_cache
 def turns_too_fast() -> Trace:
     return run(scenario(duration_s=0.2), controller=ConstantSpeed((2.5, 0.0, 0.0, 0.0, 0.0, 0.0)))
 
@@ -60,6 +65,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "repulsive poses reachable": proposes_far_away,
     "proposed repulsive poses reachable": proposes_far_away,
     "repulsion moves away from every hand": seeks_the_hand,
+    "repulsive ways clear of table, object and robot": proposes_below_the_table,
     "joint positions within limits": turns_on_and_on,
     "joint speeds within limits": turns_too_fast,
     "TCP speed never above 250 mm/s": turns_too_fast,
