@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.entry import Entry
+from safety_harness.properties.fallback import CERTAIN, UNCERTAIN
+from safety_harness.properties.fallback_poses import FALLBACK_POSES
 from safety_harness.properties.giving_way import MOVES_AWAY
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.properties.limits import JOINT_POSITIONS, JOINT_SPEEDS, TCP_SPEED
@@ -14,6 +16,7 @@ from safety_harness.properties.protective_separation import (
 )
 from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
+from safety_harness.properties.stopping import STOPS
 
 CATALOGUE: tuple[Entry, ...] = (
     HAND_DISTANCE,
@@ -24,6 +27,10 @@ CATALOGUE: tuple[Entry, ...] = (
     PROPOSED_POSES,
     MOVES_AWAY,
     CLEAR_WAYS,
+    UNCERTAIN,
+    CERTAIN,
+    STOPS,
+    FALLBACK_POSES,
     JOINT_POSITIONS,
     JOINT_SPEEDS,
     TCP_SPEED,

@@ -5,21 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache
+from typing import Any
 
-from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHand, hand, run, scenario
+from examples import (
+    VISIT,
+    ConstantSpeed,
+    Displaced,
+    PassingGate,
+    RefusingGate,
+    TowardsTheHand,
+    hand,
+    run,
+    scenario,
+)
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.moves import MoveTo, Wait
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, GateKind, Settings
 from safety_harness.trace.trace import Trace
 
 STAYS = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
 
 
+REACH_ONLY = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, gate=GateKind.REACH))
+TOO_FAR = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, radius_m=2.0))
+SIDEWAYS = (0.0, 0.05, 0.08)
+IN_DOUBT = Displaced(SIDEWAYS, spread_m=0.03, spread_threshold_m=0.02)
+CERTAIN = Displaced(SIDEWAYS, spread_m=0.01, spread_threshold_m=0.02)
+
+
+def gate_of(kind: type[Gate], settings: Settings = DEFAULTS, **changed: Any) -> Gate:
+    gate = Gate.of(settings, kinematics())
+    return kind(**{field.name: getattr(gate, field.name) for field in fields(gate)} | changed)
+
+
 def passing() -> Gate:
-    gate = Gate.of(DEFAULTS, kinematics())
-    return PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
+    return gate_of(PassingGate)
 
 
 @lru_cache
@@ -35,6 +57,26 @@ def proposes_far_away() -> Trace:
 @lru_cache
 def proposes_below_the_table() -> Trace:
     return run(scenario(STAYS, duration_s=5.0), avoider=Displaced((0.0, 0.0, -0.7)), gate=passing())
+
+
+@lru_cache
+def uses_what_it_doubts() -> Trace:
+    return run(scenario(VISIT, settings=REACH_ONLY), avoider=IN_DOUBT)
+
+
+@lru_cache
+def uses_no_answer() -> Trace:
+    return run(scenario(VISIT), avoider=CERTAIN, gate=gate_of(RefusingGate))
+
+
+@lru_cache
+def heads_out_of_reach() -> Trace:
+    return run(scenario(VISIT, settings=TOO_FAR), avoider=Displaced((0.0, 2.0, 0.0)), gate=passing())
+
+
+@lru_cache
+def falls_back_to_the_hand() -> Trace:
+    return run(scenario(VISIT), avoider=IN_DOUBT, gate=gate_of(Gate, fallback=TowardsTheHand()))
 
 
 @lru_cache
@@ -66,6 +108,10 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "proposed repulsive poses reachable": proposes_far_away,
     "repulsion moves away from every hand": seeks_the_hand,
     "repulsive ways clear of table, object and robot": proposes_below_the_table,
+    "uncertain answers fall back within 2 cycles": uses_what_it_doubts,
+    "certain answers are used": uses_no_answer,
+    "stops where neither answer nor opposite pose can be reached": heads_out_of_reach,
+    "fallback poses reachable and away": falls_back_to_the_hand,
     "joint positions within limits": turns_on_and_on,
     "joint speeds within limits": turns_too_fast,
     "TCP speed never above 250 mm/s": turns_too_fast,
