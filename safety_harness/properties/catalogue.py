@@ -6,6 +6,7 @@ from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.fallback import CERTAIN, UNCERTAIN
 from safety_harness.properties.fallback_poses import FALLBACK_POSES
+from safety_harness.properties.false_alarms import FALSE_ALARMS, FALSE_ALARMS_WITHIN
 from safety_harness.properties.giving_way import MOVES_AWAY
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.properties.limits import JOINT_POSITIONS, JOINT_SPEEDS, TCP_SPEED
@@ -14,6 +15,7 @@ from safety_harness.properties.protective_separation import (
     PROTECTIVE_SEPARATION_AT,
     PROTECTIVE_SEPARATION_OWN,
 )
+from safety_harness.properties.reaction import GIVES_WAY
 from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
 from safety_harness.properties.stopping import STOPS
@@ -31,6 +33,9 @@ CATALOGUE: tuple[Entry, ...] = (
     CERTAIN,
     STOPS,
     FALLBACK_POSES,
+    GIVES_WAY,
+    FALSE_ALARMS,
+    FALSE_ALARMS_WITHIN,
     JOINT_POSITIONS,
     JOINT_SPEEDS,
     TCP_SPEED,

@@ -19,7 +19,7 @@ from examples import (
     scenario,
 )
 
-from safety_harness.admission.admit import kinematics
+from safety_harness.admission.admit import admit, kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind, Settings
@@ -80,6 +80,14 @@ def falls_back_to_the_hand() -> Trace:
 
 
 @lru_cache
+def minds_hands_within(critical_distance_m: float) -> Trace:
+    """A controller that was set up for another critical distance than the cell's."""
+    avoidance = replace(DEFAULTS.avoidance, critical_distance_m=critical_distance_m)
+    other = admit(scenario(VISIT, settings=replace(DEFAULTS, avoidance=avoidance)))
+    return run(scenario(VISIT), controller=other.controller())
+
+
+@lru_cache
 def turns_too_fast() -> Trace:
     return run(scenario(duration_s=0.2), controller=ConstantSpeed((2.5, 0.0, 0.0, 0.0, 0.0, 0.0)))
 
@@ -112,6 +120,9 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "certain answers are used": uses_no_answer,
     "stops where neither answer nor opposite pose can be reached": heads_out_of_reach,
     "fallback poses reachable and away": falls_back_to_the_hand,
+    "gives way within 100 ms of a predicted hand": lambda: minds_hands_within(0.3),
+    "never gives way without a hand": lambda: minds_hands_within(0.8),
+    "never gives way without a hand within 600 mm": lambda: minds_hands_within(0.8),
     "joint positions within limits": turns_on_and_on,
     "joint speeds within limits": turns_too_fast,
     "TCP speed never above 250 mm/s": turns_too_fast,
