@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.properties.entry import Entry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding
 from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
@@ -38,7 +38,9 @@ def went(
     """What the choice and the motion of a decision say of a target; and whether there was time for any."""
     decision, findings = trace.decisions[number], []
     time_s = float(decision["time_s"])
-    off_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - target_in_base_m))
+    chosen, off_m = decision["chosen_position_in_base_m"], np.nan
+    if is_somewhere(chosen) and is_somewhere(target_in_base_m):
+        off_m = float(np.linalg.norm(chosen - target_in_base_m))
     if not off_m <= SAME_M:
         findings.append(Finding(SAME_M - off_m, time_s, f"told to go elsewhere than {where}"))
     done = gone_towards(trace, number, target_in_base_m, after_ticks)

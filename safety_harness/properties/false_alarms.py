@@ -74,8 +74,8 @@ def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
     """(n,) distance of the nearest true hand's centre from the TCP; infinite without one."""
     ticks = trace.ticks
     tcp_in_base = ticks["transform_tcp_to_base"][:, None, :3, 3]
-    apart = np.linalg.norm(ticks["hand_position_in_base_m"] - tcp_in_base, axis=2)
-    nearest: NDArray[np.float64] = np.where(ticks["hand_present"], apart, np.inf).min(axis=1)
+    hands = np.where(ticks["hand_present"][..., None], ticks["hand_position_in_base_m"], np.inf)
+    nearest: NDArray[np.float64] = np.linalg.norm(hands - tcp_in_base, axis=2).min(axis=1)
     return nearest
 
 

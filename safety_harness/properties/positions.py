@@ -34,6 +34,8 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
     hands = tick["predicted_hand_in_base_m"][tick["track_valid"]]
     if len(hands) == 0:  # it has gone while the avoider was thinking
         hands = decision["hand_position_in_base_m"][None]
+    if not all(is_somewhere(hand) for hand in hands):
+        return np.full(3, np.nan)
     apart = np.linalg.norm(hands - tcp_in_base, axis=1)
     nearest = int(np.argmin(apart))
     if not apart[nearest] > 0.0:
@@ -64,7 +66,7 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
     Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
     predicted hand; clearance of the wrist from the body along the way beyond the gate's 20 mm, or
-    beyond that of its start.
+    beyond that of its start.  NaN if a prediction is not finite.
     """
     settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
     spare = reach_m(trace, decision, position_in_base_m) - REACH_MARGIN_M
@@ -74,6 +76,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
     spare = min(spare, float(position_in_base_m[2]) - lowest_m)
     for hand in tick["predicted_hand_in_base_m"][tick["track_valid"]]:
+        if not is_somewhere(hand):
+            return np.nan
         apart = float(np.linalg.norm(tcp_in_base - hand))
         away = float((position_in_base_m - tcp_in_base) @ (tcp_in_base - hand))
         spare = min(spare, away / apart if apart > 0.0 else spare)

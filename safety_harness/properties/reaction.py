@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import HORIZON_M, Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
@@ -24,10 +24,10 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
     ticks = trace.ticks
-    apart = np.linalg.norm(
-        ticks["predicted_hand_in_base_m"] - ticks["transform_tcp_to_base"][:, None, :3, 3], axis=2
-    )
-    near = ticks["track_valid"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)
+    valid, tcp_in_base = ticks["track_valid"], ticks["transform_tcp_to_base"][:, None, :3, 3]
+    hands = np.where(valid[..., None], ticks["predicted_hand_in_base_m"], np.inf)
+    apart = np.linalg.norm(hands - tcp_in_base, axis=2)
+    near = valid & (apart < trace.scenario.settings.avoidance.critical_distance_m)
     found: NDArray[np.bool_] = near.any(axis=1)
     return found
 
@@ -59,7 +59,8 @@ class GivesWay:
         if problem is not None:
             return inconclusive(self, problem)
         ticks = trace.ticks
-        unknown = ticks["track_valid"] & ~np.isfinite(ticks["predicted_hand_in_base_m"]).all(axis=2)
+        known = (np.abs(ticks["predicted_hand_in_base_m"]) < HORIZON_M).all(axis=2)
+        unknown = ticks["track_valid"] & ~known
         if unknown.any():
             at_s = trace.time_s[int(np.argmax(unknown.any(axis=1)))]
             return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
