@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -141,6 +142,24 @@ class Displaced:
         return Proposal(tcp_position_in_base_m + np.array(self.by_m), np.full(3, self.spread_m))
 
 
+@dataclass(frozen=True)
+class Sleeping:
+    """An avoider that takes its time, on the wall's clock."""
+
+    seconds: float
+    name: str = "sleeping"
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
+        time.sleep(self.seconds)
+        return Proposal(2.0 * tcp_position_in_base_m - hand_position_in_base_m)
+
+
 class ConstantSpeed:
     """A broken controller: it turns the joints at a constant speed, whatever it sees."""
 
@@ -182,3 +201,17 @@ class AnswersNothing:
         seed: int,
     ) -> Proposal:
         raise ValueError("no idea")
+
+
+class Nonsense(ConstantSpeed):
+    """A broken controller: from 40 ms on its features, and what it makes of them, are no numbers."""
+
+    name = "nonsense"
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        super().report(tick)
+        tick["object_visible"] = True
+        tick["sse"] = 0.02
+        if tick["time_s"] > 0.04:
+            tick["sse"] = np.nan
+            tick["camera_twist"] = np.nan

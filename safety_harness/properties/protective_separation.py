@@ -229,7 +229,7 @@ PROTECTIVE_SEPARATION_AT = replace(
     _entry(
         ProtectiveSeparation(hand_speed_mps=2.0),
         parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
-        margin="the same",
+        margin=_MARGIN,
     ),
     pattern=r"protective separation kept at (.+)",
     make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
@@ -237,5 +237,5 @@ PROTECTIVE_SEPARATION_AT = replace(
 PROTECTIVE_SEPARATION_OWN = _entry(
     ProtectiveSeparation(own_speeds=True),
     parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
-    margin="the same, with the v_h of each hand's own nearest point",
+    margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
 )
