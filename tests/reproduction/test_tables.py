@@ -77,6 +77,13 @@ def test_table_4_in_all_three_words(dnn: int, bayesian: int, word: Word) -> None
     assert table4.result(DEFAULT, made_up.reaches(dnn=dnn, bayesian=bayesian)).word is word
 
 
+def test_one_training_that_fails_is_no_evidence_about_trainings() -> None:
+    found = made_up.reaches(dnn=0) | {"reach 4": made_up.reaches(dnn=22)["reach 4"]}
+    result = table4.result(DEFAULT, found)
+    assert [claim.state for claim in result.claims] == [State.HOLDS, State.UNDECIDED]
+    assert result.word is NOT
+
+
 def test_table_4_counts_exactly() -> None:
     result = table4.result(DEFAULT, made_up.reaches(dnn=22, bayesian=1))
     assert result.tables[0].rows[0] == ("1", "22 of 50", "1 of 50", "21 / 0", "9.5e-07")
