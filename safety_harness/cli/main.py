@@ -315,10 +315,16 @@ def reproduce(
 ) -> None:
     """Measure the paper's tables and figures again: its numbers beside ours, and a verdict on each.
 
-    Several networks of each kind are trained, evaluated, and tried in PyBullet. A line a verdict goes to
-    standard output: reproduced, direction only, or not reproduced, and why.
+    table1: passes of the network; 2: places of dropout; 3: unseen space; 4: out of reach; 5: convergence.
+    figure5: candidates; 6: intervals; 7: a whole trial; 8: two poses. timing: network against images.
+    outlook: the paper's own, tried. safety: does the arm keep clear? sensitivity: what is left open.
+
+    Several networks of each kind are trained, evaluated and tried in PyBullet. A line a verdict goes to
+    standard output: reproduced, direction only, or not reproduced, and why; the page has all numbers.
     Ctrl-C keeps every finished step; the same command goes on from there.
-    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Needs PyTorch, the extra "learning" of this package.
+
+    Examples: "reproduce all --scale quick" to see it run; "reproduce table4 table5 --jobs 4".
     Exit code 0; 1: a step failed, the page says which; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.reproduce import reproduce as reproduce_parts

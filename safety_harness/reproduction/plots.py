@@ -58,22 +58,24 @@ def _decorate(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label, loc="right")
     axes.set_ylabel(panel.y_label)
     axes.grid(True, axis="y")
-    columns = min(len(panel.series), 6)
+    handles, _ = axes.get_legend_handles_labels()
+    lines = panel.kind == "lines"
     axes.legend(
         frameon=False,
-        ncols=columns,
+        ncols=len(handles),
         loc="lower left",
         bbox_to_anchor=(-0.01, 0.99),
-        fontsize=9.5,
-        handlelength=2.2,
-        columnspacing=1.2,
+        fontsize=9.5 if panel.kind != "map" else 9.0,
+        handlelength=2.2 if lines else 1.0,
+        handletextpad=0.4,
+        columnspacing=1.0,
         borderaxespad=0.2,
     )
-    for x, words in panel.marks:
+    for number, (x, words) in enumerate(panel.marks):
         axes.axvline(x, color=Ink.MUTED.sentinel, linewidth=1.0, linestyle=(0, (3, 2)))
         axes.annotate(
             words,
-            (x, 0.98),
+            (x, 0.98 - 0.09 * number),  # they may be close to each other
             xycoords=("data", "axes fraction"),
             xytext=(3, 0),
             textcoords="offset points",

@@ -39,7 +39,7 @@ class State(Enum):
     """What became of one claim."""
 
     HOLDS = "holds"
-    CONTRADICTED = "the other way round"
+    CONTRADICTED = "contradicted"
     UNDECIDED = "undecided"
 
 
@@ -212,12 +212,9 @@ def judge(claims: Sequence[Claim], comparisons: Sequence[Comparison]) -> tuple[W
     lost = [one for one in claims if one.state is not State.HOLDS]
     if lost:
         reasons = "; ".join(f"{one.sentence} ({one.state.value})" for one in lost)
-        some = (
-            f"{len(lost)} of {len(claims)} claims do not hold"
-            if len(claims) > 1
-            else "the claim does not hold"
-        )
-        return Word.NOT_REPRODUCED, f"{_upper(some)}: {reasons}. {_upper(figures)}."
+        verb = "does" if len(lost) == 1 else "do"
+        some = f"{len(lost)} of {len(claims)} claims {verb}" if len(claims) > 1 else "the claim does"
+        return Word.NOT_REPRODUCED, f"{_upper(some)} not hold: {reasons}. {_upper(figures)}."
     all_hold = "the claim holds" if len(claims) == 1 else f"all {len(claims)} claims hold"
     if not agreeing or sum(agreeing) >= AGREEING_SHARE * len(agreeing):
         return Word.REPRODUCED, f"{_upper(all_hold)}, and {figures}."

@@ -138,7 +138,7 @@ def test_the_sensitivity_study_says_which_conclusions_change() -> None:
     }
     result = sensitivity(DEFAULT, found)
     assert result.word is Word.NO_VERDICT
-    assert "raw millimetres: Bayesian DNN better with the TCP unseen (the other way round)" in result.why
+    assert "raw millimetres: Bayesian DNN better with the TCP unseen (contradicted)" in result.why
     assert "dropout 0.2" not in result.why
     assert len(result.tables[0].rows) == len(VARIANTS)
     assert len(SENSITIVITY.tasks(DEFAULT, 0)) == len(VARIANTS) * DEFAULT.sensitivity_seeds

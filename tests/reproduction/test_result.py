@@ -49,7 +49,7 @@ def test_claims_that_hold_without_the_figures_are_the_direction_only() -> None:
 def test_one_claim_that_does_not_hold_is_enough_against_it(lost: Claim) -> None:
     word, why = judge([HOLDS, lost], [figure(10.0)])
     assert word is Word.NOT_REPRODUCED
-    assert why.startswith(f"1 of 2 claims do not hold: it falls ({lost.state.value})")
+    assert why.startswith(f"1 of 2 claims does not hold: it falls ({lost.state.value})")
     assert judge([lost], [])[1].startswith("The claim does not hold: it falls")
 
 
