@@ -48,7 +48,7 @@ def result(scale: Scale, found: Found) -> Result:
     return Result(
         name="timing",
         title="The network against 100 images",
-        source="Section 1 (of the earlier work)",
+        source="Section 1, timing",
         paper_says=SAYS,
         word=word,
         why=why,

@@ -90,7 +90,7 @@ def result(scale: Scale, found: Found) -> Result:
     return Result(
         name="safety",
         title="Does giving way keep the arm clear of the hand?",
-        source="Section 1 (contributions)",
+        source="Section 1, safety",
         paper_says=SAYS,
         word=Word.NO_VERDICT,
         why=f"{answer}. The paper has no figure for it.",

@@ -12,8 +12,10 @@ from safety_harness.reproduction.intervals import Estimate, bootstrap_of, mean_o
 from safety_harness.reproduction.measurements import all_trials, in_seeds
 from safety_harness.reproduction.part import Found, Part
 from safety_harness.reproduction.result import (
+    Claim,
     Comparison,
     Result,
+    State,
     Table,
     below_zero,
     estimate_words,
@@ -38,23 +40,26 @@ def result(scale: Scale, found: Found) -> Result:
     pairs = [paired(one, BAYESIAN, OPPOSITE) for one in many]  # (n, 2) a training seed
     together = np.concatenate(pairs)
     by_seed = [float((one[:, 0] - one[:, 1]).mean()) for one in pairs if len(one)]
-    ratios = [float(one[:, 1].mean() / max(one[:, 0].mean(), 1e-9)) for one in pairs if len(one)]
-    claims = [
-        below_zero(
-            "from the Bayesian DNN's pose the gain switch takes fewer iterations than from the opposite pose",
-            mean_of(by_seed),
-            digits=1,
+    ratios = [float(one[:, 1].mean() / one[:, 0].mean()) for one in pairs if len(one) and one[:, 0].any()]
+    sentence = (
+        "from the Bayesian DNN's pose the gain switch takes fewer iterations than from the opposite pose"
+    )
+    if by_seed:
+        claims = [below_zero(sentence, mean_of(by_seed), digits=1)]
+    else:
+        claims = [Claim(sentence, State.UNDECIDED, "no trial converged with both")]
+    comparisons = []
+    if ratios:  # a training that always arrives below the switch has none
+        comparisons.append(
+            Comparison(
+                label="opposite / Bayesian DNN, ratio of the means",
+                ours=mean_of(ratios),
+                paper=round(PAPER_OPPOSITE / PAPER_BAYESIAN, 2),
+            )
         )
-    ]
-    ratio = mean_of(ratios)
-    comparisons = [
-        Comparison(
-            label="opposite / Bayesian DNN, ratio of the means",
-            ours=ratio,
-            paper=round(PAPER_OPPOSITE / PAPER_BAYESIAN, 2),
-        )
-    ]
     for name, column, paper in ((BAYESIAN, 0, PAPER_BAYESIAN), (OPPOSITE, 1, PAPER_OPPOSITE)):
+        if not by_seed:
+            break
         comparisons.append(
             Comparison(
                 label=f"{name}: mean iterations",

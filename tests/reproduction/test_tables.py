@@ -126,3 +126,24 @@ def test_a_trial_that_never_converged_is_no_whole_trial() -> None:
     found = made_up.trials()
     found["trials 0"].result["few"]["records"]["Bayesian DNN"]["switch"] = None
     assert figure7.result(DEFAULT, found).word is NOT
+
+
+def test_arrivals_that_are_all_below_the_switch_have_no_ratio() -> None:
+    found = made_up.trials()
+    for one in found.values():
+        system = one.result["many"]["systems"]["Bayesian DNN"]
+        system["iterations"] = [None if n is None else 0 for n in system["iterations"]]
+    result = table5.result(DEFAULT, found)
+    assert all(one.paper != 4.32 for one in result.comparisons)
+    assert result.word is REPRODUCED  # the claim holds, and no figure is left to compare
+
+
+def test_nothing_that_converged_is_no_verdict_for_either() -> None:
+    found = made_up.trials()
+    for one in found.values():
+        for which in ("few", "many"):
+            system = one.result[which]["systems"]["Bayesian DNN"]
+            system["iterations"] = [None] * len(system["iterations"])
+            system["fates"] = ["never"] * len(system["fates"])
+    result = table5.result(DEFAULT, found)
+    assert (result.word, [claim.state for claim in result.claims]) == (NOT, [State.UNDECIDED])
