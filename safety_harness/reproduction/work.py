@@ -30,6 +30,7 @@ from safety_harness.exceptions import InputError, OutputError
 from safety_harness.report.text_file import write_whole
 
 RESULT = "result.json"
+HEARTBEAT_S = 60.0  # of a step that takes long
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Json = dict[str, Any]
@@ -199,7 +200,10 @@ class Workshop:
                             waiting.remove(task)
                     if not running:
                         continue
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    finished = wait(running, timeout=HEARTBEAT_S, return_when=FIRST_COMPLETED).done
+                    if not finished:
+                        self.say("under way: " + ", ".join(task.label for task in running.values()))
+                    for future in finished:
                         self._finish(running[future], future.result, done, left)
                         del running[future]
             except BrokenProcessPool:  # one was killed: for its memory, or by hand

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from pathlib import Path
 from typing import Any
 
@@ -142,3 +143,15 @@ def test_a_process_that_is_killed_is_said_and_the_rest_is_left_for_another_time(
     assert shop.run([killed, after]) == {}
     assert "a process ended" in shop.failed[killed]
     assert set(shop.failed) == {killed, after}
+
+
+def wait_a_little(folder: Path) -> dict[str, Any]:
+    time.sleep(0.5)
+    return {}
+
+
+def test_a_long_step_gives_a_sign_of_life(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("safety_harness.reproduction.work.HEARTBEAT_S", 0.05)
+    shop, lines = workshop(tmp_path, jobs=2)
+    shop.run([Task("a long one", wait_a_little)])
+    assert "under way: a long one" in lines
