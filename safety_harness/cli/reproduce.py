@@ -14,6 +14,7 @@ from pathlib import Path
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
+from safety_harness.report.words import count_words
 from safety_harness.reproduction.document import About, write_document
 from safety_harness.reproduction.part import Part
 from safety_harness.reproduction.plan import measuring_order, parts_named
@@ -118,7 +119,12 @@ def _results(
         lost = [task for task in tasks[part.name].values() if task not in done]
         if lost:
             why = next((f"{task.label}: {failed[task]}" for task in lost if task in failed), "")
-            missing.append((part.name, why or f"{len(lost)} of its measurements are not done"))
+            missing.append(
+                (
+                    part.name,
+                    why or f"{count_words(len(lost), 'measurement is', 'measurements are')} still to be made",
+                )
+            )
         else:
             found = {name: done[task] for name, task in tasks[part.name].items()}
             try:

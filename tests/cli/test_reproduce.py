@@ -86,7 +86,7 @@ def test_ctrl_c_keeps_what_is_finished_and_the_page_says_what_is_missing(
         assert reproduce(["figure5"], scale="quick", out=tmp_path, jobs=1) == 130
     said = capsys.readouterr().err
     assert "To go on: safety-harness reproduce figure5 --scale quick" in said
-    assert "figure5: 1 of its measurements are not done" in (tmp_path / PAGE).read_text("utf-8")
+    assert "figure5: 1 measurement is still to be made" in (tmp_path / PAGE).read_text("utf-8")
     assert reproduce(["figure5"], scale="quick", out=tmp_path, jobs=1) == 0
     assert "Not complete." not in (tmp_path / PAGE).read_text("utf-8")
 
