@@ -1,0 +1,93 @@
+"""One test that judges runs: watched while it runs, and what came of it put into its report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safety_harness.exceptions import InputError, SafetyHarnessError
+from safety_harness.pytest_plugin.asking import explained
+from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
+from safety_harness.pytest_plugin.plugin import TEST
+from safety_harness.pytest_plugin.sending import junit_properties, payload
+from safety_harness.scenario.model import Verdict
+from safety_harness.testing.asserting import NotEstablished, SafetyViolation
+from safety_harness.testing.kept import keep
+from safety_harness.testing.session import TestRun, session
+
+
+@contextmanager
+def watch(item: pytest.Item) -> Iterator[None]:
+    """A TestRun for ``item`` while it is called; NotEstablished if nothing that it asserts was tested."""
+    function = _hypothesis_function(item)
+    draws = function is not None or isinstance(item, SpaceClaimItem)
+    test = TestRun(item.nodeid, draws=draws, keep_traces=session().keep_traces)
+    item.stash[TEST] = test
+    session().test = test
+    try:
+        with ExitStack() as stack:
+            if function is not None and _is_about_scenarios(item, function):
+                from safety_harness.testing.watching import watched
+
+                stack.enter_context(watched(function, test))
+            yield
+        refuse_untested(test)
+    except SafetyViolation as violation:
+        if test.draws and not _in_store(violation):
+            test.kept = keep(item.nodeid, violation)
+        raise
+    finally:
+        session().test = None
+        item.user_properties += junit_properties(test)
+
+
+def refuse_untested(test: TestRun) -> None:
+    """A test that draws its scenarios passes only if one of them decided something."""
+    if not test.draws or not test.judgements:
+        return
+    if all(j.evaluation.verdict is Verdict.INCONCLUSIVE is not j.expected for j in test.judgements):
+        sentences = "; ".join(dict.fromkeys(j.evaluation.sentence for j in test.judgements))
+        last = test.judgements[-1].evaluation.reason
+        runs = len(test.judgements)
+        raise NotEstablished(
+            f"{sentences}: inconclusive in every one of {runs} runs (the last: {last})\n"
+            "  nothing was put to the test, and that is no pass: draw scenarios in which a hand comes near"
+        )
+
+
+def complete(report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun) -> None:
+    """Add what was judged to the report, and leave our own frames out of it."""
+    error = call.excinfo.value if call.excinfo is not None else None
+    if isinstance(error, NotEstablished) or (isinstance(error, SafetyHarnessError) and _is_ours(item)):
+        report.longrepr = "\n".join([explained(error)] if isinstance(error, InputError) else [str(error)])
+    vars(report)["safety_harness"] = payload(test)
+    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+
+
+def _is_ours(item: pytest.Item) -> bool:
+    return isinstance(item, ClaimItem | SpaceClaimItem)
+
+
+def _hypothesis_function(item: pytest.Item) -> Any:
+    """The function with ``@given``, below a bound method; None for any other item."""
+    function = getattr(item, "obj", None)
+    function = getattr(function, "__func__", function)
+    return function if getattr(function, "is_hypothesis_test", False) else None
+
+
+def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
+    """Does a test with ``@given`` take scenarios of ours, or simulate?"""
+    from safety_harness.testing.drawing import gives_scenarios
+
+    given = function.hypothesis._given_kwargs.values()
+    return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
+
+
+def _in_store(violation: SafetyViolation) -> bool:
+    """Is the failing scenario one that was kept before?"""
+    file = violation.scenario.file
+    return file is not None and session().failures.resolve() in Path(file).resolve().parents
