@@ -97,6 +97,22 @@ def explain(
 
 
 @app.command()
+def claims(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
+    ] = None,
+) -> None:
+    """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
+
+    A whole claim is explained by the one that understands it. Without words, all are listed.
+    Exit code 0; 2: nothing in the catalogue has these words.
+    """
+    from safety_harness.cli.claims import explain_claims
+
+    _end(explain_claims(words or []))
+
+
+@app.command()
 def new(
     file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
 ) -> None:
