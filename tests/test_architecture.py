@@ -27,6 +27,8 @@ ORDER = [
     {"admission"},
     {"report"},
     {"cli"},
+    {"testing"},
+    {"pytest_plugin"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 FILES = sorted(PACKAGE.rglob("*.py"))

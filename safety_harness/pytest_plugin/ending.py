@@ -64,7 +64,7 @@ class Ending:
         if tried:
             files = sum(len(sent["replayed"]) for sent in tried)
             passed = [file for sent in tried if not sent["failed"] for file in sent["replayed"]]
-            lines.append(f"{files} kept failures tried again, {len(passed)} of them in tests that pass now")
+            lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
             lines += [f"  {file}" for file in passed]
         current = session()
         if any(sent["draws"] for sent in self._sent) and not current.derandomize:

@@ -16,6 +16,7 @@ from safety_harness.pytest_plugin.plugin import TEST
 from safety_harness.pytest_plugin.sending import junit_properties, payload
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation
+from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.kept import keep
 from safety_harness.testing.session import TestRun, session
 
@@ -37,12 +38,27 @@ def watch(item: pytest.Item) -> Iterator[None]:
             yield
         refuse_untested(test)
     except SafetyViolation as violation:
-        if test.draws and not _in_store(violation):
+        _leave_hypothesis_out(violation)
+        if test.draws and not in_store(violation.scenario):
             test.kept = keep(item.nodeid, violation)
         raise
     finally:
         session().test = None
         item.user_properties += junit_properties(test)
+
+
+def _leave_hypothesis_out(error: BaseException) -> None:
+    """Let the traceback go straight to the test: what draws and repeats examples is between."""
+    frames = []
+    step = error.__traceback__
+    while step is not None:
+        frames.append(step)
+        step = step.tb_next
+    within = [k for k, one in enumerate(frames) if "hypothesis" in Path(one.tb_frame.f_code.co_filename).parts]
+    if within and within[-1] + 1 < len(frames):
+        # The frame before the first is the function that @given made, which looks like the test itself.
+        before = frames[max(within[0] - 2, 0)]
+        before.tb_next = frames[within[-1] + 1]
 
 
 def refuse_untested(test: TestRun) -> None:
@@ -64,7 +80,7 @@ def complete(report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo
     error = call.excinfo.value if call.excinfo is not None else None
     if isinstance(error, NotEstablished) or (isinstance(error, SafetyHarnessError) and _is_ours(item)):
         report.longrepr = "\n".join([explained(error)] if isinstance(error, InputError) else [str(error)])
-    vars(report)["safety_harness"] = payload(test)
+    vars(report)["safety_harness"] = payload(test) | {"failed": report.failed}
     vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
 
 
@@ -85,9 +101,3 @@ def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
 
     given = function.hypothesis._given_kwargs.values()
     return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
-
-
-def _in_store(violation: SafetyViolation) -> bool:
-    """Is the failing scenario one that was kept before?"""
-    file = violation.scenario.file
-    return file is not None and session().failures.resolve() in Path(file).resolve().parents

@@ -21,6 +21,8 @@ def payload(test: TestRun) -> Payload:
         ],
         "kept": None if test.kept is None else str(test.kept),
         "replayed": [str(file) for file in test.replayed],
+        "draws": test.draws,
+        "failed": False,
     }
 
 

@@ -23,6 +23,8 @@ TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", 
 class SafetyViolation(SafetyHarnessError, AssertionError):
     """A claim did not come out as it has to; the text shows when, why and how to see it again."""
 
+    __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
+
     def __init__(self, evaluation: Evaluation, trace: Trace, expected: Verdict) -> None:
         super().__init__(evaluation, trace, expected)
         self.evaluation = evaluation

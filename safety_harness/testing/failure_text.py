@@ -92,14 +92,18 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
     lines = []
-    file = test.kept if test is not None and test.kept is not None else None
-    if file is None and (test is None or not test.draws):
-        file = scenario.file
+    file = scenario.file if test is None or not test.draws or in_store(scenario) else test.kept
     if test is not None:
         lines.append("  " + shlex.join(["pytest", test.id, *own]))
     if file is not None:
         lines.append("  " + shlex.join(["safety-harness", "run", str(_near(file)), *own]))
     return ["to see it again:", *lines] if lines else []
+
+
+def in_store(scenario: Scenario) -> bool:
+    """Is it read from the folder of kept failures?"""
+    file = scenario.file
+    return file is not None and session().failures.resolve() in file.resolve().parents
 
 
 def _near(file: Path) -> Path:

@@ -86,4 +86,4 @@ def _axis(trace: Trace, evaluation: Evaluation, width: int) -> list[str]:
     lines = ["       +" + "-" * width]
     if "".join(marks).strip():
         lines.append("        " + "".join(marks).rstrip())
-    return [*lines, "        " + scale, "        D a decision   ! the worst moment   - the limit"]
+    return [*lines, "        " + scale, "        D a decision   ! the worst moment   - the limit   ^ beyond"]
