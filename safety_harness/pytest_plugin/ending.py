@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from safety_harness.testing.session import session
+from safety_harness.testing.session import session as current
 
 if TYPE_CHECKING:
     from safety_harness.properties.tally import ClaimTally
@@ -31,13 +31,16 @@ class Ending:
         """A session in which a claim was never put to the test has failed; write the report."""
         if self._untested() and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
-        file = self._config.getoption("safety_report")
+        file = current().report
         if file is not None and self._sent:
             from safety_harness.pytest_plugin.reporting import write_reports
 
-            self._unwritten = write_reports(file, self._sent, self._config, session)
-            if self._unwritten:
-                session.exitstatus = pytest.ExitCode.USAGE_ERROR
+            whole = session.exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+            self._unwritten = write_reports(
+                file, self._sent, self._tallies(), config=self._config, whole=whole
+            )
+            if self._unwritten and whole:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """The table of claims, the kept failures, the seed."""
@@ -66,13 +69,12 @@ class Ending:
             passed = [file for sent in tried if not sent["failed"] for file in sent["replayed"]]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
             lines += [f"  {file}" for file in passed]
-        current = session()
-        if any(sent["draws"] for sent in self._sent) and not current.derandomize:
-            again = f"--hypothesis-seed={current.seed}"
-            lines.append(f"profile {current.profile.name}; {again} draws the same scenarios again")
-        file = self._config.getoption("safety_report")
-        if file is not None:
-            lines.append(self._unwritten or f"report: {file}")
+        now = current()
+        if any(sent["draws"] for sent in self._sent) and not now.derandomize:
+            again = f"--hypothesis-seed={now.seed}"
+            lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
+        if now.report is not None:
+            lines.append(self._unwritten or f"report: {now.report}")
         return lines
 
     def _tallies(self) -> tuple[ClaimTally, ...]:

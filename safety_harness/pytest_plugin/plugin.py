@@ -9,6 +9,7 @@ import random
 import re
 import sys
 from collections.abc import Generator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,8 @@ SUFFIXES = (".yaml", ".yml")
 # The title of a scenario, a space or a suite; or two keys that only scenario files have.
 _TITLE = re.compile(r"^(scenario|scenario space|suite):[ \t]+\S", re.MULTILINE)
 _KEYS = re.compile(
-    r"^(extends|duration|tcp start|avoider|hands|faults|hand sensor|camera|robot|claims|matrix):", re.MULTILINE
+    r"^(extends|duration|tcp start|avoider|hands|faults|hand sensor|camera|robot|claims|matrix):",
+    re.MULTILINE,
 )
 
 
@@ -45,7 +47,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
     group.addoption("--safety-report", metavar="FILE", help="Write an HTML report, and JSON beside it.")
     parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
-    parser.addini("safety_derandomize", "draw the same scenarios in every session", type="bool", default=False)
+    parser.addini(
+        "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
+    )
     parser.addini(
         "safety_failures", "folder for the scenarios of failures, from pytest's root", default=str(FAILURES)
     )
@@ -66,10 +70,10 @@ def pytest_configure(config: pytest.Config) -> None:
         seed=_seed(config),
         avoider=config.getoption("avoider"),
         failures=config.rootpath / config.getini("safety_failures"),
-        keep_traces=config.getoption("safety_report") is not None,
+        report=_report(config),
     )
     before = begin(new)
-    config.add_cleanup(lambda: begin(before) and None)
+    config.add_cleanup(partial(_end, before))
     if not _is_worker(config):
         from safety_harness.pytest_plugin.ending import Ending
 
@@ -159,8 +163,18 @@ def pytest_make_collect_report(
 TEST: pytest.StashKey[TestRun] = pytest.StashKey()
 
 
+def _end(before: Session) -> None:
+    begin(before)
+
+
 def _is_worker(config: pytest.Config) -> bool:
     return hasattr(config, "workerinput")
+
+
+def _report(config: pytest.Config) -> Path | None:
+    """The file of the report: as seen from where pytest was started."""
+    asked = config.getoption("safety_report")
+    return None if asked is None else config.invocation_params.dir / asked
 
 
 def _seed(config: pytest.Config) -> int:

@@ -15,10 +15,10 @@ from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST
 from safety_harness.pytest_plugin.sending import junit_properties, payload
 from safety_harness.scenario.model import Verdict
-from safety_harness.testing.asserting import NotEstablished, SafetyViolation
+from safety_harness.testing.asserting import NotEstablished, SafetyViolation, run_of
 from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.kept import keep
-from safety_harness.testing.session import TestRun, session
+from safety_harness.testing.session import Judgement, TestRun, session
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def watch(item: pytest.Item) -> Iterator[None]:
     """A TestRun for ``item`` while it is called; NotEstablished if nothing that it asserts was tested."""
     function = _hypothesis_function(item)
     draws = function is not None or isinstance(item, SpaceClaimItem)
-    test = TestRun(item.nodeid, draws=draws, keep_traces=session().keep_traces)
+    test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
     item.stash[TEST] = test
     session().test = test
     try:
@@ -39,12 +39,19 @@ def watch(item: pytest.Item) -> Iterator[None]:
         refuse_untested(test)
     except SafetyViolation as violation:
         _leave_hypothesis_out(violation)
-        if test.draws and not in_store(violation.scenario):
-            test.kept = keep(item.nodeid, violation)
+        _show(violation, test)
         raise
     finally:
         session().test = None
         item.user_properties += junit_properties(test)
+
+
+def _show(violation: SafetyViolation, test: TestRun) -> None:
+    """Put the failing run, made smaller by now, in the place of the one that was found; keep its scenario."""
+    trace = violation.trace
+    test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
+    if test.draws and not in_store(violation.scenario):
+        test.kept = keep(test.id, violation)
 
 
 def _leave_hypothesis_out(error: BaseException) -> None:
@@ -54,7 +61,9 @@ def _leave_hypothesis_out(error: BaseException) -> None:
     while step is not None:
         frames.append(step)
         step = step.tb_next
-    within = [k for k, one in enumerate(frames) if "hypothesis" in Path(one.tb_frame.f_code.co_filename).parts]
+    within = [
+        k for k, one in enumerate(frames) if "hypothesis" in Path(one.tb_frame.f_code.co_filename).parts
+    ]
     if within and within[-1] + 1 < len(frames):
         # The frame before the first is the function that @given made, which looks like the test itself.
         before = frames[max(within[0] - 2, 0)]
@@ -75,12 +84,20 @@ def refuse_untested(test: TestRun) -> None:
         )
 
 
-def complete(report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun) -> None:
+def complete(
+    report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun
+) -> None:
     """Add what was judged to the report, and leave our own frames out of it."""
     error = call.excinfo.value if call.excinfo is not None else None
     if isinstance(error, NotEstablished) or (isinstance(error, SafetyHarnessError) and _is_ours(item)):
         report.longrepr = "\n".join([explained(error)] if isinstance(error, InputError) else [str(error)])
-    vars(report)["safety_harness"] = payload(test) | {"failed": report.failed}
+    sent = payload(test) | {"failed": report.failed}
+    file = session().report
+    if file is not None:
+        from safety_harness.pytest_plugin.reporting import save_runs
+
+        sent["traces"] = save_runs(test, file)
+    vars(report)["safety_harness"] = sent
     vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
 
 

@@ -16,12 +16,11 @@ def payload(test: TestRun) -> Payload:
     """Everything that the end of the session needs of ``test``."""
     return {
         "test": test.id,
-        "judged": [
-            [*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements
-        ],
+        "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
         "kept": None if test.kept is None else str(test.kept),
         "replayed": [str(file) for file in test.replayed],
         "draws": test.draws,
+        "traces": [],
         "failed": False,
     }
 
@@ -70,7 +69,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
     for judgement in test.judgements:
         by_sentence.setdefault(judgement.evaluation.sentence, []).append(judgement)
     for number, (sentence, several) in enumerate(by_sentence.items(), start=1):
-        worst = min(several, key=_severity)
+        worst = test.worst[sentence]
         evaluation, end = worst.evaluation, "" if number == 1 else f" {number}"
         margin, when = evaluation.margin, evaluation.worst_time_s
         values = {
@@ -87,9 +86,3 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
         }
         found += [(name + end, value) for name, value in values.items()]
     return found
-
-
-def _severity(judgement: Judgement) -> tuple[int, float]:
-    order = (Verdict.VIOLATED, Verdict.HOLDS, Verdict.INCONCLUSIVE)
-    margin = judgement.evaluation.margin
-    return order.index(judgement.evaluation.verdict), float("inf") if margin is None else margin

@@ -13,7 +13,7 @@ from safety_harness.exceptions import InputError, Place, SafetyHarnessError
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.failure_text import failure_text
-from safety_harness.testing.session import Run, TestRun, session
+from safety_harness.testing.session import Judgement, Run, TestRun, session
 from safety_harness.testing.simulating import original
 from safety_harness.trace.trace import Trace
 
@@ -86,7 +86,7 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
     if test is None:
         return good
     if test.counts:
-        test.note(run, evaluation, expected, trace)
+        test.note(Judgement(run, evaluation, expected), trace)
     return good or _another_failure(test, evaluation)
 
 

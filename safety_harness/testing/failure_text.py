@@ -1,4 +1,4 @@
-"""What a failed claim prints: the margin, the moment, the decision before it, a picture, the way to see it again."""
+"""What a failed claim prints: margin, moment, the decision before it, a picture, how to see it again."""
 
 from __future__ import annotations
 
@@ -34,7 +34,10 @@ def failure_text(
 
 def _verdict(evaluation: Evaluation, expected: Verdict) -> list[str]:
     verdict = evaluation.verdict.value
-    lines = [f"{evaluation.sentence}: {verdict}" + ("" if expected is Verdict.HOLDS else f", expected {expected.value}")]
+    lines = [
+        f"{evaluation.sentence}: {verdict}"
+        + ("" if expected is Verdict.HOLDS else f", expected {expected.value}")
+    ]
     if evaluation.verdict is Verdict.INCONCLUSIVE:
         lines.append("  no evidence either way, which a test does not take for a safe run")
     return lines
@@ -46,10 +49,13 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
     lines = [f"  margin    {evaluation.margin_text()}{at}"]
     lines.append(f"  because   {evaluation.reason}")
     lines += [
-        f"  part      {part.sentence}: {part.verdict.value}, {part.margin_text()}" for part in evaluation.parts
+        f"  part      {part.sentence}: {part.verdict.value}, {part.margin_text()}"
+        for part in evaluation.parts
     ]
     lines.append(f"  exercised {count_words(evaluation.exercised, 'time', 'times')}")
-    lines.append(f"  run       {trace.scenario.name}, avoider {trace.provenance.avoider}, seed {trace.scenario.seed}")
+    lines.append(
+        f"  run       {trace.scenario.name}, avoider {trace.provenance.avoider}, seed {trace.scenario.seed}"
+    )
     if not trace.complete:
         lines.append(f"  ended     {trace.ended}")
     return lines

@@ -14,7 +14,7 @@ from safety_harness.trace.trace import Trace
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless it answers the same bits.
+    """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless the bits are the same.
 
     Answers that came too late, and those that a simulated fault delayed or spoilt, are left out.
     """

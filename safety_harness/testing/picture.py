@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,60 +16,63 @@ WIDTH, HEIGHT = 60, 10
 _FARTHEST_M = 0.8  # what is farther away is drawn at the upper edge
 
 
+@dataclass(frozen=True, eq=False)
+class _Signal:
+    """What is drawn: ``values`` (n,) at the ticks, the ``worst`` of each column, ``most`` at the upper edge."""
+
+    title: str
+    values: NDArray[np.float64]
+    limit: float | None
+    worst: Callable[[NDArray[np.float64]], np.float64]
+    most: float = np.inf
+
+
 def picture(trace: Trace, evaluation: Evaluation) -> list[str]:
     """Lines of at most 70 characters; none for a trace without anything to draw.
 
     The TCP speed for a claim about it, else the distance of the nearest hand from the arm's surface.
     Each column shows the least distance, or the largest speed, of its time.
     """
-    speed_mps = claimed_tcp_speed_mps(evaluation)
     if len(trace.ticks) < 2:
         return []
+    speed_mps = claimed_tcp_speed_mps(evaluation)
     if speed_mps is not None:
-        return _drawn(trace, evaluation, trace.ticks["tcp_speed_mps"], speed_mps, "TCP speed [mm/s]", np.max)
+        speeds = trace.ticks["tcp_speed_mps"]
+        return _drawn(trace, evaluation, _Signal("TCP speed [mm/s]", speeds, speed_mps, np.max))
     if not trace.scenario.hands:
         return []
-    distance_m = trace.ticks["hand_distance_m"].min(axis=1)
-    limit_m = claimed_hand_distance_m(evaluation)
-    return _drawn(trace, evaluation, distance_m, limit_m, "hand distance [mm]", np.min)
+    distance_m, limit_m = trace.ticks["hand_distance_m"].min(axis=1), claimed_hand_distance_m(evaluation)
+    signal = _Signal("hand distance [mm]", distance_m, limit_m, np.min, _FARTHEST_M)
+    return _drawn(trace, evaluation, signal)
 
 
-def _drawn(
-    trace: Trace,
-    evaluation: Evaluation,
-    values: NDArray[np.float64],
-    limit: float | None,
-    title: str,
-    worst: np.ufunc | object,
-) -> list[str]:
-    columns = np.array_split(values, WIDTH) if len(values) >= WIDTH else [values[k : k + 1] for k in range(len(values))]
-    shown = np.array([worst(column) for column in columns])  # type: ignore[operator]
+def _drawn(trace: Trace, evaluation: Evaluation, signal: _Signal) -> list[str]:
+    width = min(WIDTH, len(signal.values))
+    shown = np.array([signal.worst(column) for column in np.array_split(signal.values, width)])
     finite = shown[np.isfinite(shown)]
     if not len(finite):
         return []
-    top = min(float(finite.max()), _FARTHEST_M) if worst is np.min else float(finite.max())
-    top = max(top, limit or 0.0, float(finite.min()) + 1e-3)
     bottom = min(0.0, float(finite.min()))
-    canvas = [[" "] * len(shown) for _ in range(HEIGHT)]
-    limit_row = None if limit is None else _row(limit, bottom, top)
-    if limit_row is not None:
-        canvas[limit_row] = ["-"] * len(shown)
+    top = max(min(float(finite.max()), signal.most), signal.limit or 0.0, float(finite.min()) + 1e-3)
+    canvas = [[" "] * width for _ in range(HEIGHT)]
+    labels = {0: top, HEIGHT - 1: bottom}
+    if signal.limit is not None:
+        row = _row(signal.limit, bottom, top)
+        canvas[row], labels[row] = ["-"] * width, signal.limit
     for column, value in enumerate(shown):
         if np.isfinite(value):
             canvas[_row(float(value), bottom, top)][column] = "*" if value <= top else "^"
-    lines = [title]
-    for number, row in enumerate(canvas):
-        label = {0: f"{top * 1e3:.0f}", HEIGHT - 1: f"{bottom * 1e3:.0f}"}.get(number, "")
-        if number == limit_row and limit is not None:
-            label = f"{limit * 1e3:.0f}"
-        lines.append(f"{label:>6} |{''.join(row).rstrip()}")
-    return [*lines, *_axis(trace, evaluation, len(shown))]
+    lines = [signal.title]
+    for number, line in enumerate(canvas):
+        label = f"{labels[number] * 1e3:.0f}" if number in labels else ""
+        lines.append(f"{label:>6} |{''.join(line).rstrip()}")
+    return [*lines, *_axis(trace, evaluation, width)]
 
 
 def _row(value: float, bottom: float, top: float) -> int:
     """The line of a value, counted from the top."""
     share = (min(value, top) - bottom) / (top - bottom)
-    return int(round((1.0 - share) * (HEIGHT - 1)))
+    return round((1.0 - share) * (HEIGHT - 1))
 
 
 def _axis(trace: Trace, evaluation: Evaluation, width: int) -> list[str]:

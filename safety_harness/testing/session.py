@@ -15,7 +15,7 @@ from safety_harness.testing.profiles import QUICK, Profile
 if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
     from safety_harness.properties.base import Evaluation
-    from safety_harness.scenario.model import Scenario, Verdict
+    from safety_harness.scenario.model import Verdict
     from safety_harness.trace.trace import Trace
 
 FAILURES = Path(".safety-harness") / "failures"
@@ -39,6 +39,13 @@ class Judgement:
     evaluation: Evaluation
     expected: Verdict
 
+    @property
+    def severity(self) -> tuple[bool, float]:
+        """Smaller for what is worse: what is not as expected first, then the least margin."""
+        evaluation, margin = self.evaluation, self.evaluation.margin
+        broken = evaluation.verdict is not self.expected and evaluation.verdict.value != "inconclusive"
+        return not broken, inf if margin is None else margin
+
 
 @dataclass(eq=False)
 class TestRun:
@@ -55,8 +62,8 @@ class TestRun:
     draws: bool
     keep_traces: bool = False
     judgements: list[Judgement] = field(default_factory=list)
-    least: dict[str, float] = field(default_factory=dict)  # margin of each sentence
-    traces: dict[str, Trace] = field(default_factory=dict)  # of the worst run of each sentence
+    worst: dict[str, Judgement] = field(default_factory=dict)  # of each sentence
+    traces: dict[str, Trace] = field(default_factory=dict)  # of these
     failure: BaseException | None = None
     simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
     failing: set[str] = field(default_factory=set)  # those of the examples that failed
@@ -75,15 +82,19 @@ class TestRun:
         self.failure = failure
         self.failing |= self.simulated
 
-    def note(self, run: Run, evaluation: Evaluation, expected: Verdict, trace: Trace | None) -> None:
-        """Count one judgement, and keep the trace if it is the worst one of its sentence so far."""
-        sentence = evaluation.sentence
-        margin = inf if evaluation.margin is None else evaluation.margin
-        if sentence not in self.least or margin < self.least[sentence]:
-            self.least[sentence] = margin
-            if self.keep_traces and trace is not None:
-                self.traces[sentence] = trace
-        self.judgements.append(Judgement(run, evaluation, expected))
+    def note(self, judgement: Judgement, trace: Trace | None) -> None:
+        """Count one judgement, and keep it if it is the worst one of its sentence so far."""
+        self.judgements.append(judgement)
+        before = self.worst.get(judgement.evaluation.sentence)
+        if before is None or judgement.severity < before.severity:
+            self.show(judgement, trace)
+
+    def show(self, judgement: Judgement, trace: Trace | None) -> None:
+        """Let ``judgement`` stand for its sentence in summaries and in the report."""
+        sentence = judgement.evaluation.sentence
+        self.worst[sentence] = judgement
+        if self.keep_traces and trace is not None:
+            self.traces[sentence] = trace
 
 
 @dataclass(eq=False)
@@ -96,7 +107,8 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     failures: Path = FAILURES
-    keep_traces: bool = False
+    report: Path | None = None
+    saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
     test: TestRun | None = None
 
 

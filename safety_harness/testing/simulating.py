@@ -44,7 +44,7 @@ def as_asked(scenario: Scenario) -> Scenario:
 
 
 class Admitting:
-    """Admission that makes each avoider once: it is a function of its question, a run leaves nothing in it."""
+    """Admission that makes each avoider once: a function of its question keeps nothing of a run."""
 
     def __init__(self) -> None:
         self._made: dict[tuple[object, ...], tuple[Avoider, str]] = {}

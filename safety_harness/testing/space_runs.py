@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hypothesis import given, seed, settings
+from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
 from safety_harness.properties.base import Evaluation
@@ -13,7 +13,7 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.testing.asserting import SafetyViolation, aim, run_of, settle
 from safety_harness.testing.drawing import drawn
 from safety_harness.testing.kept import kept_for
-from safety_harness.testing.session import Run, TestRun, session
+from safety_harness.testing.session import Judgement, Run, TestRun, session
 from safety_harness.testing.simulating import digest_of, simulate
 from safety_harness.testing.watching import under_profile, watching
 from safety_harness.trace.trace import Trace
@@ -37,7 +37,7 @@ class SpaceRuns:
         self.claims: tuple[Claim, ...] = space.simplest.claims
         self._strategy = drawn(space)
         self._judged: dict[str, _Judged] = {}
-        self._worst: dict[str, tuple[float, Trace]] = {}
+        self._shown: dict[str, tuple[Judgement, Trace]] = {}
 
     def check(self, number: int, test: TestRun) -> None:
         """Draw scenarios and judge claim ``number`` of them; SafetyViolation with the smallest that fails."""
@@ -53,11 +53,13 @@ class SpaceRuns:
         drawing = given(scenario=self._strategy)(watching(example, test))
         if not session().derandomize:
             drawing = seed(session().seed)(drawing)
-        drawing._hypothesis_internal_use_settings = under_profile(settings.default)  # type: ignore[attr-defined]
-        drawing()
-        sentence = self.claims[number].sentence
-        if sentence in self._worst:
-            test.traces[sentence] = self._worst[sentence][1]
+        drawing._hypothesis_internal_use_settings = under_profile()  # type: ignore[attr-defined]
+        try:
+            drawing()
+        finally:
+            shown = self._shown.get(self.claims[number].sentence)
+            if shown is not None:
+                test.show(*shown)
 
     def _examine(self, scenario: Scenario, number: int) -> None:
         __tracebackhide__ = True
@@ -72,18 +74,17 @@ class SpaceRuns:
         digest = digest_of(scenario)
         if digest not in self._judged:
             trace = simulate(scenario)
+            run = run_of(trace)
             properties = [property_of(claim, trace.scenario) for claim in self.claims]
             evaluations = tuple(prop.evaluate(trace) for prop in properties)
-            self._judged[digest] = _Judged(run_of(trace), evaluations)
-            self._remember(trace, evaluations)
+            self._judged[digest] = _Judged(run, evaluations)
+            if session().report is not None:
+                self._remember(run, evaluations, trace)
         return self._judged[digest]
 
-    def _remember(self, trace: Trace, evaluations: tuple[Evaluation, ...]) -> None:
-        """The worst run of each claim, if there will be a report."""
-        if not session().keep_traces:
-            return
+    def _remember(self, run: Run, evaluations: tuple[Evaluation, ...], trace: Trace) -> None:
+        """The worst run of each claim, for the report."""
         for claim, evaluation in zip(self.claims, evaluations, strict=True):
-            margin = evaluation.margin
-            before = self._worst.get(claim.sentence)
-            if before is None or (margin is not None and margin < before[0]):
-                self._worst[claim.sentence] = (float("inf") if margin is None else margin, trace)
+            judgement, before = Judgement(run, evaluation, claim.expected), self._shown.get(claim.sentence)
+            if before is None or judgement.severity < before[0].severity:
+                self._shown[claim.sentence] = judgement, trace

@@ -15,11 +15,18 @@ from safety_harness.testing.session import TestRun, session
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
 # A simulation takes as long as it takes, and which draws can be tried is not up to the test.
-OFF = (HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large, HealthCheck.large_base_example)
+OFF = (
+    HealthCheck.too_slow,
+    HealthCheck.filter_too_much,
+    HealthCheck.data_too_large,
+    HealthCheck.large_base_example,
+)
 
 
-def under_profile(own: settings, *, fixed: bool = False) -> settings:
-    """``own`` as the session's profile has it; ``fixed``: it is the test's own, whose examples count."""
+def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
+    """``own``, or what is usual, as the session's profile has it; ``fixed``: it is the test's own, whose examples count."""
+    own = own or settings.default
+    assert own is not None
     examples = own.max_examples if fixed else session().profile.examples
     return settings(
         parent=own,
@@ -44,10 +51,10 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
         "hypothesis_explicit_examples": getattr(function, "hypothesis_explicit_examples", []),
     }
     inner = handle.inner_test
-    own = before["_hypothesis_internal_use_settings"]
-    fixed = hasattr(function, "_hypothesis_internal_settings_applied") and (
-        own.max_examples != settings.default.max_examples  # type: ignore[attr-defined]
-    )
+    own, usual = function._hypothesis_internal_use_settings, settings.default
+    assert usual is not None
+    applied = hasattr(function, "_hypothesis_internal_settings_applied")
+    fixed = applied and own.max_examples != usual.max_examples
     function._hypothesis_internal_use_settings = under_profile(own, fixed=fixed)
     if before["_hypothesis_internal_use_seed"] is None and not session().derandomize:
         function._hypothesis_internal_use_seed = session().seed
@@ -61,15 +68,15 @@ def watched(function: Any, test: TestRun) -> Iterator[None]:
             setattr(function, name, value)
 
 
-def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., object]:
+def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]:
     """``inner``, one example, telling ``test`` of its failure."""
 
     @functools.wraps(inner)
-    def example(*args: Any, **kwargs: Any) -> object:
+    def example(*args: Any, **kwargs: Any) -> None:
         __tracebackhide__ = True
         test.simulated.clear()
         try:
-            return inner(*args, **kwargs)
+            inner(*args, **kwargs)
         except HypothesisException:  # a draw that it gives up
             raise
         except Exception as error:
