@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import pytest
 
 from safety_harness.exceptions import InputError, Place
@@ -10,12 +13,13 @@ from safety_harness.scenario.model import OffsetStart, Scenario
 
 def explained(error: BaseException) -> str:
     """Where, what was expected, what came, the hint; and the line of the test that asked."""
-    if not isinstance(error, InputError):
-        return "\n".join([f"{type(error).__name__}: {error}", *getattr(error, "__notes__", [])])
-    lines = [str(error.place), f"  expected {error.expected}", f"  got      {error.got}"]
-    if error.hint:
-        lines.append(f"  hint     {error.hint}")
-    return "\n".join([*lines, *(f"  {note}" for note in getattr(error, "__notes__", []))])
+    if isinstance(error, InputError):
+        lines = [str(error.place), f"  expected {error.expected}", f"  got      {error.got}"]
+        lines += [f"  hint     {error.hint}"] if error.hint else []
+    else:
+        lines = [str(error)]
+    lines += [f"  {note}" for note in getattr(error, "__notes__", [])]
+    return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
 
 
 def refuse_unusable_avoider(reference: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
@@ -50,7 +49,7 @@ class ScenarioFile(pytest.File):
 
     def _read(self) -> tuple[list[Scenario], list[SpaceRuns]]:
         """What the file holds, all of it admitted; CollectError with all that cannot be."""
-        gathered = gather([Path(os.path.relpath(self.path))], spaces=True)
+        gathered = gather([self.path], spaces=True)
         errors, spaces = list(gathered.errors), []
         for scenario in gathered.scenarios:
             try:

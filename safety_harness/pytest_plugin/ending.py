@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -58,23 +59,25 @@ class Ending:
             say(line)
 
     def _remarks(self) -> list[str]:
+        from safety_harness.testing.failure_text import near
+
         lines = []
-        kept = [sent["kept"] for sent in self._sent if sent["kept"]]
+        kept = [Path(sent["kept"]) for sent in self._sent if sent["kept"]]
         if kept:
             lines.append("scenarios of failures, tried first next time:")
-            lines += [f"  {file}" for file in kept]
+            lines += [f"  {near(file)}" for file in kept]
         tried = [sent for sent in self._sent if sent["replayed"]]
         if tried:
             files = sum(len(sent["replayed"]) for sent in tried)
-            passed = [file for sent in tried if not sent["failed"] for file in sent["replayed"]]
+            passed = [Path(file) for sent in tried if not sent["failed"] for file in sent["replayed"]]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
-            lines += [f"  {file}" for file in passed]
+            lines += [f"  {near(file)}" for file in passed]
         now = current()
         if any(sent["draws"] for sent in self._sent) and not now.derandomize:
             again = f"--hypothesis-seed={now.seed}"
             lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
         if now.report is not None:
-            lines.append(self._unwritten or f"report: {now.report}")
+            lines.append(self._unwritten or f"report: {near(now.report)}")
         return lines
 
     def _tallies(self) -> tuple[ClaimTally, ...]:

@@ -91,7 +91,7 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
-    """Scenario files, spaces and suites; every other YAML file is left alone, unless it is asked for by name."""
+    """Scenario files, spaces and suites; any other YAML file only if it is asked for by name."""
     if file_path.suffix not in SUFFIXES:
         return None
     if not (parent.session.isinitpath(file_path) or looks_like_ours(file_path)):

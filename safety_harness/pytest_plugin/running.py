@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -9,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from safety_harness.exceptions import InputError, SafetyHarnessError
+from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
 from safety_harness.pytest_plugin.asking import explained
 from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST
@@ -37,9 +39,10 @@ def watch(item: pytest.Item) -> Iterator[None]:
                 stack.enter_context(watched(function, test))
             yield
         refuse_untested(test)
-    except SafetyViolation as violation:
-        _leave_hypothesis_out(violation)
-        _show(violation, test)
+    except SafetyHarnessError as error:
+        _leave_hypothesis_out(error, function)
+        if isinstance(error, SafetyViolation):
+            _show(error, test)
         raise
     finally:
         session().test = None
@@ -54,8 +57,11 @@ def _show(violation: SafetyViolation, test: TestRun) -> None:
         test.kept = keep(test.id, violation)
 
 
-def _leave_hypothesis_out(error: BaseException) -> None:
-    """Let the traceback go straight to the test: what draws and repeats examples is between."""
+def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
+    """Let the traceback go straight to the test; of its notes only what a test draws besides a scenario."""
+    draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
+    notes = [note for note in getattr(error, "__notes__", []) if not note.startswith("Highest target")]
+    error.__notes__ = [note for note in notes if draws_more or not note.startswith("Failing ")]
     frames = []
     step = error.__traceback__
     while step is not None:
@@ -79,7 +85,7 @@ def refuse_untested(test: TestRun) -> None:
         last = test.judgements[-1].evaluation.reason
         runs = len(test.judgements)
         raise NotEstablished(
-            f"{sentences}: inconclusive in every one of {runs} runs (the last: {last})\n"
+            f"{sentences}: inconclusive in {runs} of {runs} judgements (the last: {last})\n"
             "  nothing was put to the test, and that is no pass: draw scenarios in which a hand comes near"
         )
 
@@ -89,8 +95,9 @@ def complete(
 ) -> None:
     """Add what was judged to the report, and leave our own frames out of it."""
     error = call.excinfo.value if call.excinfo is not None else None
-    if isinstance(error, NotEstablished) or (isinstance(error, SafetyHarnessError) and _is_ours(item)):
-        report.longrepr = "\n".join([explained(error)] if isinstance(error, InputError) else [str(error)])
+    plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
+    if error is not None and (plain or (isinstance(error, SafetyHarnessError) and _is_ours(item))):
+        report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     sent = payload(test) | {"failed": report.failed}
     file = session().report
     if file is not None:
@@ -99,6 +106,16 @@ def complete(
         sent["traces"] = save_runs(test, file)
     vars(report)["safety_harness"] = sent
     vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+
+
+def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
+    """The line of the test in which a mistake came out, unless the mistake names it already."""
+    lines = [
+        step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
+    ]
+    named = isinstance(error, InputError) and error.place.file == item.path
+    near = os.path.relpath(item.path)
+    return [f"  asked for at {near}:{lines[-1]}"] if lines and not named else []
 
 
 def _is_ours(item: pytest.Item) -> bool:

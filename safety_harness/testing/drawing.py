@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -52,7 +53,7 @@ def _found(path: Path, asked: FrameType | None) -> Path:
     if path.is_absolute() or asked is None:
         return path
     beside = Path(asked.f_code.co_filename).parent / path
-    return beside if beside.exists() else session().root / path
+    return Path(os.path.abspath(beside if beside.exists() else session().root / path))
 
 
 def _of_files(path: Path) -> st.SearchStrategy[Scenario]:

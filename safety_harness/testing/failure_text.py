@@ -88,8 +88,8 @@ def _row(row: DecisionRow, count: int) -> list[str]:
 def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
     """The text of what was tried, unless it is a file that the reader has."""
     if test is not None and not test.draws and scenario.file is not None:
-        return [f"  scenario  {scenario.file}"]
-    title = "the scenario, made as small as could be:" if test is not None and test.draws else "the scenario:"
+        return [f"  scenario  {near(scenario.file)}"]
+    title = "the scenario, made smaller:" if test is not None and test.draws else "the scenario:"
     return [title, *(f"  {line}" for line in write_scenario(scenario).splitlines())]
 
 
@@ -102,7 +102,7 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     if test is not None:
         lines.append("  " + shlex.join(["pytest", test.id, *own]))
     if file is not None:
-        lines.append("  " + shlex.join(["safety-harness", "run", str(_near(file)), *own]))
+        lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
     return ["to see it again:", *lines] if lines else []
 
 
@@ -112,7 +112,7 @@ def in_store(scenario: Scenario) -> bool:
     return file is not None and session().failures.resolve() in file.resolve().parents
 
 
-def _near(file: Path) -> Path:
+def near(file: Path) -> Path:
     """As seen from the working directory, if it is below it."""
     try:
         return file.resolve().relative_to(Path.cwd())

@@ -18,7 +18,7 @@ _FARTHEST_M = 0.8  # what is farther away is drawn at the upper edge
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """What is drawn: ``values`` (n,) at the ticks, the ``worst`` of each column, ``most`` at the upper edge."""
+    """Drawn are ``values`` (n,) at the ticks: the ``worst`` in each column, ``most`` at the upper edge."""
 
     title: str
     values: NDArray[np.float64]

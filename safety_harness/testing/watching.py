@@ -24,7 +24,7 @@ OFF = (
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
-    """``own``, or what is usual, as the session's profile has it; ``fixed``: it is the test's own, whose examples count."""
+    """``own`` (or the usual) settings as the profile has them; ``fixed``: they have their own examples."""
     own = own or settings.default
     assert own is not None
     examples = own.max_examples if fixed else session().profile.examples
