@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -21,6 +22,8 @@ from safety_harness.testing.asserting import NotEstablished, SafetyViolation, ru
 from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.kept import keep
 from safety_harness.testing.session import Judgement, TestRun, session
+
+_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
 
 
 @contextmanager
@@ -60,7 +63,7 @@ def _show(violation: SafetyViolation, test: TestRun) -> None:
 def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     """Let the traceback go straight to the test; of its notes only what a test draws besides a scenario."""
     draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
-    notes = [note for note in getattr(error, "__notes__", []) if not note.startswith("Highest target")]
+    notes = [note for note in getattr(error, "__notes__", []) if not _OF_TARGETS.match(note)]
     error.__notes__ = [note for note in notes if draws_more or not note.startswith("Failing ")]
     frames = []
     step = error.__traceback__

@@ -68,6 +68,7 @@ class TestRun:
     simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
     failing: set[str] = field(default_factory=set)  # those of the examples that failed
     refused: dict[str, SafetyHarnessError] = field(default_factory=dict)  # by digest
+    examples: int = 0  # begun
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first

@@ -10,6 +10,7 @@ from typing import Any
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.errors import HypothesisException
 
+from safety_harness.testing.independent import NAME
 from safety_harness.testing.kept import kept_for
 from safety_harness.testing.session import TestRun, session
 
@@ -31,6 +32,7 @@ def under_profile(own: settings | None = None, *, fixed: bool = False) -> settin
     return settings(
         parent=own,
         max_examples=examples,
+        backend=NAME if own.backend == "hypothesis" else own.backend,
         deadline=None,
         database=None,
         derandomize=session().derandomize,
@@ -75,6 +77,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
     def example(*args: Any, **kwargs: Any) -> None:
         __tracebackhide__ = True
         test.simulated.clear()
+        test.examples += 1
         try:
             inner(*args, **kwargs)
         except HypothesisException:  # a draw that it gives up
