@@ -27,7 +27,7 @@ class GivesWayAtMost:
     @property
     def sentence(self) -> str:
         """As the catalogue writes it."""
-        return f"gives way at most {self.most} times"
+        return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Count the transitions."""
@@ -57,7 +57,7 @@ def gives_way_at(trace: Trace) -> NDArray[np.int64]:
 
 GIVES_WAY_AT_MOST = Entry(
     example="gives way at most 3 times",
-    pattern=r"gives way at most (\S+) times",
+    pattern=r"gives way at most (\S+) times?",
     make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),
     unit=Unit.COUNT,
     rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",

@@ -50,9 +50,7 @@ class FiniteTrace:
             trace,
             margin=float(-total),
             worst_time_s=max(first, 0) * period_s,
-            reason=f"{total} of {len(ticks)} ticks and {len(decisions)} decisions are not"
-            if total
-            else f"{len(ticks)} ticks and {len(decisions)} decisions are",
+            reason=f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}",
             exercised=len(ticks),
         )
 
@@ -79,8 +77,7 @@ def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(n, ...) to (n,): is anything wrong in the record?"""
-    found: NDArray[np.bool_] = wrong.any(axis=tuple(range(1, wrong.ndim)))
-    return found
+    return np.asarray(wrong.any(axis=tuple(range(1, wrong.ndim))))
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:

@@ -56,11 +56,16 @@ class ObjectInView:
             trace,
             margin=self.within_s - longest_s,
             worst_time_s=begun_s + min(longest_s, self.within_s),
-            reason=f"out of view {len(begins)} times, longest {longest_s:.2f} s"
-            if len(begins)
-            else "in view all the time",
+            reason=_words(len(begins), longest_s),
             exercised=exercised,
         )
+
+
+def _words(losses: int, longest_s: float) -> str:
+    if losses == 0:
+        return "in view all the time"
+    often = "once, for" if losses == 1 else f"{losses} times, longest"
+    return f"out of view {often} {longest_s:.2f} s"
 
 
 OBJECT_IN_VIEW = Entry(
