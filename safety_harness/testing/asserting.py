@@ -9,7 +9,9 @@ from math import isfinite
 from pathlib import Path
 
 from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import InputError, Place, SafetyHarnessError
+from safety_harness.exceptions import InadmissibleError, InputError, Place, SafetyHarnessError
+from safety_harness.formulas.claim import FormulaClaim
+from safety_harness.formulas.formula import Formula
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.failure_text import failure_text
@@ -47,18 +49,17 @@ class NotEstablished(SafetyHarnessError, AssertionError):
     """A test drew scenarios, and not one of them put what it asserts to the test."""
 
 
-def assert_holds(claim: Property | str, trace: Trace) -> Evaluation:
+def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
 
-    ``claim`` is a property or a sentence as in a scenario file.  SafetyViolation if it is violated,
-    or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one run that
+    ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
+    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one run that
     decides nothing (the hand never came near) left to the others: a test in which no run decides
     anything fails all the same.  InputError for a sentence that nobody knows.
     """
     __tracebackhide__ = True
-    prop = _property(claim, trace.scenario) if isinstance(claim, str) else claim
     try:
-        evaluation = prop.evaluate(trace)
+        evaluation = _property(claim, trace.scenario).evaluate(trace)
     except InputError as error:
         raise error.with_traceback(None) from None
     aim(evaluation, Verdict.HOLDS)
@@ -114,13 +115,17 @@ def _another_failure(test: TestRun, evaluation: Evaluation) -> bool:
     )
 
 
-def _property(sentence: str, scenario: Scenario) -> Property:
-    """The property of a sentence; the error names the test's line."""
-    __tracebackhide__ = True
-    try:
-        return property_of(Claim(sentence=sentence, expected=Verdict.HOLDS, place=_caller()), scenario)
-    except InputError as error:
-        raise error.with_traceback(None) from None
+def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
+    if isinstance(claim, str):
+        return property_of(Claim(sentence=claim, expected=Verdict.HOLDS, place=_caller()), scenario)
+    if isinstance(claim, Formula):
+        formula = FormulaClaim(claim)
+        formula.check(scenario, _caller())
+        return formula
+    if not callable(getattr(claim, "evaluate", None)):
+        expected = "a formula, a property or a sentence"
+        raise InadmissibleError(place=_caller(), expected=expected, got=repr(claim))
+    return claim
 
 
 def _caller() -> Place:

@@ -7,7 +7,7 @@ choice uniformly within its bounds; the other half is Hypothesis's own, led by t
 
 from __future__ import annotations
 
-from typing import Any
+from math import inf
 
 from hypothesis.errors import BackendCannotProceed
 from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
@@ -22,24 +22,37 @@ class Independent(HypothesisProvider):
     """Hypothesis's way of drawing, but for numbers between two bounds."""
 
     def draw_integer(
-        self, min_value: int | None = None, max_value: int | None = None, **others: Any
+        self,
+        min_value: int | None = None,
+        max_value: int | None = None,
+        *,
+        weights: dict[int, float] | None = None,
+        shrink_towards: int = 0,
     ) -> int:
-        """Uniform between the bounds, if they are not too far apart to mean anything."""
+        """Uniform between two bounds without weights."""
         self._stop_at_half()
-        if min_value is None or max_value is None or others.get("weights"):
-            return super().draw_integer(min_value, max_value, **others)
-        return self._uniform().randint(min_value, max_value)
+        if min_value is None or max_value is None or weights or self._random is None:
+            return super().draw_integer(min_value, max_value, weights=weights, shrink_towards=shrink_towards)
+        return self._random.randint(min_value, max_value)
 
-    def draw_float(self, *, min_value: float, max_value: float, **others: Any) -> float:
-        """Uniform between finite bounds."""
+    def draw_float(
+        self,
+        *,
+        min_value: float = -inf,
+        max_value: float = inf,
+        allow_nan: bool = True,
+        smallest_nonzero_magnitude: float,
+    ) -> float:
+        """Uniform between two bounds that are not too far apart to mean anything."""
         self._stop_at_half()
-        if not -_LARGEST < min_value <= max_value < _LARGEST:
-            return super().draw_float(min_value=min_value, max_value=max_value, **others)
-        return self._uniform().uniform(min_value, max_value)
-
-    def _uniform(self) -> Any:
-        assert self._random is not None
-        return self._random
+        if not -_LARGEST < min_value <= max_value < _LARGEST or self._random is None:
+            return super().draw_float(
+                min_value=min_value,
+                max_value=max_value,
+                allow_nan=allow_nan,
+                smallest_nonzero_magnitude=smallest_nonzero_magnitude,
+            )
+        return self._random.uniform(min_value, max_value)
 
     def _stop_at_half(self) -> None:
         test = session().test

@@ -19,7 +19,7 @@ from safety_harness.testing.flaky import refuse_flaky
 from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.trace import Trace
 
-MOST_TRACES = 16  # that are remembered: some megabytes each
+MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
 
 _asked_for: WeakKeyDictionary[Trace, Scenario] = WeakKeyDictionary()
 
@@ -104,7 +104,7 @@ class Simulate:
                 test.refused[digest] = error
             raise
         self._traces[digest] = trace
-        if len(self._traces) > MOST_TRACES:
+        while len(self._traces) > 1 and sum(len(one.ticks) for one in self._traces.values()) > MOST_TICKS:
             self._traces.popitem(last=False)
         return trace
 
