@@ -53,9 +53,9 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
 
     ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
-    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one run that
-    decides nothing (the hand never came near) left to the others: a test in which no run decides
-    anything fails all the same.  InputError for a sentence that nobody knows.
+    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one
+    run that decides nothing (the hand never came near) left to the others: a test in which no run
+    decides anything fails all the same.  InputError for a sentence that nobody knows.
     """
     __tracebackhide__ = True
     try:

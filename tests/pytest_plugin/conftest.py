@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import safety_harness
+from safety_harness.compiled import cache_root
 
 pytest_plugins = ["pytester"]
 
@@ -79,6 +80,7 @@ Run = Callable[..., pytest.RunResult]
 def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Pytest with the plug-in, whether it is installed or not."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(cache_root().parent))  # pytester moves the home folder
     pytester.makeini("[pytest]\nfilterwarnings = error\n")
     installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
 
@@ -91,7 +93,7 @@ def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
 
 @pytest.fixture
 def project(pytester: pytest.Pytester) -> Path:
-    """fast.yaml violates what it claims, fine.yaml says so, reaches.yaml is a space, avoiders.py, test_it.py."""
+    """fast.yaml fails, fine.yaml says that it violates, reaches.yaml is a space; avoiders.py, test_it.py."""
     folder = pytester.path
     fast = HEAD.format(title="scenario: a fast reach", speed="2 m/s")
     (folder / "fast.yaml").write_text(fast + CLAIMS.format(distance="holds"))

@@ -68,7 +68,7 @@ def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) 
     (project / "test_bad.py").write_text((project / "test_it.py").read_text().replace("reaches", "nowhere"))
     result = run()
     assert result.ret == pytest.ExitCode.INTERRUPTED
-    result.stdout.fnmatch_lines(["claim.yaml:15: claims.TCP sped*", "  hint *did you mean*"])
+    result.stdout.fnmatch_lines(["claim.yaml:16: claims.TCP sped*", "  hint *did you mean*"])
     result.stdout.fnmatch_lines(["unit.yaml:2: duration", "  expected a time *", "  got *parsec"])
     result.stdout.fnmatch_lines(["nowhere.yaml", "  got *no such file*", "  asked for at test_bad.py:6"])
     result.stdout.no_fnmatch_line("*Traceback*")
