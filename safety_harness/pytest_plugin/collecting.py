@@ -81,15 +81,11 @@ class ScenarioNode(pytest.Collector):
 def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
     for claim in scenario.claims:
         yield ClaimItem.from_parent(parent, name=claim.sentence, scenario=scenario, claim=claim)
-    if not scenario.claims:
-        yield ClaimsNothing.from_parent(parent, name="claims nothing")
 
 
 def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
     for number, claim in enumerate(runs.claims):
         yield SpaceClaimItem.from_parent(parent, name=claim.sentence, runs=runs, number=number)
-    if not runs.claims:
-        yield ClaimsNothing.from_parent(parent, name="claims nothing")
 
 
 class ClaimItem(pytest.Item):
@@ -127,14 +123,6 @@ class SpaceClaimItem(pytest.Item):
     def reportinfo(self) -> tuple[Path, int, str]:
         """The claim's own line."""
         return _where(self, self._runs.claims[self._number])
-
-
-class ClaimsNothing(pytest.Item):
-    """A scenario that there is nothing to say of: shown, and not taken for a pass."""
-
-    def runtest(self) -> None:
-        """Skip."""
-        pytest.skip("the file claims nothing")
 
 
 def _where(item: pytest.Item, claim: Claim) -> tuple[Path, int, str]:

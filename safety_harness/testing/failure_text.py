@@ -10,10 +10,12 @@ import numpy as np
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.decisions import DecisionRow, decision_rows
 from safety_harness.report.words import count_words
+from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.testing.picture import picture
 from safety_harness.testing.session import TestRun, session
+from safety_harness.testing.simulating import digest_of
 from safety_harness.trace.trace import Trace
 
 
@@ -87,7 +89,8 @@ def _row(row: DecisionRow, count: int) -> list[str]:
 
 def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
     """The text of what was tried, unless it is a file that the reader has."""
-    if test is not None and not test.draws and scenario.file is not None:
+    if (test is None or not test.draws) and _is_what_its_file_holds(scenario):
+        assert scenario.file is not None
         return [f"  scenario  {near(scenario.file)}"]
     title = "the scenario, made smaller:" if test is not None and test.draws else "the scenario:"
     return [title, *(f"  {line}" for line in write_scenario(scenario).splitlines())]
@@ -98,12 +101,20 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
     lines = []
-    file = scenario.file if test is None or not test.draws or in_store(scenario) else test.kept
+    file = scenario.file if in_store(scenario) or _is_what_its_file_holds(scenario) else None
+    file = file or (test.kept if test is not None else None)
     if test is not None:
         lines.append("  " + shlex.join(["pytest", test.id, *own]))
     if file is not None:
         lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
     return ["to see it again:", *lines] if lines else []
+
+
+def _is_what_its_file_holds(scenario: Scenario) -> bool:
+    """Not a draw of a space, and not made from a file by other code."""
+    if scenario.file is None:
+        return False
+    return digest_of(scenario) in map(digest_of, gather([scenario.file], spaces=True).scenarios)
 
 
 def in_store(scenario: Scenario) -> bool:

@@ -15,13 +15,14 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.exceptions import InputError, OutputError
 from safety_harness.report.text_file import write_whole
-from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.testing.asserting import SafetyViolation
 from safety_harness.testing.session import session
 from safety_harness.testing.simulating import digest_of
 
+ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # a file has to claim something
 _LONGEST = 60  # characters of a part of a path
 
 
@@ -37,7 +38,8 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
     scenario, evaluation = violation.scenario, violation.evaluation
     file = folder / f"{_slug(evaluation.sentence)}-{digest_of(scenario)[:6]}.yaml"
     claim = Claim(sentence=evaluation.sentence, expected=violation.expected)
-    moved = replace(as_seen_from(folder, scenario), claims=(claim,) if _is_known(claim, scenario) else ())
+    claims = (claim,) if _is_known(claim, scenario) else scenario.claims or (ANY,)
+    moved = replace(as_seen_from(folder, scenario), claims=claims)
     head = [
         f"A failure of {test_id}",
         f"{evaluation.sentence}: {evaluation.verdict.value}, margin {evaluation.margin_text()}",

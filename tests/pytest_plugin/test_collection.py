@@ -114,9 +114,3 @@ def test_a_file_that_is_asked_for_by_name_is_read_whatever_it_is(run, project: P
     (project / "docker-compose.yaml").write_text("services: {}\n")
     assert run("docker-compose.yaml").ret == pytest.ExitCode.INTERRUPTED
     run("--collect-only", "-q").stdout.no_fnmatch_line("*docker*")
-
-
-def test_a_scenario_that_claims_nothing_is_shown_as_skipped(run, project: Path) -> None:
-    text = (project / "fine.yaml").read_text()
-    (project / "silent.yaml").write_text(text[: text.index("claims:")] + "claims: {}\n")
-    run("silent.yaml").assert_outcomes(skipped=1)
