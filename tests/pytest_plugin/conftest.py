@@ -15,6 +15,7 @@ from safety_harness.compiled import cache_root
 pytest_plugins = ["pytester"]
 
 PLUGIN = "safety_harness.pytest_plugin.plugin"
+CACHE = cache_root().parent  # asked for now: pytester moves the home folder
 ROOT = Path(safety_harness.__file__).parents[1]
 
 HEAD = """\
@@ -80,7 +81,7 @@ Run = Callable[..., pytest.RunResult]
 def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Pytest with the plug-in, whether it is installed or not."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
-    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(cache_root().parent))  # pytester moves the home folder
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
     pytester.makeini("[pytest]\nfilterwarnings = error\n")
     installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
 
