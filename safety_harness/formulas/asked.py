@@ -18,8 +18,8 @@ from safety_harness.formulas.formula import (
     Initially,
     Until,
     Whenever,
-    formula_error,
 )
+from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.semantics import ticks_of
 from safety_harness.formulas.signal import Signal
 from safety_harness.properties.base import Unit

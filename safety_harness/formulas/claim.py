@@ -61,9 +61,13 @@ class FormulaClaim:
 
 
 def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
-    """The first part with the gravest verdict; of those in its unit the one with the least margin."""
+    """The first part with the gravest verdict, of those in its unit the one with the least margin.
+
+    The reason says how each of them came out.
+    """
     verdict = next(v for v in _GRAVEST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
     same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
     worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])
-    return replace(worst, reason=f"{worst.sentence}: {worst.reason}")
+    each = (f"{p.sentence}: {p.verdict.value}, {p.margin_text()} ({p.reason})" for p in parts)
+    return replace(worst, reason="; ".join(each))

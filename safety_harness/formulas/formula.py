@@ -17,14 +17,11 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from safety_harness.exceptions import FormulaError, Place
-from safety_harness.formulas.quantities import Quantity
-from safety_harness.scenario.units import TIME
+from safety_harness.formulas.quantities import Quantity, formula_error
+from safety_harness.formulas.span import Span, Window, span_of
 
 if TYPE_CHECKING:
     from safety_harness.formulas.signal import Signal
-
-Window = Quantity | tuple[Quantity, Quantity] | None
 
 
 class Relation(Enum):
@@ -69,28 +66,6 @@ class Formula:
             f'a question whether "{self}" is true, without a run',
             'Python\'s "and", "or", "not" and "a < x < b" ask that: write (x > a) & (x < b)',
         )
-
-
-@dataclass(frozen=True)
-class Span:
-    """A window of time from ``begin`` to ``end``, both counted from now and included."""
-
-    begin: Quantity
-    end: Quantity
-
-    def __post_init__(self) -> None:
-        for time in (self.begin, self.end):
-            if not isinstance(time, Quantity) or time.dimension is not TIME:
-                raise formula_error("a time such as s(2), or a pair of them", str(time))
-        if not 0.0 <= self.begin.value < self.end.value:
-            got = f"{self.begin} to {self.end}"
-            raise formula_error("a window from a time of at least 0 s to a later one", got)
-
-    def words(self, from_now: str) -> str:
-        """``from_now`` with its end if it begins now, else from when to when."""
-        if self.begin.value == 0.0:
-            return f"{from_now} {self.end}"
-        return f"from {self.begin} to {self.end}"
 
 
 @dataclass(frozen=True)
@@ -276,19 +251,6 @@ def conjunction(*formulas: Formula) -> Formula:
 def disjunction(*formulas: Formula) -> Formula:
     """One of ``formulas``; what they themselves join stands beside the rest."""
     return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
-
-
-def span_of(within: Window) -> Span | None:
-    """``s(2)``: from now to 2 s; ``(s(0.1), s(0.5))``: from the one to the other."""
-    if within is None:
-        return None
-    begin, end = within if isinstance(within, tuple) else (Quantity(0.0, TIME, "0 s"), within)
-    return Span(begin, end)
-
-
-def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
-    """A mistake in a formula that is not, or not yet, in a file."""
-    return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
 
 
 def formula_of(value: object, word: str) -> Formula:

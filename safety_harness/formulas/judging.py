@@ -47,6 +47,8 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     found = witness(between, 0, period_s, low=True)
     told = _told(part, Verdict.HOLDS, float(low), found, trace, sampled, exercised)
     doubt = ""
+    if exercised == 0 and np.isinf(low):  # nothing was asked at all
+        return _evaluation(part, Verdict.INCONCLUSIVE, None, None, f"never exercised: {untried}", 0)
     if exercised == 0:
         doubt = f"never exercised: {untried}"
     elif not trace.complete:
@@ -125,13 +127,20 @@ def _undecided(
             part, Verdict.INCONCLUSIVE, told.margin, told.worst_time_s, reason, exercised, told.unit
         )
     found = witness(at_ticks, 0, period_s, low=True)
-    if not trace.complete and found.tick >= len(trace.ticks):
-        reason = f"the run was cut short ({trace.ended})"
-    elif found.atom is None or found.tick > trace.scenario.ticks:
-        reason = "a window runs beyond the end of the run, which does not decide it"
-    else:
-        reason = f"{found.atom.signal.words} is not known at {found.tick * period_s:.3f} s"
-    return _evaluation(part, Verdict.INCONCLUSIVE, None, None, reason, exercised)
+    return _evaluation(part, Verdict.INCONCLUSIVE, None, None, _unknown(found, sampled, trace), exercised)
+
+
+def _unknown(found: Witness, sampled: dict[Signal, Sampled], trace: Trace) -> str:
+    """What is not known: at the tick that would decide, else the first thing of all."""
+    if found.tick < len(trace.ticks) and found.atom is not None:
+        holes = {signal: np.flatnonzero(np.isnan(one.value)) for signal, one in sampled.items()}
+        for signal in (found.atom.signal, *holes):
+            if len(holes[signal]):
+                tick = found.tick if found.tick in holes[signal] else holes[signal][0]
+                return f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+    if not trace.complete:
+        return f"the run was cut short ({trace.ended})"
+    return "a window runs beyond the end of the run, which does not decide it"
 
 
 def _told(

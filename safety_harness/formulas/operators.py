@@ -4,16 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from safety_harness.formulas.formula import (
-    Always,
-    Eventually,
-    Formula,
-    Initially,
-    Whenever,
-    Window,
-    formula_of,
-    span_of,
-)
+from safety_harness.formulas.formula import Always, Eventually, Formula, Initially, Whenever, formula_of
+from safety_harness.formulas.span import Window, span_of
 
 
 def always(formula: Formula, *, within: Window = None) -> Formula:

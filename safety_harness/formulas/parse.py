@@ -28,7 +28,6 @@ from safety_harness.formulas.formula import (
     Not,
     Or,
     Relation,
-    Span,
     Truth,
     Until,
     Whenever,
@@ -38,13 +37,13 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.quantities import Quantity, read_quantity
 from safety_harness.formulas.signal import Signal
 from safety_harness.formulas.signals import SIGNALS
+from safety_harness.formulas.span import NOW, Span
 from safety_harness.formulas.tokens import Token, tokens_of
 from safety_harness.scenario.units import TIME, Dimension, near_miss
 
 FIRST = ("always", "eventually", "whenever", "within", "initially", "not")
 KEYWORDS = (*FIRST, "and", "or", "until", "then", "for", "from", "to")
 DEEPEST = 30  # parentheses and operators within one another
-NOW = Quantity(0.0, TIME, "0 s")
 
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:

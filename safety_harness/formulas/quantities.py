@@ -46,11 +46,15 @@ class Quantity:
     __ror__ = __or__
 
 
+def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
+    """A mistake in a formula that is not, or not yet, in a file."""
+    return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
+
+
 def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
-    return FormulaError(
-        place=Place(field="formula"),
-        expected=f'comparisons in parentheses, "(a > b) {sign} (c < d)", since "{sign}" binds more tightly',
-        got=f'"{sign}" beside {quantity}',
+    return formula_error(
+        f'comparisons in parentheses, "(a > b) {sign} (c < d)", since "{sign}" binds more tightly',
+        f'"{sign}" beside {quantity}',
     )
 
 

@@ -31,12 +31,12 @@ from safety_harness.formulas.formula import (
     Not,
     Or,
     Relation,
-    Span,
     Truth,
     Until,
     Whenever,
 )
 from safety_harness.formulas.kernels import least_from_here, least_in_window, until_from_here
+from safety_harness.formulas.span import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
 TIME_EPS = 1e-6  # of a control period: windows are written in decimals

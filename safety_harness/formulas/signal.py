@@ -9,18 +9,22 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth, formula_error
-from safety_harness.formulas.quantities import Quantity, plain
+from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth
+from safety_harness.formulas.quantities import Quantity, formula_error, plain
 from safety_harness.scenario.units import NUMBER, Dimension
 from safety_harness.trace.trace import Trace
 
 
 class Between(Enum):
-    """What is known of a signal from one tick to the next."""
+    """What is known of a signal from one tick to the next.
 
-    HELD = "keeps its value until the next tick"
-    BOUNDED = "stays within bounds"
-    TICKS_ONLY = "known at the ticks only"
+    HELD: it keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: nothing,
+    and a formula speaks of the ticks alone.
+    """
+
+    HELD = "held"
+    BOUNDED = "bounded"
+    TICKS_ONLY = "not known"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,12 +14,12 @@ from safety_harness.formulas.formula import (
     Eventually,
     Not,
     Or,
-    Span,
     Truth,
     Until,
     Whenever,
 )
 from safety_harness.formulas.semantics import Bounds, Margins, ticks_of, where_triggered
+from safety_harness.formulas.span import Span
 
 
 @dataclass(frozen=True)
@@ -94,18 +94,27 @@ def _in_window(
 
 
 def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
+    """Of the ticks at which the second part may end it the best, and there the worst of what is asked."""
     first, second = margins.parts
-    lasts, ends = _side(first.bounds, low=low)[tick:], _side(second.bounds, low=low)[tick:]
-    begin, end = (0, len(ends) - 1) if span is None else ticks_of(span, period_s)
-    if begin >= len(ends):
+    n = len(margins.bounds.low) - tick
+    begin, end = (0, n - 1) if span is None else ticks_of(span, period_s)
+    later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
+    lasts, ends = (_from(part.bounds, tick, later) for part in (first, second))
+    ways = [
+        np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
+        for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
+    ]
+    j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
+    asked = Bounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
+    if at >= n:
         return _beyond(margins)
-    before = np.append(np.inf, np.minimum.accumulate(lasts)[:-1])
-    both = np.minimum(ends, before)[begin : end + 1]
-    j = begin + int(np.argmax(both))
-    if end >= len(ends) and not low and both[j - begin] < np.inf:
-        return _beyond(margins)
-    if ends[j] <= before[j]:
-        if end >= len(ends) and ends[j] == -np.inf:
-            return _beyond(margins)
-        return witness(second, tick + j, period_s, low=low)
-    return witness(first, tick + int(np.argmin(lasts[:j])), period_s, low=low)
+    return witness(second if at == j else first, tick + at, period_s, low=low)
+
+
+def _from(bounds: Bounds, tick: int, later: int) -> Bounds:
+    """From ``tick`` on, with as many unknown ones after the last."""
+    return Bounds(
+        np.append(bounds.low[tick:], np.full(later, -np.inf)),
+        np.append(bounds.high[tick:], np.full(later, np.inf)),
+    )

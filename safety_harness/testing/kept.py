@@ -55,7 +55,9 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
 
 def kept_for(test_id: str) -> list[tuple[Path, Scenario]]:
     """The failures that are kept of a test, in the order of their names; InputError for a spoilt file."""
-    return [(file, read_scenario(file)) for file in sorted(folder_of(test_id).glob("*.yaml"))]
+    return [
+        (file, read_scenario(file)) for file in sorted(folder_of(test_id).glob("*.yaml")) if file.is_file()
+    ]
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:

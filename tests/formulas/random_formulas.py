@@ -18,7 +18,6 @@ from safety_harness.formulas.formula import (
     Not,
     Or,
     Relation,
-    Span,
     Truth,
     Until,
     Whenever,
@@ -35,6 +34,7 @@ from safety_harness.formulas.semantics import (
     truth_bounds,
 )
 from safety_harness.formulas.signal import Between, Flag, Measure, Sampled
+from safety_harness.formulas.span import Span
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 

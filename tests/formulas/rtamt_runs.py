@@ -16,10 +16,10 @@ from safety_harness.formulas.formula import (
     Formula,
     Not,
     Or,
-    Span,
     Until,
     Whenever,
 )
+from safety_harness.formulas.span import Span
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of its parser's runtime

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_formulas import formulas
 
+from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import FormulaError, InadmissibleError, Place
 from safety_harness.formulas.asked import parts_of
@@ -38,6 +39,7 @@ from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import RESOLUTION_M
 from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.trace import Trace
 
 HOLDS, VIOLATED, INCONCLUSIVE = Verdict.HOLDS, Verdict.VIOLATED, Verdict.INCONCLUSIVE
@@ -224,7 +226,8 @@ def test_each_part_that_and_joins_keeps_its_margin_and_unit(visit: Trace) -> Non
     assert (stop.verdict, stop.margin, stop.unit) == (HOLDS, 1.0, Unit.COUNT)
     assert (evaluation.verdict, evaluation.margin, evaluation.unit) == (VIOLATED, speed.margin, Unit.SPEED)
     assert speed.sentence == "always TCP speed < 100 mm/s"
-    assert evaluation.reason.startswith("always TCP speed < 100 mm/s: ")
+    for part in evaluation.parts:
+        assert f"{part.sentence}: {part.verdict.value}, {part.margin_text()} (" in evaluation.reason
 
 
 def test_the_worst_of_two_violations_in_one_unit_is_shown_and_an_open_part_is_graver_than_one_that_holds(
@@ -295,3 +298,20 @@ def test_python_and_sentence_are_the_same_claim(visit: Trace) -> None:
     assert python.evaluate(visit) == judged(python.sentence, visit)
     assert FormulaClaim(initially(servoing())).evaluate(visit).exercised == 1
     assert FormulaClaim(tcp_speed() < m_per_s(1)).evaluate(visit).verdict is HOLDS
+
+
+@pytest.mark.parametrize(
+    ("claim", "told"),
+    [
+        ("always hand distence > 50 mm", '"hand distence" at column 8'),
+        ("within 3 s servoing", "which looks 3 s ahead"),
+        ("hand distance > 50 mm or TCP speed < 1 m/s", "one kind of margin"),
+    ],
+)
+def test_a_file_is_refused_at_the_line_of_the_formula(claim: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    start = "scenario: a run\nduration: 2 s\ntcp start: {offset: [0 mm, -60 mm, 20 mm]}\nclaims:\n"
+    file.write_text(f"{start}  joint speeds within limits: holds\n  {claim}: holds\n")
+    with pytest.raises(FormulaError, match=told) as caught:
+        admit(read_scenario(file))
+    assert (caught.value.place.file, caught.value.place.line) == (file, 6)

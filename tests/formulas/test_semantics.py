@@ -27,7 +27,6 @@ from safety_harness.formulas.formula import (
     Formula,
     Not,
     Relation,
-    Span,
     Until,
     Whenever,
     conjunction,
@@ -35,6 +34,7 @@ from safety_harness.formulas.formula import (
 )
 from safety_harness.formulas.quantities import mm, ms
 from safety_harness.formulas.semantics import LEAST
+from safety_harness.formulas.span import Span
 
 anything = formulas(comparisons | truths)
 many = settings(max_examples=100, deadline=None)
