@@ -39,18 +39,11 @@ def write_json(
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
-    <<<<<<< HEAD
-    each run says what was run and has its ``claims``, and coverage says of each claim over all runs how
-    often it was put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full
-    precision, null where there is none; one that is not finite is the text "inf", "-inf" or "nan", since
-    JSON has no such number.  ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
-    =======
     each run says what was run and has its ``claims`` (a formula that "and" joins also each of its
-    ``parts``), and coverage says of each claim over all runs how often it was put to the test.
-    Margins are in SI units, in full precision, null where there is none; one that is not finite is
-    the text "inf", "-inf" or "nan", since JSON has no such number.  ``trace_sha256`` is of the trace
-    file as it is now.  Raises OSError.
-    >>>>>>> track-formulas
+    ``parts``), and coverage says of each claim over all runs how often it was put to the test;
+    ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
+    none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+    ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
         "format": FORMAT,
