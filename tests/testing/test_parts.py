@@ -73,7 +73,7 @@ def test_the_picture_of_a_speed_is_of_the_speed_and_none_of_a_run_without_hands(
     assert picture(replace(visit, ticks=visit.ticks[:1]), evaluation()) == []
 
 
-def test_outside_a_test_of_hypothesis_no_evidence_is_a_failure(session: Session, visit: Trace) -> None:
+def test_outside_a_test_of_hypothesis_no_evidence_is_a_failure(visit: Trace) -> None:
     assert assert_holds(hand_distance() > mm(50), visit).verdict is Verdict.HOLDS
     with pytest.raises(SafetyViolation, match=": violated"):
         assert_holds("hand distance never below 900 mm", visit)
