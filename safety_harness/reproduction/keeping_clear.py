@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from safety_harness.reproduction.avoiders import BAYESIAN, OPPOSITE
-from safety_harness.reproduction.intervals import Estimate, mean_of, share_of
+from safety_harness.reproduction.intervals import Estimate, Paired, mean_of, share_of
 from safety_harness.reproduction.measurements import in_seeds, systems
 from safety_harness.reproduction.part import Found, Part
 from safety_harness.reproduction.result import (
@@ -18,6 +18,7 @@ from safety_harness.reproduction.result import (
     Word,
     estimate_words,
     every,
+    fewer,
     number,
 )
 from safety_harness.reproduction.safety import (
@@ -85,8 +86,17 @@ def result(scale: Scale, found: Found) -> Result:
                 claims.append(every(f"{name}: {claim}", one["holds"], exercised))
             else:
                 claims.append(Claim(f"{name}: {claim}", State.UNDECIDED, "exercised in no episode"))
+    without = episodes[-1]["episodes"]
+    for claim in (DISTANCE, OWN_SPEEDS):
+        pairs = Paired.of(_violated(episodes[0]["episodes"], claim), _violated(without, claim))
+        sentence = f"{SYSTEMS[0][0]}: {claim} in more episodes than without avoidance"
+        claims.append(fewer(sentence, "giving way", "no avoidance", pairs))
     broken = [claim for claim in claims if claim.state is State.CONTRADICTED]
-    answer = "No: " + "; ".join(f"{c.sentence}: {c.evidence}" for c in broken) if broken else "In every trial"
+    undecided = [claim for claim in claims if claim.state is State.UNDECIDED]
+    parts = [f"{claim.sentence}: {claim.evidence}" for claim in broken]
+    answer = "Not always. Contradicted: " + "; ".join(parts) if parts else "No claim is contradicted"
+    if undecided:
+        answer += f". Undecided: {'; '.join(claim.sentence for claim in undecided)}"
     return Result(
         name="safety",
         title="Does giving way keep the arm clear of the hand?",
@@ -102,10 +112,13 @@ def result(scale: Scale, found: Found) -> Result:
             _decisions(episodes),
         ),
         notes=(
-            "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no "
-            "avoider can outrun them. The row without avoidance says what giving way is worth.",
-            "Inconclusive: the hand never came within the critical distance of 400 mm of the arm. Such an "
-            "episode is no evidence and is left out of the shares.",
+            "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no avoider "
+            "can outrun them. The row without avoidance says what giving way is worth: where few of its episodes "
+            "are violated, that none of the others' is, is no evidence for giving way.",
+            "Inconclusive: the hand never came near enough for the claim to be put to the test (400 mm for the "
+            "50 mm). Such an episode is no evidence and is left out of the shares.",
+            "Protective separation: that of ISO/TS 15066, for a person at 1.6 m/s, or at the hands' own speeds; "
+            "it is asked of a moving arm only. A fixed critical distance of 400 mm cannot keep it.",
         ),
     )
 
@@ -113,6 +126,10 @@ def result(scale: Scale, found: Found) -> Result:
 def _kept(episodes: list[dict[str, Any]], claim: str = DISTANCE) -> dict[str, int]:
     verdicts = [one[claim]["verdict"] for one in episodes]
     return {word: verdicts.count(word) for word in ("holds", "violated", "inconclusive")}
+
+
+def _violated(episodes: list[dict[str, Any]], claim: str) -> list[bool]:
+    return [one[claim]["verdict"] == "violated" for one in episodes]
 
 
 def _ways(ways: list[dict[str, Any]], which: str) -> Table:
