@@ -112,13 +112,13 @@ def result(scale: Scale, found: Found) -> Result:
             _decisions(episodes),
         ),
         notes=(
-            "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no avoider "
-            "can outrun them. The row without avoidance says what giving way is worth: where few of its episodes "
-            "are violated, that none of the others' is, is no evidence for giving way.",
-            "Inconclusive: the hand never came near enough for the claim to be put to the test (400 mm for the "
-            "50 mm). Such an episode is no evidence and is left out of the shares.",
-            "Protective separation: that of ISO/TS 15066, for a person at 1.6 m/s, or at the hands' own speeds; "
-            "it is asked of a moving arm only. A fixed critical distance of 400 mm cannot keep it.",
+            "Hands of the nominal space reach out at up to 1.6 m/s, the arm gives way at 0.25 m/s: no "
+            "avoider can outrun them. The row without avoidance says what giving way is worth: where few of "
+            "its episodes are violated, that none of the others' is, is no evidence for giving way.",
+            "Inconclusive: the hand never came near enough for the claim to be put to the test (400 mm for "
+            "the 50 mm). Such an episode is no evidence and is left out of the shares.",
+            "Protective separation: that of ISO/TS 15066, for a person at 1.6 m/s, or at the hands' own "
+            "speeds; it is asked of a moving arm only. A fixed critical distance of 400 mm cannot keep it.",
         ),
     )
 
