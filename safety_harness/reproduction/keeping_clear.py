@@ -91,19 +91,17 @@ def result(scale: Scale, found: Found) -> Result:
         pairs = Paired.of(_violated(episodes[0]["episodes"], claim), _violated(without, claim))
         sentence = f"{SYSTEMS[0][0]}: {claim} in more episodes than without avoidance"
         claims.append(fewer(sentence, "giving way", "no avoidance", pairs))
-    broken = [claim for claim in claims if claim.state is State.CONTRADICTED]
-    undecided = [claim for claim in claims if claim.state is State.UNDECIDED]
-    parts = [f"{claim.sentence}: {claim.evidence}" for claim in broken]
-    answer = "Not always. Contradicted: " + "; ".join(parts) if parts else "No claim is contradicted"
-    if undecided:
-        answer += f". Undecided: {'; '.join(claim.sentence for claim in undecided)}"
+    broken = sum(claim.state is State.CONTRADICTED for claim in claims)
+    undecided = sum(claim.state is State.UNDECIDED for claim in claims)
+    answer = "Not always" if broken else "Not shown" if undecided else "In all that was tried"
+    why = f"{answer}: {broken} of {len(claims)} claims are contradicted, {undecided} undecided (below; they are ours)"
     return Result(
         name="safety",
         title="Does giving way keep the arm clear of the hand?",
         source="Section 1, safety",
         paper_says=SAYS,
         word=Word.NO_VERDICT,
-        why=f"{answer}. The paper has no figure for it.",
+        why=f"{why}. The paper has no figure for it.",
         claims=tuple(claims),
         tables=(
             _ways(ways, "near"),

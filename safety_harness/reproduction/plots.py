@@ -150,9 +150,10 @@ DRAW: dict[str, Callable[[Axes, Panel], None]] = {"lines": _lines, "intervals": 
 def side_by_side(comparisons: Sequence[Comparison], *, prefix: str, title: str) -> str:
     """Ours with its interval against the paper's figure, one row each, in units of the paper's figure.
 
-    Rows without a figure of the paper, or with one that is 0, are left out; empty if none is left.
+    Rows without a figure of the paper that is compared, or with one that is 0, are left out; empty if none is
+    left.
     """
-    rows = [one for one in comparisons if one.paper]
+    rows = [one for one in comparisons if one.paper and one.counts]
     if not rows:
         return ""
     height = TOP_PX + ROW_PX * len(rows) + 44.0
@@ -178,7 +179,7 @@ def side_by_side(comparisons: Sequence[Comparison], *, prefix: str, title: str) 
         axes.set_yticks(range(len(rows)), [one.label for one in reversed(rows)])
         axes.tick_params(axis="y", length=0)
         axes.set_ylim(-0.7, len(rows) - 0.3)
-        axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
+        axes.set_xlim(min(0.0, axes.get_xlim()[0]), max(1.2, axes.get_xlim()[1]))
         axes.grid(True, axis="x")
         axes.set_xlabel("ours, times the paper's", loc="right")
         words = f"{title}: our means with 95 % intervals divided by the paper's figures, {len(rows)} rows."
