@@ -94,14 +94,14 @@ def result(scale: Scale, found: Found) -> Result:
     broken = sum(claim.state is State.CONTRADICTED for claim in claims)
     undecided = sum(claim.state is State.UNDECIDED for claim in claims)
     answer = "Not always" if broken else "Not shown" if undecided else "In all that was tried"
-    why = f"{answer}: {broken} of {len(claims)} claims are contradicted, {undecided} undecided (below; they are ours)"
+    why = f"{answer}: {broken} of {len(claims)} claims are contradicted, {undecided} undecided"
     return Result(
         name="safety",
         title="Does giving way keep the arm clear of the hand?",
         source="Section 1, safety",
         paper_says=SAYS,
         word=Word.NO_VERDICT,
-        why=f"{why}. The paper has no figure for it.",
+        why=f"{why}. They are ours; the paper has no figure.",
         claims=tuple(claims),
         tables=(
             _ways(ways, "near"),
