@@ -98,6 +98,10 @@ class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 
 
+class SearchOrderError(SafetyHarnessError):
+    """A searcher was asked and told out of turn, or proposed what is no point of the cube."""
+
+
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
 

@@ -25,6 +25,7 @@ ORDER = [
     {"simulation"},
     {"properties"},
     {"admission"},
+    {"search"},
     {"report"},
     {"cli"},
 ]
