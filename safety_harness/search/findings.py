@@ -93,7 +93,7 @@ class Findings:
             self.tried += 1
             margins = outcomes.margins[k]
             known = np.isfinite(margins)
-            self.evidence += known
+            self.evidence += known & outcomes.conclusive[k]
             self._keep_nearest(number, point, margins)
             wrong = [claim for claim in np.flatnonzero(known & (margins < 0.0)).tolist()]
             if not wrong and not outcomes.mishaps[k]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.properties.base import Property, Unit
 from safety_harness.search.cube import Points
@@ -44,13 +45,15 @@ class Goal:
 class Outcomes:
     """What came of (n, d) points, row by row.
 
-    ``margins`` (n, k) SI, negative where a claim is violated, NaN where there is no evidence.
+    ``margins`` (n, k) SI, negative where a claim is violated, NaN where there is none to give;
+    ``conclusive`` (n, k) whether there is a verdict: a margin alone leads somewhere and is no evidence.
     ``refused`` says why a point was not tried at all (admission), ``mishaps`` what went wrong in a run
     that is no claim's matter: an avoider that raised, a world that broke; both are empty elsewhere.
     ``kinds`` tells violations apart that have different causes; ``cells`` is for coverage.
     """
 
     margins: Points
+    conclusive: NDArray[np.bool_]
     refused: Sequence[str]
     mishaps: Sequence[str]
     kinds: Sequence[str]
@@ -60,7 +63,7 @@ class Outcomes:
     def of_margins(cls, margins: Points) -> Outcomes:
         """Every point was tried, and nothing but margins is known."""
         none = ("",) * len(margins)
-        return cls(margins, none, none, none, (None,) * len(margins))
+        return cls(margins, np.isfinite(margins), none, none, none, (None,) * len(margins))
 
 
 class Evaluate(Protocol):
