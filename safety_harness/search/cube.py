@@ -37,10 +37,6 @@ class Column:
         return middle
 
 
-def _as_they_are(points: Points) -> Points:
-    return points
-
-
 def _all_used(points: Points) -> NDArray[np.bool_]:
     return np.ones(points.shape, bool)
 
@@ -49,12 +45,12 @@ def _all_used(points: Points) -> NDArray[np.bool_]:
 class Cube:
     """The cube of a space.
 
-    ``canonical`` maps points (n, d) to ones that give the same scenarios, the same for the same scenario:
-    the middle of an alternative, 0.5 for what is not used.  ``used`` says which coordinates (n, d) matter.
+    ``same`` maps points (n, d) to ones that give the same scenarios, the same for the same scenario (None:
+    by the columns alone).  ``used`` says which coordinates (n, d) matter.
     """
 
     columns: tuple[Column, ...]
-    canonical: Callable[[Points], Points] = _as_they_are
+    same: Callable[[Points], Points] | None = None
     used: Callable[[Points], NDArray[np.bool_]] = _all_used
 
     @property
@@ -72,7 +68,7 @@ class Cube:
                 edges = tuple(distribution.edges.tolist())
                 columns[parameter.column] = Column(edges, flat=isinstance(distribution, Choice))
 
-        def canonical(points: Points) -> Points:
+        def same(points: Points) -> Points:
             return space.cube_at(space.values_at(points))
 
         def used(points: Points) -> NDArray[np.bool_]:
@@ -82,12 +78,22 @@ class Cube:
                 mask[:, parameter.columns] = uses[:, None]
             return mask
 
-        return cls(tuple(columns), canonical, used)
+        return cls(tuple(columns), same, used)
 
     @property
     def flat_columns(self) -> NDArray[np.int64]:
         """Which coordinates number alternatives."""
         return np.flatnonzero([column.flat for column in self.columns])
+
+    def canonical(self, points: Points) -> Points:
+        """(n, d) -> (n, d): the middle of an alternative, 0.5 for what is not used, else as it is."""
+        if self.same is not None:
+            return self.same(points)
+        found = points.copy()
+        for number in self.flat_columns:
+            column = self.columns[number]
+            found[:, number] = column.middle_of(column.interval_of(points[:, number]))
+        return found
 
     def distances(self, points: Points, to: Points) -> Points:
         """(n, d) and (d,), both canonical -> (n,): the root mean square over the coordinates.

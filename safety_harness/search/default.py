@@ -1,9 +1,9 @@
 """The default search: explore, and go down from the worst places that are not one another's neighbours.
 
-A third of the points explore (``exploring``); the others go, one claim after the other, to descents
-(CMA-ES) that begin at the worst point known of a claim, keep its alternatives, and end when they find a
-violation or nothing better.  The next begins elsewhere.  Claims whose scores are all the same get no
-descents: there is nowhere to go.
+A third of the points explore (``exploring``); the others are shared among the claims, whose descents
+(CMA-ES) begin at the worst point known of a claim, keep its alternatives, and end when they find a
+violation or nothing better.  The next begins elsewhere.  Where all scores of a claim are the same there is
+nowhere to go: its share explores.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ class Default:
         self._taken: list[list[Points]] = [[] for _ in range(claims)]  # canonical
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
+        self._due = 0.0  # points of exploration
         self._parts: list[tuple[_Island | None, int]] = []
 
     @property
@@ -58,16 +59,23 @@ class Default:
         self._parts = []
         exploring = min(max(self._first - self._explored, 0), count)
         if exploring < count and self._proposed >= self._first:
-            due = int(np.ceil(_EXPLORING * (self._proposed + count))) - self._explored
-            exploring = min(max(due, 0), count)
+            self._due += self._exploring * count
+            exploring = min(int(self._due), count)
         found = self._descending(count - exploring)
         exploring = count - sum(map(len, found))
         if exploring:
             found.append(self._explorer.points(exploring))
             self._parts.append((None, exploring))
             self._explored += exploring
+        self._due -= min(exploring, self._due)
         self._proposed += count
         return np.concatenate(found)
+
+    @property
+    def _exploring(self) -> float:
+        """The part of the points that explore."""
+        flat = sum(archive.flat for archive in self._archives)
+        return _EXPLORING + (1.0 - _EXPLORING) * flat / self._claims
 
     def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
         """Remember, and let each descent have its own."""

@@ -1,8 +1,8 @@
 """Points that assume little: where a mistake sits that margins do not lead to.
 
 Three kinds in turn.  As the space has them, from a Sobol sequence.  *Even*: alternatives all alike,
-however improbable, and repetitions too.  *At the ends*: even, and some coordinates at the end of their
-interval, where ranges, masks and comparisons go wrong.
+however improbable, and repetitions too.  *At the ends*: even, and any number of coordinates, from none
+to all, at the end of their interval, where ranges, masks and comparisons go wrong.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import numpy as np
 from safety_harness.search.cube import Cube, Points
 from safety_harness.search.sampling import QuasiRandom
 from safety_harness.seeds import Branch, generator
-
-_AT_AN_END = 0.3  # of the coordinates of a point of the third kind
 
 
 class Explorer:
@@ -47,10 +45,11 @@ class Explorer:
         return np.clip(points, 0.0, 1.0)
 
     def _at_ends(self, points: Points) -> Points:
+        share = self._rng.random(len(points))  # of the coordinates, another for each point
         for number, column in enumerate(self._cube.columns):
             if column.flat:
                 continue
-            chosen = self._rng.random(len(points)) < _AT_AN_END
+            chosen = self._rng.random(len(points)) < share
             upper = self._rng.random(len(points)) < 0.5
             edges = np.array(column.edges)
             interval = column.interval_of(points[:, number])

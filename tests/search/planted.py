@@ -198,6 +198,30 @@ FLAT: tuple[Bug, ...] = (nan_in_a_corner, rare_mode, hidden_window)
 BUGS = SMOOTH + FLAT
 
 
+def by_lot(number: int) -> Bug:
+    """A bug in two to four coordinates about a random place; even numbers have slopes, odd ones are flat.
+
+    Written after the search was tuned once (docs/search.md), and looked at only then.
+    """
+    rng = np.random.default_rng(number)
+    always_used = np.flatnonzero(CUBE.used(np.zeros((1, CUBE.dimension)))[0])
+    free = np.setdiff1d(always_used, CUBE.flat_columns)
+    columns = rng.choice(free, size=rng.integers(2, 5), replace=False)
+    centre, half = rng.random(len(columns)), 0.5 * 5e-4 ** (1.0 / len(columns))
+
+    def bug(e: Encounter) -> Points:
+        away = np.abs(SPACE.cube_at(e.values)[:, columns] - centre).max(axis=1) / half
+        if number % 2:
+            return np.where(away < 1.0, -0.1, 0.1)
+        return 0.1 * np.minimum(away - 1.0, 3.0)
+
+    bug.__name__ = f"by_lot_{number}_{'flat' if number % 2 else 'sloping'}"
+    return bug
+
+
+BY_LOT = tuple(by_lot(number) for number in range(6))
+
+
 def world(bug: Bug) -> Callable[[Points, int], Outcomes]:
     """The planted episodes as a world."""
 
