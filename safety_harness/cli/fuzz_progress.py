@@ -17,7 +17,9 @@ from safety_harness.search.outcomes import Goal
 
 def margin_text(goal: Goal, margin: float) -> str:
     """A margin in the unit that people read."""
-    return f"{margin * goal.unit.per_si:+.3g} {goal.unit.symbol}".rstrip()
+    shown = margin * goal.unit.per_si
+    number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
+    return f"{number} {goal.unit.symbol}".rstrip()
 
 
 def nearest_lines(findings: Findings) -> list[str]:
