@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from difflib import get_close_matches
 
 from safety_harness.exceptions import InadmissibleError
@@ -14,7 +13,7 @@ from safety_harness.scenario.model import Claim, Scenario
 def property_of(claim: Claim, scenario: Scenario) -> Property:
     """The property that a claim's sentence names; InadmissibleError with the catalogue otherwise."""
     for entry in CATALOGUE:
-        match = re.fullmatch(entry.pattern, claim.sentence.strip(), re.IGNORECASE)
+        match = entry.understands(claim.sentence)
         if match:
             return entry.make(match, scenario, claim.place)
     examples = [entry.example for entry in CATALOGUE]
