@@ -21,7 +21,7 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Episode, Findings, Group
 from safety_harness.search.search import search
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
-from safety_harness.search.trials import Trials, in_pybullet
+from safety_harness.search.trials import Trials, World, in_pybullet
 from safety_harness.space.read import read_space
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -76,9 +76,10 @@ class _Session:
     out: Path
     make: MakesSearcher
     budget: int
+    confirming: World = in_pybullet
     written: list[tuple[Counterexample, Path]] = field(default_factory=list)
     unwritable: OutputError | None = None
-    unconfirmed: int = 0
+    unconfirmed: list[Group] = field(default_factory=list)
 
     def search(self) -> None:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
@@ -139,13 +140,13 @@ class _Session:
         path = self.out / f"{self.trials.space.name}-{_slug(complaint.sentence)}-{number}.yaml"
         found = replace(self._found(group.worst), file=path, name=path.stem)
         try:
-            one = counterexample_of(found, complaint, self.trials.world, budget=_SHRINKING)
+            one = counterexample_of(found, complaint, self.confirming, budget=_SHRINKING)
         except KeyboardInterrupt:
             self.findings.interrupted = True
             return None
         if one is None:
-            self.unconfirmed += 1
-            say(f"not confirmed: {complaint.sentence}, point {group.worst.number}")
+            self.unconfirmed.append(group)
+            say(f"not confirmed in PyBullet: {complaint.sentence}, point {group.worst.number}")
         elif one.shrunk.interrupted:
             self.findings.interrupted = True
         return one
@@ -217,7 +218,7 @@ class _Session:
             "tried": findings.tried,
             "refused": dict(findings.refused.most_common()),
             "interrupted": findings.interrupted,
-            "unconfirmed": self.unconfirmed,
+            "not confirmed in PyBullet": [self._group_as_json(group) for group in self.unconfirmed],
             "claims": [
                 {
                     "sentence": goal.sentence,
@@ -228,18 +229,19 @@ class _Session:
                 }
                 for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
             ],
-            "distinct": [
-                {
-                    "complaint": self._complaint(group).sentence,
-                    "kind": group.kind,
-                    "runs": group.count,
-                    "worst point": group.worst.point.tolist(),
-                    "number": group.worst.number,
-                }
-                for group in findings.groups
-            ],
+            "distinct": [self._group_as_json(group) for group in findings.groups],
             "counterexamples": [str(path) for _, path in self.written],
             "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
+        }
+
+    def _group_as_json(self, group: Group) -> dict[str, object]:
+        return {
+            "complaint": self._complaint(group).sentence,
+            "kind": group.kind,
+            "runs": group.count,
+            "worst margin": None if group.claim is None else group.worst_margin(),
+            "worst point": group.worst.point.tolist(),
+            "number": group.worst.number,
         }
 
     def _remarks(self) -> list[str]:

@@ -18,6 +18,8 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.cube import Points
 from safety_harness.search.explain import circumstances, ingredients
+from safety_harness.search.knobs import knobs
+from safety_harness.search.paths import with_value
 from safety_harness.search.shrink import Shrunk, shrink
 from safety_harness.search.trials import World
 from safety_harness.space.space import ScenarioSpace
@@ -58,9 +60,17 @@ class Counterexample:
         )
 
     def is_same_as(self, other: Counterexample) -> bool:
-        """Whether they shrank to one scenario, whatever its seed."""
-        mine, others = (replace(one.shrunk.scenario, name="", seed=0) for one in (self, other))
-        return self.complaint == other.complaint and mine == others
+        """Whether they shrank to one story, told with other speeds, times and shifts."""
+        return self.complaint == other.complaint and _story(self) == _story(other)
+
+
+def _story(one: Counterexample) -> Scenario:
+    """The scenario without a name and a seed, and with every number at its simplest."""
+    scenario = replace(one.shrunk.scenario, name="", seed=0)
+    for knob in knobs(scenario):
+        if knob.target is not None:
+            scenario = with_value(scenario, knob.path, knob.target)
+    return scenario
 
 
 def counterexample_of(

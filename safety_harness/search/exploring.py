@@ -1,7 +1,7 @@
 """Points that assume little: where a mistake sits that margins do not lead to.
 
-Three kinds in turn.  As the space has them, from a Sobol sequence.  *Even*: alternatives all alike,
-however improbable, and repetitions too.  *At the ends*: even, and any number of coordinates, from none
+Three kinds in turn.  As the space has them.  *Even*: alternatives all alike, however improbable, and
+repetitions too.  *At the ends*: even, and any number of coordinates, from none
 to all, at the end of their interval, where ranges, masks and comparisons go wrong.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from safety_harness.search.cube import Cube, Points
-from safety_harness.search.sampling import QuasiRandom
 from safety_harness.seeds import Branch, generator
 
 
@@ -19,13 +18,13 @@ class Explorer:
 
     def __init__(self, cube: Cube, *, seed: int) -> None:
         self._cube = cube
-        self._sequence = QuasiRandom(cube, claims=0, seed=seed)
         self._rng = generator(seed, Branch.SEARCH, 1)
         self._made = 0
 
     def points(self, count: int) -> Points:
         """(count, d)."""
-        points = self._sequence.propose(count)
+        # Not from a Sobol sequence: of three of many coordinates it may leave a place out for long.
+        points = self._rng.random((count, self._cube.dimension))
         kind = (self._made + np.arange(count)) % 3
         self._made += count
         even, at_ends = np.flatnonzero(kind > 0), np.flatnonzero(kind == 2)
