@@ -89,7 +89,7 @@ def _words(distance_m: float) -> str:
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
-    names = _capsules(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
+    names = capsules_of(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
@@ -98,10 +98,10 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    _, link_index, start_in_link, end_in_link, radius_m = _capsules(arm, settings)
+    _, link_index, start_in_link, end_in_link, radius_m = capsules_of(arm, settings)
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
-        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = _instants(trace, paths, hand)
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         least_m, index, fraction = _closest_in_trace(
             arm.joint_origins,
             arm.joint_axes,
@@ -126,7 +126,7 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     return best
 
 
-def _instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
+def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
     """Ticks and the hand's corners between them, in order of time.
 
     (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
@@ -161,25 +161,32 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
+    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
+    period_s = trace.scenario.settings.clock.control_period_s
+    bend: NDArray[np.float64] = change @ joint_reach_m(trace) * period_s / 4.0
+    return bend
+
+
+def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
+    """(6,) how far from each joint the farthest point of the arm can be that it moves."""
     arm = load_arm(trace.scenario.robot.arm_name)
-    _, link_index, start_in_link, end_in_link, _ = _capsules(arm, trace.scenario.settings)
+    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, trace.scenario.settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
     ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
     link = np.minimum(link_index, 6)
-    reach_m = np.zeros(6)  # from each joint to the farthest point that it moves
+    reach_m = np.zeros(6)
     for joint in range(6):
         for last, end in zip(link, ends, strict=True):
             if last > joint:
                 reach_m[joint] = max(reach_m[joint], offsets[joint + 1 : last].sum() + end)
-    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
-    bend: NDArray[np.float64] = change @ reach_m * trace.scenario.settings.clock.control_period_s / 4.0
-    return bend
+    return reach_m
 
 
-def _capsules(
+def capsules_of(
     arm: ArmModel, settings: Settings
 ) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Names (n,), links (n,), both ends in their link (n, 3) [m] and radii (n,) [m] of an arm's capsules."""
     capsules = cell_capsules(load_capsules(arm.name), settings)
     return (
         tuple(capsules.names),
