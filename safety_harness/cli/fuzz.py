@@ -253,6 +253,10 @@ class _Session:
                 lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
             elif findings.tried and not findings.evidence[claim]:
                 lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
+        if self.unconfirmed:
+            lines.append(
+                f"{len(self.unconfirmed)} findings were not confirmed in PyBullet; they are in {FINDINGS}"
+            )
         if not findings.found and findings.tried:
             lines.append(
                 f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
@@ -266,12 +270,12 @@ class _Session:
 
     @property
     def exit_code(self) -> int:
-        """0 nothing found, 1 something, 2 not all could be written, 130 interrupted."""
+        """0 nothing that was confirmed, 1 something, 2 not all could be written, 130 interrupted."""
         if self.unwritable is not None:
             return BAD_INPUT
         if self.findings.interrupted:
             return INTERRUPTED
-        return DIFFERS if self.findings.found else AS_EXPECTED
+        return DIFFERS if self.written else AS_EXPECTED
 
 
 def _margin_of(one: Counterexample) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from safety_harness.cli import fuzz as fuzz_module
@@ -14,6 +15,7 @@ from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.exceptions import OutputError
 from safety_harness.scenario.expand import gather
+from safety_harness.search.outcomes import Outcomes
 from safety_harness.search.trials import Trials
 from tests.search.short_space import CRASHING, TEXT
 
@@ -135,6 +137,20 @@ def test_a_full_disk_costs_no_finding(
     assert "No space left on device" in err
     assert "scenario: a hand nearby" in out
     assert "hand distance never below 150 mm: violated" in out
+
+
+def test_what_pybullet_does_not_confirm_is_listed_and_is_no_violation(
+    space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lies(self: Trials, points: np.ndarray, first: int) -> Outcomes:
+        return Outcomes.of_margins(np.full((len(points), 1), -0.1))
+
+    monkeypatch.setattr(Trials, "__call__", lies)
+    out = tmp_path / "out"
+    assert fuzz(space, out=out, budget=2, claims=["joint speeds within limits"]) == AS_EXPECTED
+    assert "not confirmed in PyBullet" in capsys.readouterr().err
+    assert counterexamples(out) == []
+    assert json.loads((out / "findings.json").read_text())["not confirmed in PyBullet"]
 
 
 @pytest.mark.parametrize(
