@@ -90,3 +90,13 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
         got=f"{admitted} of {drawn} draws",
         hint=f"{count} times it was {reason}",
     )
+
+
+def why_refused(error: InputError) -> str:
+    """The reason, the same for points that are refused alike: "field: expected ...".
+
+    Raises ``error`` where the text is to blame.
+    """
+    if _is_a_mistake(error) or error.place.field == "--avoider":
+        raise error
+    return f"{error.place.field}: expected {error.expected}"
