@@ -188,7 +188,7 @@ class Claim:
     place: Place = field(default_factory=Place, compare=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Scenario:
     """One thing to try: the hands, the TCP start, the avoider, the settings and the claims."""
 
@@ -207,9 +207,12 @@ class Scenario:
     file: Path | None = field(default=None, compare=False)
     places: dict[str, Place] = field(default_factory=dict, compare=False)
 
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+    def __repr__(self) -> str:
         """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
-        printer.text(f"<scenario {self.name}: {self.title}>")
+        return f"<scenario {self.name}: {self.title}>"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(repr(self))
 
     def place(self, *names: str) -> Place:
         """Where the first of the fields that the file has stands in it, for an error found after reading.
