@@ -161,7 +161,7 @@ def test_the_client_is_closed_when_construction_fails(
             world_of(scenario())
     assert connections() == before
     with monkeypatch.context() as patch:
-        patch.setattr(PyBulletWorld, "_observe_truth", fails)
+        patch.setattr(PyBulletWorld, "_joint_states", fails)
         with pytest.raises(error):
             world_of(scenario())
     assert connections() == before

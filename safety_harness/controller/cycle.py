@@ -1,0 +1,135 @@
+"""One tick of ``AvoidingServo``, compiled: everything between observation and command but the decision.
+
+``look`` says whether a decision counts now; whoever can make one then fills the answer, and ``act``
+goes on.  One episode at a time or many to their next decision: these are the functions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.controller.stack import begin_tick, finish_tick
+from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
+from safety_harness.trace.records import MAX_TRACKS, Mode
+
+PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
+LATE, SILENT = int(FaultKind.AVOIDER_LATE), int(FaultKind.AVOIDER_SILENT)
+NAN = int(FaultKind.AVOIDER_NAN)
+
+QUESTION = np.dtype(
+    [
+        ("tick", np.int64),  # of the run, now
+        ("time_s", np.float64),
+        ("open", np.bool_),  # the avoider has been asked, and its answer does not count yet
+        ("asked_s", np.float64),
+        ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted one, when it was asked
+        ("tcp_position_in_base_m", np.float64, (3,)),
+        ("trigger", np.int64),
+        ("delayed", np.bool_),  # the answer counts later than at once
+        ("counts_from", np.int64),  # tick
+        ("late", np.bool_),  # there will be none
+        ("faults", np.int64),  # bits of those that act on it
+        ("acted_faults", np.int64),  # bits, at this tick
+        ("made", np.int64),  # decisions so far
+        ("made_now", np.bool_),
+    ],
+    align=True,
+)
+
+
+class ControllerRecords(NamedTuple):
+    """All that one episode's controller knows and remembers."""
+
+    parameters: NDArray[np.void]  # (1,) PARAMETERS
+    filter_parameters: NDArray[np.void]  # (1,) FILTER_PARAMETERS
+    state: NDArray[np.void]  # (1,) STATE
+    tracks: NDArray[np.void]  # (MAX_TRACKS,) TRACK
+    answer: NDArray[np.void]  # (1,) ANSWER
+    command: NDArray[np.void]  # (1,) COMMAND
+    question: NDArray[np.void]  # (1,) QUESTION
+    faults: NDArray[np.void]  # (n,) FAULT
+
+
+@compiled
+def look(c: ControllerRecords, observations: NDArray[np.void]) -> bool:
+    """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
+
+    Until it does the controller goes on as before; an answer that comes after a protective stop is of
+    no use.
+    """
+    s, q = c.state[0], c.question[0]
+    asked = begin_tick(c.parameters, c.filter_parameters, c.state, c.tracks, observations)
+    q.time_s = observations[0].time_s
+    q.acted_faults = 0
+    q.made_now = False
+    if asked and not q.open:
+        ask(c, observations)
+    if not q.open:
+        return False
+    q.acted_faults = q.faults
+    if q.tick < q.counts_from:
+        s.decision_pending = False
+        return False
+    q.open = False
+    if s.mode == PROTECTIVE_STOP:
+        s.decision_pending = False
+        return False
+    q.made_now = True
+    s.decision_pending = True
+    s.trigger = q.trigger
+    return True
+
+
+@compiled
+def ask(c: ControllerRecords, observations: NDArray[np.void]) -> None:
+    """Open the question of now; a healthy avoider's answer counts at once."""
+    p, s, q, time_s = c.parameters[0], c.state[0], c.question[0], observations[0].time_s
+    late_s = np.inf if acting(c.faults, SILENT, time_s) else delay_s(c.faults, LATE, time_s)
+    waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
+    q.open = True
+    q.asked_s = time_s
+    for i in range(3):
+        q.hand_position_in_base_m[i] = s.predicted_hand_in_base_m[s.nearest_track, i]
+        q.tcp_position_in_base_m[i] = s.transform_tcp_to_base[i, 3]
+    q.trigger = s.trigger
+    q.delayed = waits > 0
+    q.counts_from = q.tick + waits
+    q.late = late_s > p.decision_deadline_s
+    q.faults = (
+        acting(c.faults, LATE, time_s) | acting(c.faults, SILENT, time_s) | acting(c.faults, NAN, time_s)
+    )
+
+
+@compiled
+def act(c: ControllerRecords, observations: NDArray[np.void]) -> None:
+    """Act on the answer, if one was waited for, and command the arm for this tick."""
+    finish_tick(c.parameters, c.state, observations, c.answer, c.command)
+    c.question[0].made += c.question[0].made_now
+    c.question[0].tick += 1
+
+
+@compiled
+def report(c: ControllerRecords, ticks: NDArray[np.void]) -> None:
+    """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
+    s, q, tick = c.state[0], c.question[0], ticks[0]
+    tick.object_visible = s.object_visible
+    tick.sse = s.sse
+    tick.predicted_distance_m = s.predicted_distance_m
+    tick.mode = s.mode
+    tick.gain = s.gain
+    tick.limits = s.limits
+    for i in range(6):
+        tick.features[i] = s.features[i]
+        tick.feature_error[i] = s.feature_error[i]
+        tick.camera_twist[i] = s.camera_twist[i]
+        tick.demanded_joint_velocity_radps[i] = c.command[0].joint_velocity_radps[i]
+    for k in range(MAX_TRACKS):
+        tick.track_valid[k] = s.track_valid[k]
+        for i in range(3):
+            tick.predicted_hand_in_base_m[k, i] = s.predicted_hand_in_base_m[k, i]
+    tick.decision = q.made - 1 if q.made_now else -1
+    tick.faults |= q.acted_faults
