@@ -93,15 +93,15 @@ class AvoidingServo:
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Look, decide if it is time to, act."""
-        if look(self.records, observation):
+        if look(*(self.records.for_look + (observation,))):
             query = self.query(observation)
             self.decide(query, self.gate.rule(self.asked(), query))
-        act(self.records, observation)
+        act(*(self.records.for_act + (observation,)))
         return self.records.command
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Copy what the stack knows into the trace's record of this tick."""
-        report(self.records, tick.view(TICK_COMPILED))
+        report(*(self.records.for_report + (tick.view(TICK_COMPILED),)))
 
     @property
     def decisions(self) -> NDArray[np.void]:

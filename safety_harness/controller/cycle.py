@@ -6,7 +6,7 @@ goes on.  One episode at a time or many to their next decision: these are the fu
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from safety_harness.trace.records import MAX_TRACKS, Mode
 PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
 LATE, SILENT = int(FaultKind.AVOIDER_LATE), int(FaultKind.AVOIDER_SILENT)
 NAN = int(FaultKind.AVOIDER_NAN)
+
+Records = NDArray[np.void]
 
 QUESTION = np.dtype(
     [
@@ -44,30 +46,60 @@ QUESTION = np.dtype(
 class ControllerRecords(NamedTuple):
     """All that one episode's controller knows and remembers."""
 
-    parameters: NDArray[np.void]  # (1,) PARAMETERS
-    filter_parameters: NDArray[np.void]  # (1,) FILTER_PARAMETERS
-    state: NDArray[np.void]  # (1,) STATE
-    tracks: NDArray[np.void]  # (MAX_TRACKS,) TRACK
-    answer: NDArray[np.void]  # (1,) ANSWER
-    command: NDArray[np.void]  # (1,) COMMAND
-    question: NDArray[np.void]  # (1,) QUESTION
-    faults: NDArray[np.void]  # (n,) FAULT
+    parameters: Records  # (1,) PARAMETERS
+    filter_parameters: Records  # (1,) FILTER_PARAMETERS
+    state: Records  # (1,) STATE
+    tracks: Records  # (MAX_TRACKS,) TRACK
+    answer: Records  # (1,) ANSWER
+    command: Records  # (1,) COMMAND
+    question: Records  # (1,) QUESTION
+    faults: Records  # (n,) FAULT
+
+    @property
+    def for_look(self) -> Any:
+        """What ``look`` takes before the observation."""
+        return (
+            self.parameters,
+            self.filter_parameters,
+            self.state,
+            self.tracks,
+            self.question,
+            self.faults,
+        )
+
+    @property
+    def for_act(self) -> Any:
+        """What ``act`` takes before the observation."""
+        return self.parameters, self.state, self.answer, self.command, self.question
+
+    @property
+    def for_report(self) -> Any:
+        """What ``report`` takes before the trace's record."""
+        return self.state, self.command, self.question
 
 
 @compiled
-def look(c: ControllerRecords, observations: NDArray[np.void]) -> bool:
+def look(
+    parameters: Records,
+    filter_parameters: Records,
+    states: Records,
+    tracks: Records,
+    questions: Records,
+    faults: Records,
+    observations: Records,
+) -> bool:
     """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
 
     Until it does the controller goes on as before; an answer that comes after a protective stop is of
     no use.
     """
-    s, q = c.state[0], c.question[0]
-    asked = begin_tick(c.parameters, c.filter_parameters, c.state, c.tracks, observations)
+    s, q = states[0], questions[0]
+    asked = begin_tick(parameters, filter_parameters, states, tracks, observations)
     q.time_s = observations[0].time_s
     q.acted_faults = 0
     q.made_now = False
     if asked and not q.open:
-        ask(c, observations)
+        ask(parameters, states, questions, faults, observations)
     if not q.open:
         return False
     q.acted_faults = q.faults
@@ -85,10 +117,12 @@ def look(c: ControllerRecords, observations: NDArray[np.void]) -> bool:
 
 
 @compiled
-def ask(c: ControllerRecords, observations: NDArray[np.void]) -> None:
+def ask(
+    parameters: Records, states: Records, questions: Records, faults: Records, observations: Records
+) -> None:
     """Open the question of now; a healthy avoider's answer counts at once."""
-    p, s, q, time_s = c.parameters[0], c.state[0], c.question[0], observations[0].time_s
-    late_s = np.inf if acting(c.faults, SILENT, time_s) else delay_s(c.faults, LATE, time_s)
+    p, s, q, time_s = parameters[0], states[0], questions[0], observations[0].time_s
+    late_s = np.inf if acting(faults, SILENT, time_s) else delay_s(faults, LATE, time_s)
     waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
     q.open = True
     q.asked_s = time_s
@@ -99,23 +133,29 @@ def ask(c: ControllerRecords, observations: NDArray[np.void]) -> None:
     q.delayed = waits > 0
     q.counts_from = q.tick + waits
     q.late = late_s > p.decision_deadline_s
-    q.faults = (
-        acting(c.faults, LATE, time_s) | acting(c.faults, SILENT, time_s) | acting(c.faults, NAN, time_s)
-    )
+    q.faults = acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s)
 
 
 @compiled
-def act(c: ControllerRecords, observations: NDArray[np.void]) -> None:
+def act(
+    parameters: Records,
+    states: Records,
+    answers: Records,
+    commands: Records,
+    questions: Records,
+    observations: Records,
+) -> None:
     """Act on the answer, if one was waited for, and command the arm for this tick."""
-    finish_tick(c.parameters, c.state, observations, c.answer, c.command)
-    c.question[0].made += c.question[0].made_now
-    c.question[0].tick += 1
+    q = questions[0]
+    finish_tick(parameters, states, observations, answers, commands)
+    q.made += q.made_now
+    q.tick += 1
 
 
 @compiled
-def report(c: ControllerRecords, ticks: NDArray[np.void]) -> None:
+def report(states: Records, commands: Records, questions: Records, ticks: Records) -> None:
     """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
-    s, q, tick = c.state[0], c.question[0], ticks[0]
+    s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
     tick.object_visible = s.object_visible
     tick.sse = s.sse
     tick.predicted_distance_m = s.predicted_distance_m
@@ -126,7 +166,7 @@ def report(c: ControllerRecords, ticks: NDArray[np.void]) -> None:
         tick.features[i] = s.features[i]
         tick.feature_error[i] = s.feature_error[i]
         tick.camera_twist[i] = s.camera_twist[i]
-        tick.demanded_joint_velocity_radps[i] = c.command[0].joint_velocity_radps[i]
+        tick.demanded_joint_velocity_radps[i] = command.joint_velocity_radps[i]
     for k in range(MAX_TRACKS):
         tick.track_valid[k] = s.track_valid[k]
         for i in range(3):

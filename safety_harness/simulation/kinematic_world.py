@@ -18,7 +18,7 @@ from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.records import WorldRecords, world_records
-from safety_harness.simulation.steps import drive_on, move_on, now_s, observe_truth, sense
+from safety_harness.simulation.steps import Floats, Records, drive_on, move_on, now_s, sense
 from safety_harness.trace.records import TICK_COMPILED, Limit
 
 BRAKING = int(Limit.BRAKING)
@@ -34,13 +34,12 @@ class KinematicWorld:
 
     def __init__(self, scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
         refuse_rendered(scenario)
-        self.records = world_records(scenario, arm)
-        observe_truth(self.records, np.array(joint_position_rad, dtype=np.float64), np.zeros(6))
+        self.records = world_records(scenario, arm, joint_position_rad)
 
     @property
     def time_s(self) -> float:
         """The start of the coming control tick."""
-        return now_s(self.records)
+        return now_s(self.records.clock)
 
     @property
     def acted_faults(self) -> int:
@@ -53,12 +52,13 @@ class KinematicWorld:
 
     def observe(self) -> NDArray[np.void]:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
-        sense(self.records)
+        sense(*self.records.for_sense)
         return self.records.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Drives, joints and hands for one control period."""
-        return step(self.records, command)
+        records = self.records
+        return step(*(records.for_motion + (records.drives, records.faults, command)))
 
 
 def refuse_rendered(scenario: Scenario) -> None:
@@ -79,41 +79,124 @@ def refuse_rendered(scenario: Scenario) -> None:
 
 
 @compiled
-def step(w: WorldRecords, commands: NDArray[np.void]) -> bool:
+def step(
+    clocks: Records,
+    hands: Records,
+    moves: Records,
+    samples: Floats,
+    arms: Records,
+    capsule_link: NDArray[np.int64],
+    capsule_start_in_link: Floats,
+    capsule_end_in_link: Floats,
+    capsule_radius_m: Floats,
+    placed: Floats,
+    truths: Records,
+    drives: Records,
+    faults: Records,
+    commands: Records,
+) -> bool:
     """One control period with a command (1,) COMMAND; True while the brakes act."""
     told, joints = np.empty(6), np.empty(6)
-    braking = drive_on(w, commands, told)
+    truth, period_s = truths[0], clocks[0].control_period_s
+    braking = drive_on(clocks, drives, faults, truths, commands, told)
     for i in range(6):
-        joints[i] = w.truth[0].joint_position_rad[i] + told[i] * w.clock[0].control_period_s
-    move_on(w, joints, told)
+        joints[i] = truth.joint_position_rad[i] + told[i] * period_s
+    move_on(
+        clocks,
+        hands,
+        moves,
+        samples,
+        arms,
+        capsule_link,
+        capsule_start_in_link,
+        capsule_end_in_link,
+        capsule_radius_m,
+        placed,
+        truths,
+        joints,
+        told,
+    )
     return braking
 
 
 @compiled
 def advance(
-    w: WorldRecords,
-    c: ControllerRecords,
-    ticks: NDArray[np.void],  # (n,) TICK_COMPILED, those from now on written
+    world: WorldRecords,
+    controller: ControllerRecords,
+    ticks: Records,  # (n,) TICK_COMPILED, those from now on written
     decided: bool,
 ) -> bool:
     """On to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.
 
-    ``decided``: the run stands at a decision, and ``c.answer`` has it.
+    ``decided``: the run stands at a decision, and the controller's answer has it.
     """
+    (
+        clocks,
+        arms,
+        link,
+        start,
+        end,
+        radius,
+        placed,
+        hands,
+        moves,
+        samples,
+        sensors,
+        object_frames,
+        hand_frames,
+        polygon,
+        normals,
+        uniforms,
+        drives,
+        faults,
+        observations,
+        truths,
+    ) = world
+    parameters, filter_parameters, states, tracks, answers, commands, questions, avoider_faults = controller
     last = ticks.shape[0] - 1
-    k = w.clock[0].tick
+    k = clocks[0].tick
     while True:
+        tick = ticks[k : k + 1]
         if not decided:
-            ticks[k] = w.truth[0]
-            sense(w)
-            if look(c, w.observation):
+            ticks[k] = truths[0]
+            sense(
+                clocks,
+                sensors,
+                object_frames,
+                hand_frames,
+                polygon,
+                normals,
+                uniforms,
+                hands,
+                placed,
+                radius,
+                faults,
+                truths,
+                observations,
+            )
+            if look(parameters, filter_parameters, states, tracks, questions, avoider_faults, observations):
                 return True
         decided = False
-        act(c, w.observation)
-        report(c, ticks[k : k + 1])
-        if k < last and step(w, c.command):
-            ticks[k].limits |= BRAKING
-        ticks[k].faults |= w.clock[0].acted_faults
+        act(parameters, states, answers, commands, questions, observations)
+        report(states, commands, questions, tick)
+        if k < last and step(
+            clocks,
+            hands,
+            moves,
+            samples,
+            arms,
+            link,
+            start,
+            end,
+            radius,
+            placed,
+            truths,
+            drives,
+            faults,
+            commands,
+        ):
+            tick[0].limits |= BRAKING
+        tick[0].faults |= clocks[0].acted_faults
         if k == last:
             return False
         k += 1

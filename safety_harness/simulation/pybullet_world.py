@@ -19,17 +19,15 @@ from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import sensor_pose
 from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.records import world_records
+from safety_harness.simulation.sensing import hand_frame_due, object_frame_due
 from safety_harness.simulation.steps import (
     drive_on,
     exact_hand_frame,
     exact_object_frame,
     hand_over,
-    hands_are_due,
     mount,
     move_on,
     now_s,
-    object_is_due,
-    observe_truth,
     send_hand_frame,
     send_object_frame,
     sense,
@@ -61,7 +59,7 @@ class PyBulletWorld:
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector()
-        self._records = world_records(scenario, arm)
+        self._records = world_records(scenario, arm, joint_position_rad)
         self._told_radps = np.empty(6)
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -76,7 +74,6 @@ class PyBulletWorld:
             )
             self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
             self._efforts = [float(effort) for effort in arm.effort_limit]
-            observe_truth(self._records, *self._joint_states())
         except BaseException:
             self.close()
             raise
@@ -98,7 +95,7 @@ class PyBulletWorld:
     @property
     def time_s(self) -> float:
         """The start of the coming control tick."""
-        return now_s(self._records)
+        return now_s(self._records.clock)
 
     @property
     def acted_faults(self) -> int:
@@ -113,25 +110,25 @@ class PyBulletWorld:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
         records = self._records
         if not (self._render_object or self._render_hands):
-            sense(records)
+            sense(*records.for_sense)
             return records.observation
-        mount(records)
-        if object_is_due(records):
+        mount(records.clock, records.sensors, records.faults)
+        if object_frame_due(records.sensors, self.time_s):
             if self._render_object:
-                send_object_frame(records, *self._rendered_object())
+                send_object_frame(*(records.for_object_frame + self._rendered_object()))
             else:
-                exact_object_frame(records)
-        if hands_are_due(records):
+                exact_object_frame(*records.for_object_frame)
+        if hand_frame_due(records.sensors, self.time_s):
             if self._render_hands:
-                send_hand_frame(records, *self._rendered_boxes())
+                send_hand_frame(*(records.for_hand_frame + self._rendered_boxes()))
             else:
-                exact_hand_frame(records)
-        hand_over(records)
+                exact_hand_frame(*records.for_exact_hand_frame)
+        hand_over(*records.for_hand_over)
         return records.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Drives, motors and physics for one control period; hands move meanwhile."""
-        braking = drive_on(self._records, command, self._told_radps)
+        braking = drive_on(*(self._records.for_drives + (command, self._told_radps)))
         pybullet.setJointMotorControlArray(
             self._robot,
             self._joints,
@@ -142,13 +139,10 @@ class PyBulletWorld:
         )
         for _ in range(self._substeps):
             pybullet.stepSimulation(physicsClientId=self._client)
-        move_on(self._records, *self._joint_states())
-        return braking
-
-    def _joint_states(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(6,) positions and (6,) velocities of the engine's joints."""
         states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
-        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        joints = np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        move_on(*(self._records.for_motion + joints))
+        return braking
 
     def _rendered_object(self) -> tuple[bool, NDArray[np.float64]]:
         """The object's moments in a rendered image."""
