@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import re
 from difflib import get_close_matches
+from functools import lru_cache
 
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.base import Property
 from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.properties.entry import Entry
 from safety_harness.scenario.model import Claim, Scenario
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
     """The property that a claim's sentence names; InadmissibleError with the catalogue otherwise."""
-    for entry in CATALOGUE:
-        match = re.fullmatch(entry.pattern, claim.sentence.strip(), re.IGNORECASE)
-        if match:
-            return entry.make(match, scenario, claim.place)
+    meant = _entry_of(claim.sentence)
+    if meant is not None:
+        entry, match = meant
+        return entry.make(match, scenario, claim.place)
     examples = [entry.example for entry in CATALOGUE]
     near = get_close_matches(claim.sentence, examples, n=1, cutoff=0.5)
     raise InadmissibleError(
@@ -25,3 +27,13 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
         got=repr(claim.sentence),
         hint=f"did you mean {near[0]!r}?" if near else "",
     )
+
+
+@lru_cache(maxsize=256)  # the scenarios of a space claim the same
+def _entry_of(sentence: str) -> tuple[Entry, re.Match[str]] | None:
+    """Which entry of the catalogue a sentence is, and its parts."""
+    for entry in CATALOGUE:
+        match = re.fullmatch(entry.pattern, sentence.strip(), re.IGNORECASE)
+        if match:
+            return entry, match
+    return None

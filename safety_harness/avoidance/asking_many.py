@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ Vectors = NDArray[np.float64]  # (n, 3)
 Questions = Sequence[tuple[int, Vector, Vector, int]]  # (where, hand, TCP, seed)
 
 
-@runtime_checkable
 class BatchAvoider(Protocol):
     """An avoider that answers many questions in one call, each with the bits that ``propose`` gives."""
 
@@ -40,6 +39,11 @@ class BatchAvoider(Protocol):
         ...
 
 
+def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
+    """Can the avoider be asked many questions at once?"""
+    return callable(getattr(avoider, "propose_many", None))
+
+
 def ask_many(
     avoiders: Sequence[Avoider], queries: Sequence[Query], deadlines_s: Sequence[float]
 ) -> list[Answer]:
@@ -55,7 +59,7 @@ def ask_many(
         one = avoider
         if isinstance(avoider, Asked):
             one, hand, tcp = avoider.avoider, avoider.hand_position_in_base_m, avoider.tcp_position_in_base_m
-        if isinstance(one, BatchAvoider) and not query.late:
+        if takes_many(one) and not query.late:
             together.setdefault(id(one), (one, []))[1].append((k, hand, tcp, query.seed))
         else:
             answers[k] = ask_one(avoider, query, deadline_s)

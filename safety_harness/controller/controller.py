@@ -7,6 +7,7 @@ stack with an avoider and the gate.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -76,9 +77,10 @@ class AvoidingServo:
         self.name = avoider.name
         self.avoider = avoider
         self.gate = gate
+        fixed = _fixed(settings, arm, view)
         self.records = ControllerRecords(
-            parameters(settings, arm, view),
-            filter_parameters(settings.hand_filter, settings.hand_sensor),
+            fixed[0].copy(),
+            fixed[1].copy(),
             initial_state(),
             no_tracks(),
             np.zeros(1, ANSWER),
@@ -106,7 +108,10 @@ class AvoidingServo:
     @property
     def decisions(self) -> NDArray[np.void]:
         """(m,) DECISION."""
-        return np.concatenate([np.zeros(0, DECISION), *self._decisions])
+        decisions = np.zeros(len(self._decisions), DECISION)
+        for k, decision in enumerate(self._decisions):
+            decisions[k] = decision[0]
+        return decisions
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
@@ -172,3 +177,9 @@ class AvoidingServo:
         record["opposite_failed"] = ruling.opposite_failed
         record["fault"] = ruling.fault[:FAULT_CHARACTERS]
         return record
+
+
+@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+def _fixed(settings: Settings, arm: ArmModel, view: DesiredView) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """What no episode changes."""
+    return parameters(settings, arm, view), filter_parameters(settings.hand_filter, settings.hand_sensor)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
-from safety_harness.settings import Settings
+from safety_harness.settings import Camera, Hand, Settings
 
 ARM = np.dtype(
     [
@@ -27,14 +29,19 @@ ARM = np.dtype(
 
 def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
     """(1,) ARM."""
+    return _arm_record(arm, settings.hand).copy()
+
+
+@lru_cache(maxsize=16)
+def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
     record = np.zeros(1, ARM)
     record["joint_origins"], record["joint_axes"], record["flange"] = (
         arm.joint_origins,
         arm.joint_axes,
         arm.flange,
     )
-    record["hand_radius_m"] = settings.hand.radius_m
-    record["forearm_radius_m"] = settings.hand.forearm_radius_m
+    record["hand_radius_m"] = hand.radius_m
+    record["forearm_radius_m"] = hand.forearm_radius_m
     return record
 
 
@@ -44,7 +51,11 @@ def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
     A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet); its capsule, about the
     optical centre and along the image's u axis, has half the diagonal of its section as radius.
     """
-    camera = settings.camera
+    return _with_camera(capsules, settings.camera)
+
+
+@lru_cache(maxsize=16)
+def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     offset = np.array(camera.mount_offset_in_tcp_m)
     along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
