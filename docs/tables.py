@@ -1,4 +1,4 @@
-"""Write the tables of keys into the pages, and the JSON Schema beside them.  Run: python docs/tables.py."""
+"""Write the tables of keys and claims into the pages, and the JSON Schema.  Run: python docs/tables.py."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import re
 import sys
 from pathlib import Path
 
+from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.properties.pages import markdown_of_claims
 from safety_harness.scenario.reference import markdown, markdown_of_moves
 from safety_harness.scenario.reference_hands import MOVES
 from safety_harness.scenario.reference_tables import every_table
@@ -21,6 +23,7 @@ def with_tables(text: str) -> str:
     """A page with every marked table as it should be; KeyError for a table that there is not."""
     tables = {table.name: markdown(table) for table in every_table()}
     tables["moves"] = markdown_of_moves(MOVES)
+    tables["claims"] = markdown_of_claims(CATALOGUE)
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -124,6 +125,24 @@ class Displaced:
         return Proposal(tcp_position_in_base_m + np.array(self.by_m))
 
 
+@dataclass(frozen=True)
+class Sleeping:
+    """An avoider that takes its time, on the wall's clock."""
+
+    seconds: float
+    name: str = "sleeping"
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
+        time.sleep(self.seconds)
+        return Proposal(2.0 * tcp_position_in_base_m - hand_position_in_base_m)
+
+
 class ConstantSpeed:
     """A broken controller: it turns the joints at a constant speed, whatever it sees."""
 
@@ -148,3 +167,17 @@ class ConstantSpeed:
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
         return np.zeros(0)
+
+
+class Nonsense(ConstantSpeed):
+    """A broken controller: from 40 ms on its features, and what it makes of them, are no numbers."""
+
+    name = "nonsense"
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        super().report(tick)
+        tick["object_visible"] = True
+        tick["sse"] = 0.02
+        if tick["time_s"] > 0.04:
+            tick["sse"] = np.nan
+            tick["camera_twist"] = np.nan

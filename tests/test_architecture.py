@@ -12,7 +12,7 @@ import safety_harness
 PACKAGE = Path(safety_harness.__file__).parent
 ORDER = [
     {"exceptions"},
-    {"compiled", "geometry", "seeds", "settings"},
+    {"compiled", "geometry", "proportions", "seeds", "settings"},
     {"scenario"},
     {"trace"},
     {"robot"},

@@ -33,7 +33,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
 def _entry_of(sentence: str) -> tuple[Entry, re.Match[str]] | None:
     """Which entry of the catalogue a sentence is, and its parts."""
     for entry in CATALOGUE:
-        match = re.fullmatch(entry.pattern, sentence.strip(), re.IGNORECASE)
+        match = entry.understands(sentence)
         if match:
             return entry, match
     return None

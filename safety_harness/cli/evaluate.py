@@ -23,8 +23,8 @@ from safety_harness.exceptions import DatasetError, InputError, ModelError, Outp
 from safety_harness.learning.evaluation import LEVELS, Figures, evaluate_model, learns_noise_free
 from safety_harness.learning.evaluation_sets import DataCard, EvaluationSet, fresh_sets, test_part
 from safety_harness.learning.metrics import Coverage, Errors
-from safety_harness.learning.proportions import Proportion
 from safety_harness.learning.spaces import seen
+from safety_harness.proportions import Proportion
 from safety_harness.settings import DEFAULTS
 
 SCHEMA = "safety-harness evaluation 1"

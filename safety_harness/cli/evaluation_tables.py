@@ -9,7 +9,7 @@ import numpy as np
 from safety_harness.learning.dataset import LabelFloor
 from safety_harness.learning.evaluation import LEVELS, RESIDUALS, Figures
 from safety_harness.learning.metrics import Coverage, Errors
-from safety_harness.learning.proportions import Proportion
+from safety_harness.proportions import Proportion
 
 NONE = "-"
 VARIANTS = {  # of the PICP: the name in the figures, and in the table

@@ -43,8 +43,10 @@ def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None)
     """Run scenario files in PyBullet, judge their claims and write a report.
 
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
-    Exit code 0: every verdict as its file expects; 1: any differs, or a run failed; 2: bad input,
-    nothing was run; 130: interrupted, what was finished is kept.
+    At the end a table says how often each claim was put to the test.
+    Exit code 0: every verdict as its file expects; 1: any differs, a run failed, or a claim that was
+    expected to tell something was never put to the test; 2: bad input, nothing was run; 130: interrupted,
+    what was finished is kept.
     """
     from safety_harness.cli.run import run as run_files
 
@@ -94,6 +96,22 @@ def explain(
     from safety_harness.cli.explain import explain_key
 
     _end(explain_key(key or []))
+
+
+@app.command()
+def claims(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
+    ] = None,
+) -> None:
+    """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
+
+    A whole claim is explained by the one that understands it. Without words, all are listed.
+    Exit code 0; 2: nothing in the catalogue has these words.
+    """
+    from safety_harness.cli.claims import explain_claims
+
+    _end(explain_claims(words or []))
 
 
 @app.command()

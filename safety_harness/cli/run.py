@@ -28,8 +28,9 @@ from safety_harness.cli.console import (
 )
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
+from safety_harness.properties.tally import table_lines
 from safety_harness.report.decisions import fault_notes
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.trace.store import save_trace
@@ -153,6 +154,7 @@ class Session:
             say(f"stopped before the end: {kept}")
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
+        untested = self._say_coverage()
         verdicts = [same for one in self.runs for same in one.as_expected]
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
@@ -164,7 +166,17 @@ class Session:
             return BAD_INPUT
         if self.interrupted:
             return INTERRUPTED
-        return AS_EXPECTED if all(verdicts) and not self.failed else DIFFERS
+        return AS_EXPECTED if all(verdicts) and not self.failed and not untested else DIFFERS
+
+    def _say_coverage(self) -> bool:
+        """How often each claim was put to the test; True if one that should have been never was."""
+        found = tallies(self.runs)
+        for line in table_lines(found):
+            say(line)
+        untested = [tally.sentence for tally in found if tally.untested]
+        for sentence in untested:
+            say(f"error: no run put this to the test, and it was expected to tell: {sentence}")
+        return bool(untested)
 
     def _report(self) -> bool:
         """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""

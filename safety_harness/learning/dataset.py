@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.candidates import CandidateCap
+from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import DatasetError, Place
 from safety_harness.learning.image_error import ImageErrors
@@ -180,34 +180,6 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
     positions: Vectors = CandidateCap.of(settings).draw_many(generators)
     positions += tcp_in_base[numbers, None]
     return positions
-
-
-def continuous_optimum(settings: Settings, tcp_in_base: Vectors) -> Vectors:
-    """(n, 3): the point of the whole cap about each TCP that is nearest to the desired position [m].
-
-    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp: the unit vector u of the cap
-    nearest in angle to d is wanted.  That is d's own direction where the cap has it, else the point of
-    the rim in the plane of the axis a and d.  Where d singles out no direction (TCP at the desired
-    position, or d opposite to the axis) all of the cap, or of its rim, is equally near, and the choice
-    is fixed: the axis, or the rim's point beside it.
-    """
-    cap = CandidateCap.of(settings)
-    axis = cap.axis_in_base
-    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
-    along = way @ axis
-    aside = way - along[:, None] * axis
-    aside -= (aside @ axis)[:, None] * axis  # once more: what is left of a small one is mostly rounding
-    distance = np.linalg.norm(way, axis=1)
-    sideways = np.linalg.norm(aside, axis=1)
-    fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
-    fixed /= np.linalg.norm(fixed)
-    with np.errstate(invalid="ignore"):  # 0/0 is replaced
-        direct = np.where(distance[:, None] > 0.0, way / distance[:, None], axis)
-        beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
-    in_cap = (distance == 0.0) | (np.arctan2(sideways, along) <= cap.cone_rad)
-    rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
-    optimum: Vectors = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
-    return optimum
 
 
 @dataclass(frozen=True)

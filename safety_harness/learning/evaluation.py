@@ -26,7 +26,7 @@ from safety_harness.learning.metrics import (
     largest_spread,
     picp_variants,
 )
-from safety_harness.learning.proportions import Proportion
+from safety_harness.proportions import Proportion
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import Settings

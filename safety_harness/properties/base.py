@@ -73,7 +73,8 @@ class Evaluation:
         if self.margin is None:
             return "-"
         shown = self.margin * self.unit.per_si
-        number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
+        whole = self.unit is Unit.COUNT
+        number = f"{shown:+.1f}" if abs(shown) >= 1.0 and not whole else f"{shown:+.{9 if whole else 3}g}"
         return f"{number} {self.unit.symbol}".rstrip()
 
 

@@ -9,9 +9,23 @@ from dataclasses import dataclass
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Property, Unit
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.units import LENGTH, SPEED, TIME, Dimension, parse_quantity
+from safety_harness.scenario.units import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    LENGTH,
+    SPEED,
+    TIME,
+    Dimension,
+    parse_quantity,
+)
 
-_LARGEST = {LENGTH.name: 10.0, SPEED.name: 10.0, TIME.name: 3600.0}  # in SI
+_LARGEST = {  # in SI
+    LENGTH.name: 10.0,
+    SPEED.name: 10.0,
+    TIME.name: 3600.0,
+    ACCELERATION.name: 1000.0,
+    ANGULAR_ACCELERATION.name: 10_000.0,
+}
 LARGEST_COUNT = 1_000_000
 
 Maker = Callable[[re.Match[str], Scenario, Place], Property]
@@ -41,6 +55,10 @@ class Entry:
     inconclusive: str
     scenario: str
     broken_by: str
+
+    def understands(self, sentence: str) -> re.Match[str] | None:
+        """The match of a sentence that claims this property, whatever its case and outer spaces."""
+        return re.fullmatch(self.pattern, sentence.strip(), re.IGNORECASE)
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
@@ -46,7 +45,10 @@ def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     poses = trace.ticks["transform_tcp_to_base"]
     position = np.linalg.norm(poses[:, :3, 3] - desired[:3, 3], axis=1)
     turns = desired[:3, :3].T @ poses[:, :3, :3]
-    angle = np.array([np.linalg.norm(vector_from_rotation(np.ascontiguousarray(turn))) for turn in turns])
+    axis = np.stack(
+        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
+    )
+    angle = np.arctan2(np.linalg.norm(axis, axis=0), np.trace(turns, axis1=1, axis2=2) - 1.0)
     return position, angle
 
 
@@ -188,7 +190,7 @@ GAIN_SWITCH = Entry(
 
 GAIN_SWITCH_WITHIN = Entry(
     example="gain switch reached within 5 s",
-    pattern=r"gain switch reached within (.+)",
+    pattern=r"gain switch reached within (?!.* iterations$)(.+)",
     make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
     unit=Unit.TIME,
     rationale="the same, for a cell with a cycle time",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
 
 from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.properties.tally import ClaimTally, Judged, tally_claims
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -70,3 +71,12 @@ class JudgedRun:
             if evaluation.worst_time_s is not None and isfinite(evaluation.worst_time_s)
         ]
         return min(ranked)[-1] if ranked else None
+
+
+def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
+    """How often each claim was put to the test over all ``runs``."""
+    return tally_claims(
+        Judged(run=run.trace.scenario.name, evaluation=evaluation, expected=claim.expected)
+        for run in runs
+        for claim, evaluation in run.judged_claims()
+    )

@@ -22,7 +22,7 @@ from safety_harness.report.decisions import (
     fault_notes,
     latency_words,
 )
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.text_file import write_whole
@@ -32,6 +32,7 @@ from safety_harness.report.view import (
     LimitRow,
     changes,
     claim_rows,
+    coverage_rows,
     file_name,
     limit_rows,
     mode_rows,
@@ -107,6 +108,7 @@ def render(
         generated_iso=generated_at.isoformat(),
         summary=summarise(runs, interrupted=interrupted),
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
+        coverage=coverage_rows(tallies(runs)),
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,

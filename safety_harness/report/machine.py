@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.properties.base import Unit
+from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import Tally
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.text_file import write_whole
 
 FORMAT = "safety-harness report 1"
@@ -21,18 +22,28 @@ SI_UNITS = {
     Unit.SPEED: "m/s",
     Unit.ANGULAR_SPEED: "rad/s",
     Unit.TIME: "s",
+    Unit.ACCELERATION: "m/s2",
+    Unit.ANGULAR_ACCELERATION: "rad/s2",
+    Unit.FRACTION: "1",
+    Unit.COUNT: "1",
 }
 
 
 def write_json(path: Path, runs: Sequence[JudgedRun], *, interrupted: bool) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here) and ``runs``; each of
-    these says what was run and has its ``claims``.  Margins are in SI units, in full precision, null
+    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
+    each run says what was run and has its ``claims``, and coverage says of each claim over all runs how
+    often it was put to the test.  Margins are in SI units, in full precision, null
     where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no
     such number.  ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
-    found = {"format": FORMAT, "interrupted": interrupted, "runs": [_run(run) for run in runs]}
+    found = {
+        "format": FORMAT,
+        "interrupted": interrupted,
+        "runs": [_run(run) for run in runs],
+        "coverage": [_coverage(tally) for tally in tallies(runs)],
+    }
     write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 
 
@@ -78,6 +89,22 @@ def _claims(run: JudgedRun) -> list[dict[str, Any]]:
         }
         for claim, evaluation in run.judged_claims()
     ]
+
+
+def _coverage(tally: ClaimTally) -> dict[str, Any]:
+    worst = tally.worst
+    return {
+        "claim": tally.sentence,
+        "runs": tally.runs,
+        "exercised": tally.exercised,
+        "occasions": tally.occasions,
+        "holds": tally.holds,
+        "violated": tally.violated,
+        "inconclusive": tally.inconclusive,
+        "worst_margin_si": _number(worst.evaluation.margin) if worst else None,
+        "worst_scenario": worst.run if worst else None,
+        "untested": tally.untested,
+    }
 
 
 def _number(value: float | None) -> float | str | None:

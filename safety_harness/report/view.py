@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation
+from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import Tally, avoiders
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import (
@@ -48,6 +49,15 @@ class ClaimRow:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CoverageRow:
+    """One claim over all runs of the page."""
+
+    tally: ClaimTally
+    worst: str
+    worst_run: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class LimitRow:
     """One limit that acted, or one mode that occurred."""
 
@@ -82,6 +92,18 @@ def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
         for number, ((claim, evaluation), expected) in enumerate(
             zip(run.judged_claims(), run.as_expected, strict=True), start=1
         )
+    ]
+
+
+def coverage_rows(tallies: Sequence[ClaimTally]) -> list[CoverageRow]:
+    """A row for each claim: how often it was put to the test, and its least margin."""
+    return [
+        CoverageRow(
+            tally=tally,
+            worst=margin_words(tally.worst.evaluation) if tally.worst else "\u2013",
+            worst_run=tally.worst.run if tally.worst else "",
+        )
+        for tally in tallies
     ]
 
 

@@ -179,6 +179,17 @@ def test_every_example_of_the_catalogue_is_understood_and_written_back() -> None
         ("TCP speed never above 250 mm", "speed", ""),
         ("gain switch reached within forever", "time", ""),
         ("the robot is nice", "a claim of the catalogue", ""),
+        ("hand predictions within 50", "length", ""),
+        ("decisions within 100 mm", "time", ""),
+        ("joint accelerations never above 500 deg/s", "angular acceleration", ""),
+        ("joint accelerations never above 1e9 deg/s2", "at most 10000 rad/s2", ""),
+        ("TCP acceleration never above 0 m/s2", "above zero", ""),
+        ("object in view or recovered within soon", "time", ""),
+        ("gain switch reached within 600.5 iterations", "a whole number", ""),
+        ("gain switch reached within 0 iterations", "a whole number", ""),
+        ("gives way at most three times", "a whole number", ""),
+        ("gives way at most 2000000 times", "a whole number from 1 to 1000000", ""),
+        ("task never starved longer than 2 h", "time", ""),
     ],
 )
 def test_a_claim_that_is_none_is_refused(sentence: str, expected: str, hint: str) -> None:

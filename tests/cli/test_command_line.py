@@ -64,6 +64,22 @@ def test_a_verdict_that_differs_ends_with_1(
     assert "DIFF holds" in capsys.readouterr().out
 
 
+def test_a_claim_that_no_run_puts_to_the_test_is_named_and_ends_with_1(
+    good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    never = "repulsion moves away from every hand"
+    good.write_text(f"{GOOD}  {never}: holds\n")
+    assert run([good], tmp_path / "out") == DIFFERS
+    err = capsys.readouterr().err
+    assert f"no run put this to the test, and it was expected to tell: {never}" in err
+    assert any(line.startswith(never) and "NEVER" in line for line in err.splitlines())
+    good.write_text(f"{GOOD}  {never}: inconclusive\n")
+    assert run([good], tmp_path / "out") == AS_EXPECTED
+    err = capsys.readouterr().err
+    assert "put this to the test" not in err
+    assert any(line.startswith(never) for line in err.splitlines())
+
+
 def test_bad_input_ends_with_2_names_every_mistake_and_runs_nothing(
     good: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

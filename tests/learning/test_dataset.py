@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.candidates import CandidateCap
+from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.controller.desired import desired_transform_tcp_to_base, view_of
 from safety_harness.exceptions import DatasetError
 from safety_harness.geometry.transforms import transform_from
@@ -13,7 +13,6 @@ from safety_harness.learning import dataset as dataset_module
 from safety_harness.learning.dataset import (
     CompactDataset,
     candidates_of,
-    continuous_optimum,
     generate,
     label_floor,
 )

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
-from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHand, hand, run, scenario
+from examples import (
+    VISIT,
+    ConstantSpeed,
+    Displaced,
+    Nonsense,
+    PassingGate,
+    Sleeping,
+    TowardsTheHand,
+    hand,
+    run,
+    scenario,
+)
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.scenario.moves import MoveTo, Wait
+from safety_harness.scenario.faults import FalseHand
+from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.trace import Trace
 
@@ -52,6 +64,39 @@ def does_nothing_for_a_minute() -> Trace:
     return run(start, controller=ConstantSpeed((0.0,) * 6))
 
 
+@lru_cache
+def sees_a_hand_where_none_is() -> Trace:
+    ghost = FalseHand(from_s=0.2, position_in_base_m=(0.4, 0.5, 0.2))
+    return run(replace(scenario(VISIT), faults=(ghost,)))
+
+
+@lru_cache
+def never_answers() -> Trace:
+    return run(scenario(VISIT, duration_s=1.5), avoider=Sleeping(seconds=0.2))
+
+
+@lru_cache
+def carries_the_object_out_of_view() -> Trace:
+    sideways = hand(
+        FollowTcp(speed_mps=0.4, distance_m=0.33, duration_s=2.6),
+        Withdraw(speed_mps=0.8),
+        at=(0.7, -0.6, 0.35),
+    )
+    start = scenario(sideways, duration_s=7.0, offset=(0.0, 0.06, 0.0))
+    return run(start, avoider=Displaced((0.0, 0.1, 0.0)), gate=passing())
+
+
+@lru_cache
+def hardly_leaves() -> Trace:
+    near = hand(MoveTo(position_in_base_m=(0.79, -0.27, 0.3), speed_mps=1.0), Wait(duration_s=9.0))
+    return run(scenario(near, duration_s=6.0), avoider=Displaced((-0.01, 0.025, 0.007)), gate=passing())
+
+
+@lru_cache
+def computes_nonsense() -> Trace:
+    return run(scenario(duration_s=0.1), controller=Nonsense((0.1,) * 6))
+
+
 BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
     "repulsive poses reachable": proposes_far_away,
@@ -63,4 +108,13 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "gain switch reached": does_nothing,
     "gain switch reached within 5 s": does_nothing,
     "converged to the desired pose": does_nothing_for_a_minute,
+    "hand predictions within 50 mm": sees_a_hand_where_none_is,
+    "decisions within 100 ms": never_answers,
+    "joint accelerations never above 500 deg/s2": turns_too_fast,
+    "TCP acceleration never above 2 m/s2": turns_too_fast,
+    "object in view or recovered within 2 s": carries_the_object_out_of_view,
+    "gain switch reached within 600 iterations": does_nothing,
+    "gives way at most 3 times": hardly_leaves,
+    "task never starved longer than 10 s": partial(does_nothing, 11.0),
+    "trace finite and monotone": computes_nonsense,
 }

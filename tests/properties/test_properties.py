@@ -10,13 +10,21 @@ from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHan
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
+from safety_harness.properties.accelerations import JointAccelerations, TcpAcceleration
+from safety_harness.properties.alternation import GivesWayAtMost
 from safety_harness.properties.base import Property, judged
+from safety_harness.properties.decision_time import DecisionTime
+from safety_harness.properties.finite import FiniteTrace
 from safety_harness.properties.giving_way import MovesAway
 from safety_harness.properties.hand_distance import HandDistance, closest_approach
 from safety_harness.properties.hand_paths import hand_paths
+from safety_harness.properties.hand_prediction import HandPredictions
+from safety_harness.properties.iterations import GainSwitchIterations
 from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
+from safety_harness.properties.object_view import ObjectInView
 from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged, GainSwitchReached
+from safety_harness.properties.starvation import NeverStarved
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind
@@ -33,6 +41,15 @@ ALL: tuple[Property, ...] = (
     TcpSpeedLimit(maximum_mps=0.25),
     GainSwitchReached(),
     Converged(),
+    HandPredictions(maximum_m=0.1),
+    DecisionTime(within_s=0.1),
+    JointAccelerations(maximum_radps2=10.0),
+    TcpAcceleration(maximum_mps2=2.0),
+    ObjectInView(within_s=2.0),
+    GainSwitchIterations(within=250),
+    GivesWayAtMost(most=3),
+    NeverStarved(longest_s=3.0),
+    FiniteTrace(),
 )
 TRACE_LENGTH_CLAIMS = (Converged,)
 
@@ -90,6 +107,15 @@ def test_a_truncated_trace_never_holds(prop: Property, visit: Trace) -> None:
         (GainSwitchReached(), "hand_position_in_base_m"),
         (Converged(), "transform_tcp_to_base"),
         (Converged(), "hand_position_in_base_m"),
+        (HandPredictions(maximum_m=0.1), "hand_position_in_base_m"),
+        (DecisionTime(within_s=0.1), "time_s"),
+        (JointAccelerations(maximum_radps2=10.0), "joint_velocity_radps"),
+        (TcpAcceleration(maximum_mps2=2.0), "joint_position_rad"),
+        (TcpAcceleration(maximum_mps2=2.0), "joint_velocity_radps"),
+        (ObjectInView(within_s=2.0), "tcp_speed_mps"),
+        (GainSwitchIterations(within=250), "transform_tcp_to_base"),
+        (GivesWayAtMost(most=3), "time_s"),
+        (NeverStarved(longest_s=3.0), "transform_tcp_to_base"),
         (RepulsivePosesReachable(proposed=False), "time_s"),
         (RepulsivePosesReachable(proposed=False), "joint_position_rad"),
         (RepulsivePosesReachable(proposed=True), "transform_tcp_to_base"),

@@ -330,3 +330,21 @@ def test_scenarios_of_one_matrix_are_told_apart() -> None:
     scenario = replace(run.trace.scenario, file=Path("visit.yaml"), name="visit[late,far]")
     of_matrix = replace(run, trace=replace(run.trace, scenario=scenario))
     assert "visit.yaml [late,far]" in text_for([of_matrix])
+
+
+def test_how_often_each_claim_was_put_to_the_test_is_a_table(full: Node) -> None:
+    (table,) = [node for node in full.all("table") if "In" in [h.text for h in node.all("th")]]
+    heads = [row.all("th")[0].text for row in table.all("tr")[1:]]
+    assert len(heads) == len(set(heads)) > 0
+
+
+def test_a_claim_that_was_never_put_to_the_test_is_said_in_a_banner() -> None:
+    run = factory.no_hands_run()
+    (claim,) = run.trace.scenario.claims
+    expecting = replace(run.trace.scenario, claims=(replace(claim, expected=Verdict.HOLDS),))
+    never = (replace(run.evaluations[0], exercised=0),)
+    idle = replace(run, trace=replace(run.trace, scenario=expecting), evaluations=never)
+    assert "Never put to the test" in text_for([idle])
+    knowing = replace(run.trace.scenario, claims=(replace(claim, expected=Verdict.INCONCLUSIVE),))
+    silent = replace(idle, trace=replace(run.trace, scenario=knowing))
+    assert "Never put to the test" not in text_for([silent])

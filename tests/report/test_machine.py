@@ -45,6 +45,25 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
     assert found["decisions"] == {"made": 3, "proposed": 1, "opposite": 1, "stops": 1, "faults": 0}
 
 
+def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> None:
+    first = factory.violated_run()
+    write_json(tmp_path / "r.json", [first, first], interrupted=False)
+    coverage = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["coverage"]
+    assert [row["claim"] for row in coverage] == [e.sentence for e in first.evaluations]
+    assert coverage[0] == {
+        "claim": factory.APART,
+        "runs": 2,
+        "exercised": 2,
+        "occasions": 240,
+        "holds": 0,
+        "violated": 2,
+        "inconclusive": 0,
+        "worst_margin_si": first.evaluations[0].margin,
+        "worst_scenario": "two-hands",
+        "untested": False,
+    }
+
+
 def test_what_has_no_number_is_null_and_what_json_cannot_write_is_text(tmp_path: Path) -> None:
     run = factory.no_hands_run()
     (found,) = written(tmp_path / "r.json", run)["runs"]

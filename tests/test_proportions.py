@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from safety_harness.learning.proportions import Proportion
+from safety_harness.proportions import Proportion
 
 
 @pytest.mark.parametrize("trials", [1, 2, 7, 59, 1_000, 30_000])

@@ -1,0 +1,114 @@
+"""The record itself: every number is one, and time goes forward."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, inconclusive, judged
+from safety_harness.properties.entry import Entry
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.records import DECISION, TICK, Outcome
+from safety_harness.trace.trace import Trace
+
+OF_IMAGES = ("features", "feature_error", "sse")
+OF_TRACKS = ("predicted_hand_in_base_m",)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FiniteTrace:
+    """Minus the number of records in which a number is none, or which are not later than the one before.
+
+    What is not there is left out: a hand that is absent, the features of an image without the object,
+    the prediction of a slot that tracks nothing, the proposal of an avoider that gave none, the position
+    that a stop chose, the threshold of an avoider without one.
+    """
+
+    unit: Unit = Unit.COUNT
+    sentence: str = "trace finite and monotone"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge ticks and decisions."""
+        ticks, decisions = trace.ticks, trace.decisions
+        if len(ticks) == 0:
+            return inconclusive(self, "the trace is empty")
+        wrong = bad_ticks(ticks)
+        wrong_decisions = bad_decisions(trace)
+        total = int(np.count_nonzero(wrong) + np.count_nonzero(wrong_decisions))
+        if total == 0:
+            odd = first_inconsistency(trace)
+            if odd is not None:
+                return inconclusive(self, f"the trace contradicts itself: {odd}")
+        first = int(np.argmax(wrong)) if wrong.any() else len(ticks) - 1
+        if wrong_decisions.any():
+            first = min(first, int(decisions["tick"][int(np.argmax(wrong_decisions))]))
+        period_s = trace.scenario.settings.clock.control_period_s
+        return judged(
+            self,
+            trace,
+            margin=float(-total),
+            worst_time_s=max(first, 0) * period_s,
+            reason=f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}",
+            exercised=len(ticks),
+        )
+
+
+def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
+    """(n,) ticks with something that is no number, or no later than the tick before."""
+    bad = np.zeros(len(ticks), np.bool_)
+    bad[1:] = ~(np.diff(ticks["time_s"]) > 0.0)
+    for name in TICK.names or ():
+        if TICK[name].base.kind != "f":
+            continue
+        wrong: NDArray[np.bool_] = ~np.isfinite(ticks[name])
+        if name in OF_HANDS:
+            wrong[~ticks["hand_present"]] = False
+        elif name in OF_IMAGES:
+            wrong[~ticks["object_visible"]] = False
+        elif name in OF_TRACKS:
+            wrong[~ticks["track_valid"]] = False
+        elif name == "predicted_distance_m":
+            wrong[~ticks["track_valid"].any(axis=1)] = False
+        bad |= _rows(wrong)
+    return bad
+
+
+def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n, ...) to (n,): is anything wrong in the record?"""
+    return np.asarray(wrong.any(axis=tuple(range(1, wrong.ndim))))
+
+
+def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) decisions with something that is no number, or no later than the decision before."""
+    decisions, latency_s = trace.decisions, trace.decision_latency_s
+    bad = np.zeros(len(decisions), np.bool_)
+    bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0)
+    if len(latency_s) == len(decisions):
+        bad |= ~np.isfinite(latency_s)
+    answered, chosen = decisions["fault"] == "", decisions["outcome"] != Outcome.STOP
+    opposite = decisions["outcome"] == Outcome.OPPOSITE
+    expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
+    for name in DECISION.names or ():
+        if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
+            continue
+        bad |= _rows(~np.isfinite(decisions[name])) & expected.get(name.split("_")[0], np.True_)
+    return bad
+
+
+FINITE_TRACE = Entry(
+    example="trace finite and monotone",
+    pattern="trace finite and monotone",
+    make=lambda *_: FiniteTrace(),
+    unit=Unit.COUNT,
+    rationale="whatever else is claimed of a run is claimed of these numbers",
+    source="arithmetic: a comparison with what is no number is never true",
+    margin="minus the number of ticks and decisions that hold something that is no number, or that are not "
+    "later than the one before; 0 holds",
+    parameters="none",
+    exercised="always",
+    inconclusive="-",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller whose features are no numbers",
+)

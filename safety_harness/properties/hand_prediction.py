@@ -1,0 +1,97 @@
+"""The filter's predictions come true: where it says that a hand will be, a hand then is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry, quantity
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandPredictions:
+    """min over predictions of ``maximum_m`` less the distance to the nearest true hand at its time.
+
+    What is predicted at t is a hand's centre at t plus the horizon; it is compared with where the hands
+    truly are then, straight between two ticks.  A prediction belongs to the true hand that is nearest
+    to it.  Predictions beyond the end of the run have nothing to be compared with.
+    """
+
+    maximum_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"hand predictions within {self.maximum_m * 1e3:g} mm"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every prediction of every tracked hand."""
+        problem = unreadable(trace, ("hand_position_in_base_m",))
+        if problem is not None:
+            return inconclusive(self, problem)
+        if not trace.scenario.hands:
+            return inconclusive(self, "there is no hand in this scenario")
+        errors_m = prediction_errors_m(trace)  # (k, tracks)
+        tracked = trace.ticks["track_valid"][: len(errors_m)]
+        if not tracked.any():
+            return inconclusive(self, "never exercised: no hand was tracked")
+        unknown = tracked & ~np.isfinite(errors_m)
+        if unknown.any():
+            first = float(trace.time_s[int(np.argmax(unknown.any(axis=1)))])
+            return inconclusive(self, f"a prediction is not finite from {first:.3f} s")
+        worst = int(np.argmax(np.where(tracked, errors_m, -np.inf)))
+        tick, track = divmod(worst, errors_m.shape[1])
+        horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
+        return judged(
+            self,
+            trace,
+            margin=self.maximum_m - float(errors_m[tick, track]),
+            worst_time_s=float(trace.time_s[tick]),
+            reason=f"predicted for {trace.time_s[tick] + horizon_s:.3f} s, off by "
+            f"{errors_m[tick, track] * 1e3:.1f} mm; median {np.median(errors_m[tracked]) * 1e3:.1f} mm",
+            exercised=int(np.count_nonzero(tracked)),
+        )
+
+
+def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(k, tracks) distance of each prediction from the nearest true hand at the time that it is for.
+
+    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks
+    nothing.
+    """
+    settings, hands = trace.scenario.settings, len(trace.scenario.hands)
+    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
+    at = np.arange(len(trace.ticks)) + ahead
+    at = at[at <= len(trace.ticks) - 1]
+    before = np.floor(at).astype(np.int64)
+    after = np.minimum(before + 1, len(trace.ticks) - 1)
+    part = (at - before)[:, None, None]
+    places = trace.ticks["hand_position_in_base_m"][:, :hands]
+    true = places[before] * (1.0 - part) + places[after] * part  # (k, hands, 3)
+    predicted = trace.ticks["predicted_hand_in_base_m"][: len(at)]  # (k, tracks, 3)
+    apart: NDArray[np.float64] = np.linalg.norm(predicted[:, :, None] - true[:, None], axis=3)
+    nearest: NDArray[np.float64] = apart.min(axis=2)
+    return nearest
+
+
+HAND_PREDICTIONS = Entry(
+    example="hand predictions within 50 mm",
+    pattern=r"hand predictions within (.+)",
+    make=lambda match, _, place: HandPredictions(maximum_m=quantity(match[1], LENGTH, place)),
+    unit=Unit.LENGTH,
+    rationale="the arm gives way to the predicted hand: an error of the prediction is one of the distance",
+    source="the paper, eqs. 7 and 8: a Kalman filter for the hand's box, extrapolated by the horizon",
+    margin="the limit less the greatest distance of a prediction from the nearest true hand at the time that "
+    "it is for; a track of a hand that is not there is as wrong as the nearest true hand is far",
+    parameters="the limit; the prediction horizon of the settings",
+    exercised="a tracked hand's prediction is for a time within the run",
+    inconclusive="no hand in the scenario, or none tracked",
+    scenario="hand-visits-and-leaves",
+    broken_by="a hand sensor that sees a hand where none is",
+)

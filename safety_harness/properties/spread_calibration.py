@@ -1,0 +1,153 @@
+"""Is an avoider as sure as it may be?  A property of many runs: how often its intervals hold the target.
+
+One run says nothing about it: one decision is either covered or not.  The runs have to be drawn
+independently of what came out (draws of a space, say); runs that a search picked are no evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.candidates import continuous_optimum
+from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.avoidance.nearest_candidate import NearestCandidate
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.proportions import Proportion
+from safety_harness.scenario.model import Verdict
+from safety_harness.seeds import Branch, seed
+from safety_harness.settings import Settings, Vector3
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.trace import Trace
+
+LEAST_DECISIONS = 100
+AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
+
+
+class Target(Enum):
+    """What intervals are to hold."""
+
+    LABEL = "eq. 13 with candidates drawn afresh"  # what most networks are trained and calibrated for
+    OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
+
+
+@dataclass(frozen=True, kw_only=True)
+class Intervals:
+    """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and what for."""
+
+    multiplier: float
+    residual_std_m: Vector3
+    target: Target
+
+    @classmethod
+    def of(cls, model: Model) -> Intervals | None:
+        """Those of a model's calibration, for the target that its card names; None without a calibration."""
+        if model.calibration is None:
+            return None
+        recipe = model.card.get("recipe")
+        exact = isinstance(recipe, dict) and recipe.get("target") == "continuous"
+        return cls(
+            multiplier=model.calibration.interval_multiplier,
+            residual_std_m=model.calibration.residual_std_m,
+            target=Target.OPTIMUM if exact else Target.LABEL,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadCalibration:
+    """At least ``at_least`` of decisions have their target within the interval, on all axes at once.
+
+    The first answered decision of each run counts: later ones of a run are not independent of it.  The
+    verdict is by the exact 95 % interval (Clopper and Pearson) of the share: holds if all of it is at
+    least ``at_least``, violated if none of it is, else inconclusive, as with fewer than 100 decisions.
+    The margin is from the nearer end of that interval to ``at_least``.
+
+    ``intervals``: without them those of the shipped network that the runs name.
+    """
+
+    at_least: float = AT_LEAST
+    intervals: Intervals | None = None
+    unit: Unit = Unit.FRACTION
+
+    @property
+    def sentence(self) -> str:
+        """As reports write it."""
+        return f"95 % intervals hold the target in at least {self.at_least * 100.0:g} % of decisions"
+
+    def evaluate(self, traces: Iterable[Trace]) -> Evaluation:
+        """Judge all runs together."""
+        every = list(traces)
+        avoiders = {trace.scenario.avoider for trace in every}
+        if len(avoiders) > 1:
+            return self._open(f"runs of several avoiders: {', '.join(sorted(avoiders))}")
+        wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
+        if wrong is not None:
+            return self._open(f"a trace contradicts itself: {wrong}")
+        intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
+        if intervals is None:
+            return self._open("the avoider states no intervals")
+        covered = np.array([c for trace in every if (c := first_covered(trace, intervals)) is not None], bool)
+        if len(covered) < LEAST_DECISIONS:
+            return self._open(
+                f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed", len(covered)
+            )
+        share = Proportion.of(covered)
+        words = (
+            f"{share.count} of {share.trials} hold {intervals.target.value}: "
+            f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
+        )
+        if share.low >= self.at_least:
+            return self._said(Verdict.HOLDS, share.low - self.at_least, words, len(covered))
+        if share.high < self.at_least:
+            return self._said(Verdict.VIOLATED, share.high - self.at_least, words, len(covered))
+        return self._open(f"too few to tell: {words}", len(covered))
+
+    def _open(self, reason: str, exercised: int = 0) -> Evaluation:
+        return self._said(Verdict.INCONCLUSIVE, None, reason, exercised)
+
+    def _said(self, verdict: Verdict, margin: float | None, reason: str, exercised: int) -> Evaluation:
+        return Evaluation(
+            sentence=self.sentence,
+            verdict=verdict,
+            unit=self.unit,
+            margin=margin,
+            worst_time_s=None,
+            reason=reason,
+            exercised=exercised,
+        )
+
+
+def _shipped(avoider: str) -> Intervals | None:
+    return Intervals.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
+
+
+def first_covered(trace: Trace, intervals: Intervals) -> bool | None:
+    """Is the target of a run's first answered decision within its interval?  None without such a decision."""
+    answered = np.flatnonzero(trace.decisions["fault"] == "")
+    if not len(answered):
+        return None
+    decision = trace.decisions[answered[0]]
+    target = target_in_base_m(decision, trace.scenario.settings, intervals.target)
+    scale_m = np.sqrt(decision["proposed_spread_m"] ** 2 + np.array(intervals.residual_std_m) ** 2)
+    off_m = np.abs(decision["proposed_position_in_base_m"] - target)
+    return bool(np.all(off_m <= intervals.multiplier * scale_m))  # a NaN is not covered
+
+
+def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
+    """(3,) eq. 13 for the question of a decision; candidates are drawn from a seed below the decision's."""
+    oracle = NearestCandidate.of(settings)
+    hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
+    if target is Target.LABEL:
+        fresh = seed(int(decision["seed"]), Branch.DECISION, 1)
+        label: NDArray[np.float64] = oracle.propose(
+            hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh
+        ).position_in_base_m
+        return label
+    optimum = continuous_optimum(settings, tcp[None])[0]
+    exact: NDArray[np.float64] = optimum + oracle.hand_pull * (tcp - hand)
+    return exact

@@ -1,0 +1,119 @@
+"""How often each claim of a suite was really put to the test: what never was is no evidence of anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+from safety_harness.properties.base import Evaluation
+from safety_harness.scenario.model import Verdict
+
+HEADINGS = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "worst margin")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """One claim's outcome in one run.
+
+    ``run`` is what people call the run (its scenario's name); ``expected`` is the verdict that the
+    author of the claim expects.
+    """
+
+    run: str
+    evaluation: Evaluation
+    expected: Verdict = Verdict.HOLDS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaimTally:
+    """One sentence over all runs of a suite.
+
+    ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
+    ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
+    expected a verdict that says something (holds or violated), and in none of those runs was there
+    anything to say.  A violation counts as a test, whatever the occasions.
+    """
+
+    sentence: str
+    runs: int
+    exercised: int
+    occasions: int
+    holds: int
+    violated: int
+    inconclusive: int
+    worst: Judged | None
+    untested: bool
+
+    @property
+    def worst_words(self) -> str:
+        """The least margin with its moment and run, or a dash."""
+        if self.worst is None:
+            return "-"
+        time_s = self.worst.evaluation.worst_time_s
+        when = "" if time_s is None else f" at {time_s:.3f} s"
+        return f"{self.worst.evaluation.margin_text()}{when}, {self.worst.run}"
+
+
+def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
+    """One tally for each sentence, in the order in which they first occur."""
+    by_sentence: dict[str, list[Judged]] = {}
+    for one in judged:
+        by_sentence.setdefault(one.evaluation.sentence, []).append(one)
+    return tuple(_tally(sentence, found) for sentence, found in by_sentence.items())
+
+
+def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
+    evaluations = [one.evaluation for one in found]
+    verdicts = [evaluation.verdict for evaluation in evaluations]
+    conclusive = [one.evaluation for one in found if one.expected is not Verdict.INCONCLUSIVE]
+    return ClaimTally(
+        sentence=sentence,
+        runs=len(found),
+        exercised=sum(evaluation.exercised > 0 for evaluation in evaluations),
+        occasions=sum(evaluation.exercised for evaluation in evaluations),
+        holds=verdicts.count(Verdict.HOLDS),
+        violated=verdicts.count(Verdict.VIOLATED),
+        inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
+        worst=min((one for one in found if _margin(one) is not None), key=_margin_or_zero, default=None),
+        untested=bool(conclusive) and not any(_tested(evaluation) for evaluation in conclusive),
+    )
+
+
+def _tested(evaluation: Evaluation) -> bool:
+    return evaluation.exercised > 0 or evaluation.verdict is Verdict.VIOLATED
+
+
+def _margin(one: Judged) -> float | None:
+    margin = one.evaluation.margin
+    return margin if margin is not None and isfinite(margin) else None
+
+
+def _margin_or_zero(one: Judged) -> float:
+    return _margin(one) or 0.0
+
+
+def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:
+    """The tallies as lines of text of a terminal; what was never put to the test is marked."""
+    if not tallies:
+        return []
+    rows = [("claim", *HEADINGS), *(_cells(tally) for tally in tallies)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    lines = []
+    for first, *numbers, worst in rows:
+        aligned = "  ".join(number.rjust(width) for number, width in zip(numbers, widths[1:], strict=True))
+        lines.append(f"{first:<{widths[0]}}  {aligned}  {worst}")
+    return lines
+
+
+def _cells(tally: ClaimTally) -> tuple[str, ...]:
+    counts = (
+        tally.runs,
+        tally.exercised,
+        tally.occasions,
+        tally.holds,
+        tally.violated,
+        tally.inconclusive,
+    )
+    worst = "NEVER PUT TO THE TEST" if tally.untested else tally.worst_words
+    return (tally.sentence, *(str(count) for count in counts), worst)
