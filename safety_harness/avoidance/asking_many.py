@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Protocol, TypeGuard
 
 import numpy as np
@@ -49,8 +50,8 @@ def ask_many(
 ) -> list[Answer]:
     """The answers, in order; those of ``ask`` bit for bit, but for their latency.
 
-    A question of a batch has no time of its own on the clock: its latency is 0, which stands for not
-    timed, and it is never late, but where the query says so.  Questions that are asked in turn are timed.
+    A question of a batch has no time of its own on the clock: its latency is NaN, not timed, and it is
+    never late, but where the query says so.  Questions that are asked in turn are timed.
     """
     answers = [Answer()] * len(queries)
     together: dict[int, tuple[BatchAvoider, list[tuple[int, Vector, Vector, int]]]] = {}
@@ -100,6 +101,6 @@ def _batch(avoider: BatchAvoider, questions: Questions) -> list[Answer]:
     if np.shape(positions) != (len(questions), 3) or np.shape(spreads) != (len(questions), 3):
         return []
     return [
-        answer_of(Proposal(position, spread), threshold_m)
+        replace(answer_of(Proposal(position, spread), threshold_m), latency_s=np.nan)
         for position, spread in zip(positions, spreads, strict=True)
     ]

@@ -50,8 +50,8 @@ class Episode:
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
     """Run them all to their ends; each trace is that of ``simulate`` in the same world, bit for bit.
 
-    But for the clock: decisions that are made together are never late by it, and their latency is 0,
-    which stands for not timed (``ask_many``).
+    But for the clock: decisions that are made together are never late by it, and their latency is NaN,
+    not timed (``ask_many``).
     """
     under_way = list(episodes)
     while under_way:

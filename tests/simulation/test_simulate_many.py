@@ -15,8 +15,10 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.kinematic import run_kinematic, run_many, slower_because
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.exceptions import AvoiderError
+from safety_harness.properties.decision_time import DecisionTime
+from safety_harness.properties.finite import FiniteTrace
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent, HandSensorBlind
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, ReachForTcp, Wait, Wander, Withdraw
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.compare import first_difference
@@ -197,10 +199,13 @@ def test_a_batch_that_fails_is_asked_in_turn(answer: str) -> None:
     assert_same(list(run_many(with_avoider(Batch(answer)))), expected)
 
 
-def test_a_batch_has_no_time_of_its_own_on_the_clock() -> None:
+def test_a_batch_has_no_time_of_its_own_on_the_clock_and_nothing_is_claimed_of_it() -> None:
     for trace in run_many(with_avoider(Batch())):
         assert len(trace.decisions) > 0
-        assert (trace.decision_latency_s == 0.0).all()
+        assert np.isnan(trace.decision_latency_s).all()
+        evaluation = DecisionTime(within_s=1.0).evaluate(trace)
+        assert evaluation.verdict is Verdict.INCONCLUSIVE
+        assert FiniteTrace().evaluate(trace).verdict is Verdict.HOLDS
 
 
 def test_an_avoider_that_takes_one_question_is_asked_in_turn_by_the_clock_and_says_so() -> None:
