@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
@@ -80,10 +81,10 @@ def fill_truth(
     """Write the truth part of a tick, and the placed capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]
     tick.time_s = time_s
-    tick.joint_position_rad[:] = joint_position_rad
-    tick.joint_velocity_radps[:] = joint_velocity_radps
+    copy_vector(joint_position_rad, tick.joint_position_rad)
+    copy_vector(joint_velocity_radps, tick.joint_velocity_radps)
     forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, arm.link_transforms)
-    tick.transform_tcp_to_base[:, :] = arm.link_transforms[7]
+    copy_matrix(arm.link_transforms[7], tick.transform_tcp_to_base)
     jacobian = np.empty((6, 6))
     geometric_jacobian(arm.joint_axes, arm.link_transforms, jacobian)
     squared = 0.0
