@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+from safety_harness.formulas.pages import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.pages import markdown_of_claims
 from safety_harness.scenario.reference import markdown, markdown_of_moves
@@ -24,6 +25,7 @@ def with_tables(text: str) -> str:
     tables = {table.name: markdown(table) for table in every_table()}
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims(CATALOGUE)
+    tables["signals"] = markdown_of_signals()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
 

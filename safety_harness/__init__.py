@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from safety_harness.admission.trial import judge, run_trial
     from safety_harness.avoidance.avoider import Avoider, Proposal
     from safety_harness.exceptions import InputError, SafetyHarnessError
+    from safety_harness.formulas.claim import FormulaClaim
+    from safety_harness.formulas.parse import parse_formula
     from safety_harness.properties.base import Evaluation, Property
     from safety_harness.report.evidence import JudgedRun
     from safety_harness.report.html import write_report
@@ -48,6 +50,7 @@ __all__ = [
     "Avoider",
     "By",
     "Evaluation",
+    "FormulaClaim",
     "InBox",
     "InRegion",
     "InShell",
@@ -71,6 +74,7 @@ __all__ = [
     "first_difference",
     "judge",
     "load_trace",
+    "parse_formula",
     "parse_scenario",
     "parse_space",
     "read_scenario",
@@ -93,6 +97,8 @@ _HOMES = {
     "admission.trial": ("judge", "run_trial"),
     "avoidance.avoider": ("Avoider", "Proposal"),
     "exceptions": ("InputError", "SafetyHarnessError"),
+    "formulas.claim": ("FormulaClaim",),
+    "formulas.parse": ("parse_formula",),
     "properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),

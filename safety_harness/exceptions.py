@@ -65,6 +65,10 @@ class InadmissibleError(InputError):
     """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
 
 
+class FormulaError(InputError):
+    """A temporal formula cannot be written, or asked of a scenario, like that."""
+
+
 class SettingsError(InputError):
     """A setting has an impossible value."""
 

@@ -24,6 +24,7 @@ ORDER = [
     {"learning"},
     {"simulation"},
     {"properties"},
+    {"formulas"},
     {"admission"},
     {"report"},
     {"cli"},

@@ -5,8 +5,9 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result, say
 from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.pages import told
@@ -24,6 +25,7 @@ def explain_claims(words: Sequence[str]) -> int:
     if not asked:
         for entry in CATALOGUE:
             result(entry.example)
+        say(f"or a formula (docs/formulas.md) over: {', '.join(signal.words for signal in SIGNALS)}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
     wanted = set(asked.lower().split())

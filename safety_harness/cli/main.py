@@ -152,14 +152,24 @@ def replay(trace: TraceFile, avoider: OfAvoider = None) -> None:
 
 
 @app.command()
-def judge(traces: TraceFiles) -> None:
-    """Judge stored traces again by their claims, without simulating.
+def judge(
+    traces: TraceFiles,
+    claim: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="In place of the traces' own: a sentence of the catalogue or a formula, such as 'always "
+            "hand distance > 30 mm', expected to hold. May be repeated.",
+            metavar="SENTENCE",
+        ),
+    ] = None,
+) -> None:
+    """Judge stored traces again by their claims, or by others, without simulating.
 
     Exit codes as for run.
     """
     from safety_harness.cli.replay import judge_again
 
-    _end(judge_again(traces))
+    _end(judge_again(traces, claim or ()))
 
 
 @app.command()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.admission.admit import admit
@@ -22,9 +23,11 @@ from safety_harness.cli.console import (
     result_lines,
     say,
 )
-from safety_harness.exceptions import InputError, Place, TraceError
+from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.fields import SENTENCE, is_sentence
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.units import shown
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
@@ -101,12 +104,26 @@ def changes(stored: Provenance, now: Provenance) -> list[str]:
     return lines or ["  the software is the same as when the trace was made"]
 
 
-def judge_again(paths: Sequence[Path]) -> int:
-    """Judge stored traces by their claims, with the present code, without simulating."""
+def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
+    """What the command line claims."""
+    place = Place(field="--claim")
+    for sentence in sentences:
+        if not is_sentence(sentence):
+            raise InadmissibleError(place=place, expected=SENTENCE, got=shown(sentence))
+    return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
+
+
+def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
+    """Judge stored traces by their claims, with the present code, without simulating.
+
+    ``sentences`` take the place of the traces' own claims, and are expected to hold.
+    """
     code = AS_EXPECTED
     for path in paths:
         try:
             trace = load_trace(path)
+            if sentences:
+                trace = replace(trace, scenario=replace(trace.scenario, claims=_claims(sentences)))
             run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", notes=())
         except InputError as error:
             explain(error)

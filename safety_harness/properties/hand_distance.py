@@ -13,11 +13,17 @@ from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
-from safety_harness.robot.distance import closest_approach_between
+from safety_harness.robot.distance import (
+    chain_lengths,
+    closest_approach_between,
+    hand_distance,
+    place_capsules,
+)
+from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -89,7 +95,7 @@ def _words(distance_m: float) -> str:
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
-    names = _capsules(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
+    names = capsules_of(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
@@ -98,10 +104,10 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    _, link_index, start_in_link, end_in_link, radius_m = _capsules(arm, settings)
+    _, link_index, start_in_link, end_in_link, radius_m = capsules_of(arm, settings)
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
-        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = _instants(trace, paths, hand)
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         least_m, index, fraction = _closest_in_trace(
             arm.joint_origins,
             arm.joint_axes,
@@ -126,7 +132,7 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     return best
 
 
-def _instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
+def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
     """Ticks and the hand's corners between them, in order of time.
 
     (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
@@ -137,9 +143,11 @@ def _instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.flo
     corner_at = paths.corner_at[own]
     after = np.searchsorted(np.arange(len(ticks)), corner_at, side="right")
     at = np.insert(np.arange(len(ticks), dtype=np.float64), after, corner_at)
-    joints_rad = np.column_stack(
-        [np.interp(at, np.arange(len(ticks)), column) for column in ticks["joint_position_rad"].T]
-    )
+    joints_rad = ticks["joint_position_rad"].copy()
+    if len(corner_at):
+        joints_rad = np.column_stack(
+            [np.interp(at, np.arange(len(ticks)), column) for column in joints_rad.T]
+        )
     corners = paths.corners_in_base_m[own]
     hand_m = np.insert(ticks["hand_position_in_base_m"][:, hand], after, corners[:, 0], axis=0)
     elbow_m = np.insert(ticks["elbow_position_in_base_m"][:, hand], after, corners[:, 1], axis=0)
@@ -161,25 +169,33 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
+    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
+    period_s = trace.scenario.settings.clock.control_period_s
+    bend: NDArray[np.float64] = change @ joint_reach_m(trace) * period_s / 4.0
+    return bend
+
+
+@once_a_trace
+def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
+    """(6,) how far from each joint the farthest point of the arm can be that it moves."""
     arm = load_arm(trace.scenario.robot.arm_name)
-    _, link_index, start_in_link, end_in_link, _ = _capsules(arm, trace.scenario.settings)
+    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, trace.scenario.settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
     ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
     link = np.minimum(link_index, 6)
-    reach_m = np.zeros(6)  # from each joint to the farthest point that it moves
+    reach_m = np.zeros(6)
     for joint in range(6):
         for last, end in zip(link, ends, strict=True):
             if last > joint:
                 reach_m[joint] = max(reach_m[joint], offsets[joint + 1 : last].sum() + end)
-    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
-    bend: NDArray[np.float64] = change @ reach_m * trace.scenario.settings.clock.control_period_s / 4.0
-    return bend
+    return reach_m
 
 
-def _capsules(
+def capsules_of(
     arm: ArmModel, settings: Settings
 ) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Names (n,), links (n,), both ends in their link (n, 3) [m] and radii (n,) [m] of an arm's capsules."""
     capsules = cell_capsules(load_capsules(arm.name), settings)
     return (
         tuple(capsules.names),
@@ -210,14 +226,30 @@ def _closest_in_trace(
 ) -> tuple[float, int, float]:
     """Least distance over a trace: (distance, tick before it, fraction of the way to the next).
 
-    Intervals whose Lipschitz bound already exceeds the best so far are passed over.
+    From where the distance is known, stretches are passed over in which nothing can come as near as the
+    best so far: a joint moves no point farther than by its angle times its chain of links, and distances
+    change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
-    for k in range(distance_m.shape[0] - 1):
+    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
+    transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
+    k = 0
+    while k < distance_m.shape[0] - 1:
+        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
+        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+        left_m, _ = hand_distance(placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m)
+        first = k
+        while k < distance_m.shape[0] - 1:
+            left_m -= _displacement(joints_rad, hands_m, elbows_m, reach_m, k)
+            if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
+                break
+            k += 1
+        if k > first:
+            continue
         bound, where = closest_approach_between(
             joint_origins,
             joint_axes,
@@ -238,9 +270,28 @@ def _closest_in_trace(
             best + slack_m[k],
         )
         bound -= slack_m[k]
-        if not bound >= best:  # a NaN must come out, not be passed over
+        if not bound >= best:
             best, index, fraction = bound, k, where
+        k += 1
     return best, index, fraction
+
+
+@compiled
+def _displacement(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    hands_m: NDArray[np.float64],  # (n, 3)
+    elbows_m: NDArray[np.float64],  # (n, 3)
+    reach_m: NDArray[np.float64],  # (6,)
+    k: int,
+) -> float:
+    """By how much [m] a distance can change from instant k to the next, at most."""
+    arm, hand, elbow = 0.0, 0.0, 0.0
+    for i in range(6):
+        arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+    for i in range(3):
+        hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2
+        elbow += (elbows_m[k + 1, i] - elbows_m[k, i]) ** 2
+    return float(arm + np.sqrt(max(hand, elbow)))
 
 
 HAND_DISTANCE = Entry(

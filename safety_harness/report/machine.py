@@ -9,7 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from safety_harness.properties.base import Unit
+from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import Tally
 from safety_harness.report.evidence import JudgedRun, tallies
@@ -33,10 +33,11 @@ def write_json(path: Path, runs: Sequence[JudgedRun], *, interrupted: bool) -> N
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
-    each run says what was run and has its ``claims``, and coverage says of each claim over all runs how
-    often it was put to the test.  Margins are in SI units, in full precision, null
-    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no
-    such number.  ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
+    each run says what was run and has its ``claims`` (a formula that "and" joins also each of its
+    ``parts``), and coverage says of each claim over all runs how often it was put to the test.
+    Margins are in SI units, in full precision, null where there is none; one that is not finite is
+    the text "inf", "-inf" or "nan", since JSON has no such number.  ``trace_sha256`` is of the trace
+    file as it is now.  Raises OSError.
     """
     found = {
         "format": FORMAT,
@@ -79,16 +80,23 @@ def _claims(run: JudgedRun) -> list[dict[str, Any]]:
     return [
         {
             "claim": claim.sentence,
-            "verdict": evaluation.verdict.value,
             "expected": claim.expected.value,
-            "margin_si": _number(evaluation.margin),
-            "unit": SI_UNITS[evaluation.unit],
-            "worst_time_s": _number(evaluation.worst_time_s),
-            "reason": evaluation.reason,
-            "exercised": evaluation.exercised,
+            **_outcome(evaluation),
+            "parts": [{"claim": part.sentence, **_outcome(part)} for part in evaluation.parts],
         }
         for claim, evaluation in run.judged_claims()
     ]
+
+
+def _outcome(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "verdict": evaluation.verdict.value,
+        "margin_si": _number(evaluation.margin),
+        "unit": SI_UNITS[evaluation.unit],
+        "worst_time_s": _number(evaluation.worst_time_s),
+        "reason": evaluation.reason,
+        "exercised": evaluation.exercised,
+    }
 
 
 def _coverage(tally: ClaimTally) -> dict[str, Any]:

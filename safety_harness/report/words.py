@@ -179,7 +179,8 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:
     """The one length that a sentence about the hand distance names, or None when there is not just one."""
-    if evaluation.unit is not Unit.LENGTH or "hand distance" not in evaluation.sentence.lower():
+    sentence = evaluation.sentence.lower().replace("predicted hand distance", "")
+    if evaluation.unit is not Unit.LENGTH or "hand distance" not in sentence:
         return None
     return _only_number(_LENGTH_IN_SENTENCE, evaluation.sentence)
 

@@ -211,6 +211,23 @@ def _bend(
     position can make longer than the chain of links from joint j to p.  A point that bends by
     no more than b leaves the chord of an interval of length h by at most b h^2 / 8.
     """
+    longest = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
+    bend = 0.0
+    for i in range(6):
+        for j in range(6):
+            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * longest[max(i, j)]
+    return bend
+
+
+@compiled
+def chain_lengths(
+    joint_origins: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    link_index: NDArray[np.int64],
+    start_in_link: NDArray[np.float64],
+    end_in_link: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves."""
     longest = np.zeros(6)  # from joint j to any point that it moves
     for capsule in range(link_index.shape[0]):
         link = link_index[capsule]
@@ -225,11 +242,7 @@ def _bend(
             longest[joint] = max(longest[joint], chain)
             x, y, z = joint_origins[joint, 0, 3], joint_origins[joint, 1, 3], joint_origins[joint, 2, 3]
             chain += sqrt(x * x + y * y + z * z)
-    bend = 0.0
-    for i in range(6):
-        for j in range(6):
-            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * longest[max(i, j)]
-    return bend
+    return longest
 
 
 @compiled

@@ -72,8 +72,13 @@ def drive_tick(
             d.braking_from_radps[i] = d.setpoint_radps[i]
     if d.braking:
         left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
+        if left <= 0.0 and not protective_stop and not np.any(d.setpoint_radps):
+            # At standstill and released: this tick obeys.  The controller takes its demand for done, and
+            # one tick later the arm would start with twice the step.
+            d.stopping = False
+            for i in range(6):
+                d.setpoint_radps[i] = demanded_radps[i]
+            return False
         for i in range(6):
             d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)
-        if left <= 0.0 and not protective_stop:
-            d.stopping = False  # at standstill and released: the next tick may move again
     return True

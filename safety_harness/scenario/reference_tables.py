@@ -187,7 +187,7 @@ TOP = Table(
             "claims",
             FreeKeys(of=_VERDICT, form="mapping, at least one", least=1),
             REQUIRED,
-            "sentences of the catalogue, each with the verdict that you expect",
+            "sentences of the catalogue and formulas, each with the verdict that you expect",
             "claims:\n  hand distance never below 50 mm: holds",
         ),
     ),

@@ -39,6 +39,7 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
         "worst_time_s": 8.6,
         "reason": "right hand 112.9 mm from wrist 1",
         "exercised": 120,
+        "parts": [],
     }
     assert [claim["unit"] for claim in found["claims"]] == ["m", "m/s", "s"]
     assert (found["scenario"], found["seed"], found["complete"]) == ("two-hands", 7, True)

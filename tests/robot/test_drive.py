@@ -96,6 +96,14 @@ def test_a_stop_is_carried_through_although_it_is_released() -> None:
     assert np.array_equal(released.history[standstill + 1], -DEMAND)  # and then it is free again
 
 
+def test_once_at_standstill_the_first_tick_that_is_released_obeys() -> None:
+    drives = Drives()
+    drives.run(2)
+    assert all(drives.run(80, stop=True))
+    assert drives.run(1, 0.01 * DEMAND) == [False]
+    assert np.array_equal(drives.history[-1], 0.01 * DEMAND)
+
+
 def test_a_second_request_does_not_begin_the_stop_anew() -> None:
     once, again = Drives(), Drives()
     for drives in (once, again):

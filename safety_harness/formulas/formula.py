@@ -1,0 +1,274 @@
+"""What a formula is made of, and how it is written in Python.
+
+    always(hand_distance() > mm(50))
+    whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), within=ms(200)))
+    repulsing().until(hand_distance() > mm(300), within=s(4))
+
+Formulas are frozen trees, equal when they say the same; ``str`` is the sentence that a scenario file
+has for them.  They are joined by ``&``, ``|`` and ``~``, each comparison in parentheses; Python's own
+``and``, ``or``, ``not`` and ``a < x < b`` ask whether a formula is true, which only a run can say, and
+raise FormulaError.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from safety_harness.formulas.quantities import Quantity, formula_error
+from safety_harness.formulas.span import Span, Window, span_of
+
+if TYPE_CHECKING:
+    from safety_harness.formulas.signal import Signal
+
+
+class Relation(Enum):
+    """How a value stands to its limit."""
+
+    BELOW = "<"
+    AT_MOST = "<="
+    ABOVE = ">"
+    AT_LEAST = ">="
+
+
+class Formula:
+    """Any formula; the classes below are all there are."""
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """The formulas that it is directly made of."""
+        return ()
+
+    def nodes(self) -> Iterator[Formula]:
+        """It and everything in it, depth first."""
+        yield self
+        for part in self.parts:
+            yield from part.nodes()
+
+    def __and__(self, other: Formula) -> Formula:
+        return conjunction(self, formula_of(other, "&"))
+
+    def __or__(self, other: Formula) -> Formula:
+        return disjunction(self, formula_of(other, "|"))
+
+    def __invert__(self) -> Formula:
+        return Not(self)
+
+    def until(self, other: Formula, *, within: Window = None) -> Formula:
+        """It holds from now until a tick, in the window, at which ``other`` does; there it need not."""
+        return Until(self, formula_of(other, "until"), span_of(within))
+
+    def __bool__(self) -> bool:
+        raise formula_error(
+            "formulas joined by &, | and ~, and comparisons of one signal with one quantity",
+            f'a question whether "{self}" is true, without a run',
+            'Python\'s "and", "or", "not" and "a < x < b" ask that: write (x > a) & (x < b)',
+        )
+
+
+@dataclass(frozen=True)
+class Comparison(Formula):
+    """A signal's value beside a limit.  Margin: how far it is on the right side of it."""
+
+    signal: Signal
+    relation: Relation
+    limit: Quantity
+
+    def __post_init__(self) -> None:
+        wanted = self.signal.dimension
+        if wanted is None or self.limit.dimension is not wanted:
+            expected = (
+                f"{self.signal.words} beside {wanted.expected}" if wanted else "a truth without a limit"
+            )
+            hint = f"allowed units: {', '.join(wanted.units)}" if wanted and wanted.units else ""
+            raise formula_error(expected, str(self.limit), hint)
+
+    def __str__(self) -> str:
+        return f"{self.signal.words} {self.relation.value} {self.limit}"
+
+
+@dataclass(frozen=True)
+class Truth(Formula):
+    """A signal that is true or false; its margin is without end either way."""
+
+    signal: Signal
+
+    def __str__(self) -> str:
+        return self.signal.words
+
+
+@dataclass(frozen=True)
+class _Over(Formula):
+    """An operator over one formula."""
+
+    body: Formula
+
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What it is said of."""
+        return (self.body,)
+
+
+@dataclass(frozen=True)
+class Not(_Over):
+    """It does not hold: the same margin with the other sign."""
+
+    def __str__(self) -> str:
+        return f"not {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Initially(_Over):
+    """It holds at the first tick."""
+
+    def __str__(self) -> str:
+        return f"initially {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Always(_Over):
+    """It holds at every tick of the window, or from now to the end of the run: the least margin."""
+
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        words = f"always {self.span.words('for')}" if self.span else "always"
+        return f"{words} {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Eventually(_Over):
+    """It holds at one tick of the window at least, or of the rest of the run: the largest margin."""
+
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        body = operand(self.body)
+        if self.span is None:  # "eventually within 1 s" is one operator
+            return f"eventually ({body})" if body.startswith("within") else f"eventually {body}"
+        words = self.span.words("within")
+        return f"eventually {words} {body}" if words.startswith("from") else f"{words} {body}"
+
+
+@dataclass(frozen=True)
+class _Several(Formula):
+    members: tuple[Formula, ...]
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What is joined."""
+        return self.members
+
+
+@dataclass(frozen=True)
+class And(_Several):
+    """All of them hold: the least margin."""
+
+    def __str__(self) -> str:
+        return " and ".join(joined(part) for part in self.members)
+
+
+@dataclass(frozen=True)
+class Or(_Several):
+    """One of them holds: the largest margin."""
+
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
+    def __str__(self) -> str:
+        return " or ".join(joined(part) for part in self.members)
+
+
+@dataclass(frozen=True)
+class Until(Formula):
+    """``first`` holds at every tick before one, in the window, at which ``second`` does."""
+
+    first: Formula
+    second: Formula
+    span: Span | None = None
+
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What lasts, and what ends it."""
+        return (self.first, self.second)
+
+    def __str__(self) -> str:
+        words = f"{joined(self.first)} until {joined(self.second)}"
+        return f"{words} {self.span.words('within')}" if self.span else words
+
+
+@dataclass(frozen=True)
+class Whenever(Formula):
+    """At every tick at which ``trigger`` holds, ``response`` does.  The trigger has no margin of its own."""
+
+    trigger: Formula
+    response: Formula
+
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """Trigger and response."""
+        return (self.trigger, self.response)
+
+    def __str__(self) -> str:
+        response = str(self.response) if isinstance(self.response, Until) else operand(self.response)
+        return f"whenever {self.trigger} then {response}"
+
+
+TEMPORAL = (Always, Eventually, Until, Whenever, Initially)
+_JOINS = (And, Or, Until)
+
+
+def operand(formula: Formula) -> str:
+    """As it stands after an operator: in parentheses if it joins several."""
+    return f"({formula})" if isinstance(formula, _JOINS) else str(formula)
+
+
+def joined(formula: Formula) -> str:
+    """As it stands beside "and", "or", "until": in parentheses if it could be taken to reach further."""
+    inner = formula
+    while isinstance(inner, Not):
+        inner = inner.body
+    wide = isinstance(formula, _JOINS) or (isinstance(inner, TEMPORAL) and not isinstance(inner, Until))
+    return f"({formula})" if wide else str(formula)
+
+
+def conjunction(*formulas: Formula) -> Formula:
+    """All of ``formulas``; what they themselves join stands beside the rest."""
+    return And(tuple(p for one in formulas for p in (one.members if isinstance(one, And) else (one,))))
+
+
+def disjunction(*formulas: Formula) -> Formula:
+    """One of ``formulas``; what they themselves join stands beside the rest."""
+    return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
+
+
+def formula_of(value: object, word: str) -> Formula:
+    """``value`` if it is a formula; else FormulaError, naming the operator beside which it stands."""
+    if isinstance(value, Formula):
+        return value
+    raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{word}"', str(value))
+
+
+def _refuse_what_stands_at_the_top(formula: Formula) -> None:
+    """FormulaError for a part that is no formula, or that only a whole claim can be."""
+    word = type(formula).__name__.lower()
+    for part in formula.parts:
+        for node in formula_of(part, word).nodes():
+            if isinstance(node, Whenever | Initially):
+                begins = type(node).__name__.lower()
+                raise formula_error(
+                    f'"{begins}" at the beginning of a claim, or of a part that "and" joins to others',
+                    f'"{node}" within "{word}"',
+                    "it is asked of the whole run already",
+                )

@@ -1,0 +1,148 @@
+"""Quantities with units, as formulas compare signals with them: ``mm(50)``, ``deg_per_s(30)``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from numbers import Real
+
+from safety_harness.exceptions import FormulaError, Place
+from safety_harness.scenario.units import (
+    ANGLE,
+    ANGULAR_SPEED,
+    LENGTH,
+    NUMBER,
+    SPEED,
+    TIME,
+    Dimension,
+    normal_unit,
+    parse_quantity,
+)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """``value`` in SI, its ``dimension``, and how it is ``written`` (which does not count when compared)."""
+
+    value: float
+    dimension: Dimension = field(compare=False)
+    written: str = field(compare=False)
+    kind: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", self.dimension.name)
+
+    def __str__(self) -> str:
+        return self.written
+
+    def __and__(self, other: object) -> Quantity:
+        raise _needs_parentheses("&", self)
+
+    __rand__ = __and__
+
+    def __or__(self, other: object) -> Quantity:
+        raise _needs_parentheses("|", self)
+
+    __ror__ = __or__
+
+
+def formula_error(expected: str, got: str, hint: str = "") -> FormulaError:
+    """A mistake in a formula that is not, or not yet, in a file."""
+    return FormulaError(place=Place(field="formula"), expected=expected, got=got, hint=hint)
+
+
+def _needs_parentheses(sign: str, quantity: Quantity) -> FormulaError:
+    return formula_error(
+        f'comparisons in parentheses, "(a > b) {sign} (c < d)", since "{sign}" binds more tightly',
+        f'"{sign}" beside {quantity}',
+    )
+
+
+def quantity(number: float, unit: str, dimension: Dimension) -> Quantity:
+    """``number`` (finite) of a ``unit`` of ``dimension``: the float nearest to what is written, in SI."""
+    if isinstance(number, bool) or not isinstance(number, Real) or not math.isfinite(number):
+        expected = f"a finite number of {unit}" if unit else "a finite number"
+        raise FormulaError(place=Place(field=unit or "formula"), expected=expected, got=repr(number))
+    return read_quantity(f"{float(number)!r} {unit}", dimension, Place(field=unit))
+
+
+def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
+    """A quantity as a sentence has it; ScenarioError at ``place`` if it is none of ``dimension``."""
+    value = parse_quantity(text, dimension, place)
+    number, _, unit = text.strip().partition(" ")
+    if "e" not in number.lower():
+        number = number.removeprefix("+")
+        if "." in number:
+            number = number.rstrip("0").removesuffix(".")
+    unit = normal_unit(unit)
+    return Quantity(value, dimension, f"{number} {unit}" if unit else number)
+
+
+def mm(number: float) -> Quantity:
+    """Millimetres."""
+    return quantity(number, "mm", LENGTH)
+
+
+def cm(number: float) -> Quantity:
+    """Centimetres."""
+    return quantity(number, "cm", LENGTH)
+
+
+def m(number: float) -> Quantity:
+    """Metres."""
+    return quantity(number, "m", LENGTH)
+
+
+def deg(number: float) -> Quantity:
+    """Degrees."""
+    return quantity(number, "deg", ANGLE)
+
+
+def rad(number: float) -> Quantity:
+    """Radians."""
+    return quantity(number, "rad", ANGLE)
+
+
+def s(number: float) -> Quantity:
+    """Seconds."""
+    return quantity(number, "s", TIME)
+
+
+def ms(number: float) -> Quantity:
+    """Milliseconds."""
+    return quantity(number, "ms", TIME)
+
+
+def minutes(number: float) -> Quantity:
+    """Minutes."""
+    return quantity(number, "min", TIME)
+
+
+def mm_per_s(number: float) -> Quantity:
+    """Millimetres a second."""
+    return quantity(number, "mm/s", SPEED)
+
+
+def cm_per_s(number: float) -> Quantity:
+    """Centimetres a second."""
+    return quantity(number, "cm/s", SPEED)
+
+
+def m_per_s(number: float) -> Quantity:
+    """Metres a second."""
+    return quantity(number, "m/s", SPEED)
+
+
+def deg_per_s(number: float) -> Quantity:
+    """Degrees a second."""
+    return quantity(number, "deg/s", ANGULAR_SPEED)
+
+
+def rad_per_s(number: float) -> Quantity:
+    """Radians a second."""
+    return quantity(number, "rad/s", ANGULAR_SPEED)
+
+
+def plain(number: float) -> Quantity:
+    """A number without a unit."""
+    return quantity(number, "", NUMBER)

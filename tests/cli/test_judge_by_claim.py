@@ -1,0 +1,58 @@
+"""``judge --claim``: stored traces by a claim of one's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
+from safety_harness.cli.replay import judge_again
+from safety_harness.trace.store import save_trace
+from safety_harness.trace.trace import Trace
+
+
+@pytest.fixture(scope="module")
+def stored(visit: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("traces") / "visit.trace"
+    save_trace(visit, file)
+    return file
+
+
+def test_a_formula_and_a_sentence_of_the_catalogue_can_both_be_claimed(
+    stored: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sentences = ["always hand distance > 50 mm", "joint speeds within limits"]
+    assert judge_again([stored], sentences) == AS_EXPECTED
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("ok   holds")
+    assert first.endswith("example: always hand distance > 50 mm")
+    assert second.endswith("example: joint speeds within limits")
+
+
+@pytest.mark.parametrize("sentence", ["always TCP speed < 100 mm/s", "whenever stopped then servoing"])
+def test_a_claim_that_does_not_hold_ends_with_1(
+    stored: Path, sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert judge_again([stored], [sentence]) == DIFFERS
+    assert capsys.readouterr().out.startswith("DIFF ")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "told"),
+    [
+        ("always hand distence > 50 mm", '"hand distence" at column 8'),
+        ("within 1 min servoing", "which looks 60 s ahead"),
+        ("the robot is kind", "the robot is kind"),
+        (" ", "nothing"),
+        ("x" * 300, "xxx"),
+    ],
+)
+def test_what_cannot_be_claimed_ends_with_2_and_says_where(
+    stored: Path, sentence: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert judge_again([stored], [sentence]) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("error: --claim\n")
+    assert told in err
