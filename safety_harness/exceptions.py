@@ -102,6 +102,10 @@ class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 
 
+class FlakyAvoiderError(AvoiderError):
+    """An avoider answered the same question, with the same seed, in two ways."""
+
+
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
 

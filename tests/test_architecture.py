@@ -28,6 +28,8 @@ ORDER = [
     {"admission"},
     {"report"},
     {"cli"},
+    {"testing"},
+    {"pytest_plugin"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 FILES = sorted(PACKAGE.rglob("*.py"))
