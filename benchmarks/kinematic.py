@@ -203,9 +203,10 @@ def main() -> None:
         float((trace.ticks["predicted_distance_m"] < limit_m).mean())
         for trace, limit_m in zip(traces, critical_m, strict=True)
     ]
+    decisions = np.mean([len(trace.decisions) for trace in traces])
     print(
         f"{given.space}: {len(scenarios)} scenarios of {scenarios[0].scenario.ticks} ticks, "
-        f"{np.mean(near):.1%} of them critical, {np.mean([len(trace.decisions) for trace in traces]):.2f} decisions each"
+        f"{np.mean(near):.1%} of them critical, {decisions:.2f} decisions each"
     )
     gc.collect()
     gc.freeze()
