@@ -59,9 +59,8 @@ def at_first(
     wrong: NDArray[np.bool_], field: str, what: str, expected: str, values: NDArray[np.generic]
 ) -> Iterator[Inconsistency]:
     """The first record (n, ...) in which anything is ``wrong``, with the value that stands there."""
-    rows = wrong.any(axis=tuple(range(1, wrong.ndim)))
-    if rows.any():
-        index = int(np.argmax(rows))
+    if wrong.any():
+        index = int(np.argmax(wrong.any(axis=tuple(range(1, wrong.ndim)))))
         yield Inconsistency(field, what, index, expected, " ".join(str(values[index]).split()))
 
 
@@ -103,6 +102,8 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
 
 def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     decisions, count = trace.decisions, len(trace.ticks)
+    if len(decisions) == 0:
+        return
     tick = decisions["tick"]
     wrong = (tick < 0) | (tick >= count)
     yield from at_first(wrong, "tick", "decision", f"one of {count} ticks", tick)
