@@ -6,6 +6,7 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -205,7 +206,7 @@ class Scenario:
     robot: Robot = Robot.UR10
     faults: tuple[Fault, ...] = ()
     file: Path | None = field(default=None, compare=False)
-    places: dict[str, Place] = field(default_factory=dict, compare=False)
+    places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
     def __repr__(self) -> str:
         """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
