@@ -63,7 +63,8 @@ def draw_admissible(
         try:
             scenario = space.draw(seed, drawn)
             # An avoider is made once: that it answers, and what else admission asks of it, does not vary.
-            avoiders[scenario.avoider] = admit(scenario, avoider=avoiders.get(scenario.avoider)).avoider
+            known = avoiders.get(scenario.avoider)
+            avoiders[scenario.avoider] = admit(scenario, avoider=known, rehearsed=known is not None).avoider
             scenarios.append(scenario)
         except InputError as error:
             last = error

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.simulation.cameras import RING
 
 TIME_EPS_S = 1e-9
@@ -54,7 +55,7 @@ def push_object_frame(
     frame = frames[s.object_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
     frame.visible = visible
-    frame.moments[:] = moments
+    copy_vector(moments, frame.moments)
     s.object_frames += 1
 
 
@@ -108,7 +109,7 @@ def deliver(
             break
         o.image_new = True
         o.object_visible = frame.visible
-        o.moments[:] = frame.moments
+        copy_vector(frame.moments, o.moments)
         s.object_delivered += 1
     o.boxes_new = False
     while s.hand_delivered < s.hand_frames:
@@ -118,5 +119,5 @@ def deliver(
         o.boxes_new = True
         o.boxes_time_s = hand_frame.time_s
         o.box_count = hand_frame.count
-        o.boxes[:, :] = hand_frame.boxes
+        copy_matrix(hand_frame.boxes, o.boxes)
         s.hand_delivered += 1
