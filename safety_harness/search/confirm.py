@@ -29,11 +29,14 @@ class Complaint:
 
     def is_in(self, run: Trace | Exception) -> bool:
         """Whether a run shows it."""
-        if self.claim is None:
-            return mishap(run) == self.kind
-        if isinstance(run, Exception):
-            return False
-        return property_of(self.claim, run.scenario).evaluate(run).verdict is Verdict.VIOLATED
+        return mishap(run) == self.kind if self.claim is None else self.margin_in(run) is not None
+
+    def margin_in(self, run: Trace | Exception) -> float | None:
+        """The margin by which the claim is violated [SI]; None if it is not."""
+        if self.claim is None or isinstance(run, Exception):
+            return None
+        evaluation = property_of(self.claim, run.scenario).evaluate(run)
+        return evaluation.margin if evaluation.verdict is Verdict.VIOLATED else None
 
 
 def mishap(run: Trace | Exception) -> str:
@@ -43,18 +46,23 @@ def mishap(run: Trace | Exception) -> str:
 
 @dataclass(frozen=True)
 class Confirm:
-    """Runs one scenario at a time, with everything made anew; True if the complaint is in the run."""
+    """Runs one scenario at a time, with everything made anew; True if the complaint is in the run.
+
+    A claim has to be violated by at least ``by`` [SI].
+    """
 
     complaint: Complaint
     world: World
+    by: float = 0.0
 
     def __call__(self, scenario: Scenario) -> bool:
         """False as well for what admission refuses."""
         try:
-            admitted = admit(scenario)
+            run = self.world([admit(scenario)])[0]
         except InputError:
             return False
-        return self.complaint.is_in(self.world([admitted])[0])
+        margin = self.complaint.margin_in(run)
+        return self.complaint.is_in(run) and (margin is None or -margin >= self.by)
 
     def share_of_draws(self, scenario: Scenario, draws: int) -> int:
         """In how many of ``draws`` of the avoider's own randomness it is violated, all else the same."""

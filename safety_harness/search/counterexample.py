@@ -25,6 +25,7 @@ from safety_harness.search.trials import World
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
+KEPT = 0.1  # of the margin, when shrinking
 DRAWS = 10  # of the avoider's own randomness
 
 
@@ -78,11 +79,13 @@ def counterexample_of(
 ) -> Counterexample | None:
     """Confirm, shrink and explain; None if ``world`` does not show the complaint.
 
+    What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
     Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
     """
-    confirm = Confirm(complaint, world)
-    if not confirm(found):
+    first = world([admit(found)])[0]
+    if not complaint.is_in(first):
         return None
+    confirm = Confirm(complaint, world, by=-KEPT * (complaint.margin_in(first) or 0.0))
     shrunk = shrink(found, confirm, budget=budget)
     run = world([admit(shrunk.scenario)])[0]
     evaluations: tuple[Evaluation, ...] = ()

@@ -146,6 +146,14 @@ def test_confirming_runs_the_scenario_anew_and_believes_nothing() -> None:
     assert not confirm(trials.scenario(POINTS[0], 10))
 
 
+def test_a_violation_that_is_too_small_is_not_confirmed() -> None:
+    trials, found = outcomes()
+    by = -found.margins[1, 0]
+    scenario = trials.scenario(POINTS[1], 11)
+    assert Confirm(complaint(), in_pybullet, by=by)(scenario)
+    assert not Confirm(complaint(), in_pybullet, by=1.001 * by)(scenario)
+
+
 def test_what_cannot_be_tried_shows_no_violation() -> None:
     far = parse_space(TEXT.replace("offset: [0 mm", "offset: [3000 mm")).at([0.5, 0.2, 0.95])
     assert not Confirm(complaint(), in_pybullet)(far)
