@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.avoidance.asking import Answer
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.controller.controller import AvoidingServo, Controller
@@ -108,12 +109,28 @@ class TowardsTheHand:
         return Proposal(hand_position_in_base_m)
 
 
+class RefusingGate(Gate):
+    """A broken gate: whatever an avoider with a threshold proposes, it falls back."""
+
+    def _failed(self, answer: Answer, query: Query) -> Check:
+        return super()._failed(answer, query) if np.isnan(answer.spread_threshold_m) else Check.UNREACHABLE
+
+
+class StoppingGate(Gate):
+    """A broken gate: it lets nothing pass."""
+
+    def check(self, position_in_base_m: NDArray[np.float64], query: Query) -> Check:
+        return Check.UNREACHABLE
+
+
 @dataclass(frozen=True)
 class Displaced:
-    """An avoider that always proposes the same displacement."""
+    """An avoider that always proposes the same displacement, and says how sure it is."""
 
     by_m: tuple[float, float, float]
     name: str = "displaced"
+    spread_m: float = 0.0
+    spread_threshold_m: float | None = None
 
     def propose(
         self,
@@ -122,7 +139,7 @@ class Displaced:
         tcp_position_in_base_m: NDArray[np.float64],
         seed: int,
     ) -> Proposal:
-        return Proposal(tcp_position_in_base_m + np.array(self.by_m))
+        return Proposal(tcp_position_in_base_m + np.array(self.by_m), np.full(3, self.spread_m))
 
 
 @dataclass(frozen=True)
@@ -167,6 +184,23 @@ class ConstantSpeed:
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
         return np.zeros(0)
+
+
+@dataclass(frozen=True)
+class AnswersNothing:
+    """A broken avoider with a threshold: it raises whatever it is asked."""
+
+    name: str = "answers nothing"
+    spread_threshold_m: float = 0.02
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
+        raise ValueError("no idea")
 
 
 class Nonsense(ConstantSpeed):

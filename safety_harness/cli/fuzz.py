@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.fuzz_json import as_json, complaint_of
 from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, summary
 from safety_harness.cli.show import as_seen_from, write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Episode, Findings, Group
@@ -128,17 +128,19 @@ class _Session:
 
     def _shrink_groups(self, claim: int | None) -> None:
         kept: list[Counterexample] = []
-        for group in self.findings.of_claim(claim):
-            if len(kept) == _MOST_SHRUNK or self.findings.interrupted:
+        shrunk = 0
+        for group in _one_of_each_kind_first(self.findings.of_claim(claim)):
+            if len(kept) == _MOST_SHRUNK or shrunk == 2 * _MOST_SHRUNK or self.findings.interrupted:
                 return
             one = self._counterexample(group, len(kept) + 1)
+            shrunk += one is not None
             if one is None or any(one.is_same_as(other) for other in kept):
                 continue
             kept.append(one)
             self._save(one, group)
 
     def _counterexample(self, group: Group, number: int) -> Counterexample | None:
-        complaint = self._complaint(group)
+        complaint = complaint_of(self.trials, group)
         path = self.out / f"{self.trials.space.name}-{_slug(complaint.sentence)}-{number}.yaml"
         found = replace(self._found(group.worst), file=path, name=path.stem)
         try:
@@ -152,9 +154,6 @@ class _Session:
         elif one.shrunk.interrupted:
             self.findings.interrupted = True
         return one
-
-    def _complaint(self, group: Group) -> Complaint:
-        return Complaint(None if group.claim is None else self.trials.claims[group.claim], group.kind)
 
     def _found(self, episode: Episode) -> Scenario:
         return as_seen_from(self.out, self.trials.scenario(episode.point, episode.number))
@@ -181,7 +180,7 @@ class _Session:
 
     def _save_as_found(self, group: Group, number: int) -> None:
         """At once, so that nothing that happens later loses it."""
-        complaint = self._complaint(group)
+        complaint = complaint_of(self.trials, group)
         path = self.out / AS_FOUND / f"{self.trials.space.name}-{_slug(complaint.sentence)}-{number + 1}.yaml"
         found = as_seen_from(path.parent, self.trials.scenario(group.first.point, group.first.number))
         claims = (
@@ -205,46 +204,11 @@ class _Session:
     def _save_findings(self) -> None:
         if self.unwritable is None:
             try:
-                write_text(self.out / FINDINGS, json.dumps(self._as_json(), indent=1) + "\n")
+                counterexamples = [path for _, path in self.written]
+                found = as_json(self.trials, self.findings, self.budget, self.unconfirmed, counterexamples)
+                write_text(self.out / FINDINGS, json.dumps(found, indent=1) + "\n")
             except OutputError as error:
                 self.unwritable = error
-
-    def _as_json(self) -> dict[str, object]:
-        findings, trials = self.findings, self.trials
-        return {
-            "space": trials.space.name,
-            "avoider": trials.avoider,
-            "searcher": findings.searcher,
-            "seed": trials.seed,
-            "budget": self.budget,
-            "tried": findings.tried,
-            "refused": dict(findings.refused.most_common()),
-            "interrupted": findings.interrupted,
-            "not confirmed in PyBullet": [self._group_as_json(group) for group in self.unconfirmed],
-            "claims": [
-                {
-                    "sentence": goal.sentence,
-                    "with a verdict": int(findings.evidence[k]),
-                    "violated": int(findings.violated[k]),
-                    "first violation after": int(findings.first_violation[k]) or None,
-                    "least margin": None if near is None else float(near.margins[k]),
-                }
-                for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
-            ],
-            "distinct": [self._group_as_json(group) for group in findings.groups],
-            "counterexamples": [str(path) for _, path in self.written],
-            "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
-        }
-
-    def _group_as_json(self, group: Group) -> dict[str, object]:
-        return {
-            "complaint": self._complaint(group).sentence,
-            "kind": group.kind,
-            "runs": group.count,
-            "worst margin": None if group.claim is None else group.worst_margin(),
-            "worst point": group.worst.point.tolist(),
-            "number": group.worst.number,
-        }
 
     def _remarks(self) -> list[str]:
         """What a reader would otherwise get wrong."""
@@ -278,6 +242,14 @@ class _Session:
         if self.findings.interrupted:
             return INTERRUPTED
         return DIFFERS if self.written else AS_EXPECTED
+
+
+def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
+    """The worst of each kind, then the others."""
+    firsts: dict[str, Group] = {}
+    for group in groups:
+        firsts.setdefault(group.kind, group)
+    return [*firsts.values(), *(group for group in groups if firsts[group.kind] is not group)]
 
 
 def _margin_of(one: Counterexample) -> str:

@@ -22,6 +22,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
 
 HORIZON_M = 1e3
+ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
@@ -121,7 +122,7 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     if wrong is not None:
         return f"the trace contradicts itself: {wrong}"
     for name in fields:
-        bad = ~np.isfinite(trace.ticks[name])
+        bad = ~(np.abs(trace.ticks[name]) < ENDLESS)  # of a NaN too
         if name in OF_HANDS:
             bad = bad.reshape(*trace.ticks["hand_present"].shape, -1) & trace.ticks["hand_present"][..., None]
         rows = bad.any(axis=tuple(range(1, bad.ndim)))

@@ -203,7 +203,7 @@ def _straight_reach(
         for i in range(3):
             target[i, 3] = start_pose[i, 3] + (reached + forward) * direction[i]
         trial[:] = joints
-        follows = _follow(joint_origins, joint_axes, flange, target, trial, transforms, jacobian)
+        follows = follow_pose(joint_origins, joint_axes, flange, target, trial, transforms, jacobian)
         if follows and _acceptable(trial, lower_rad, upper_rad, jacobian, min_singular_value):
             joints[:] = trial
             reached += forward
@@ -230,7 +230,7 @@ def _acceptable(
 
 
 @compiled
-def _follow(
+def follow_pose(
     joint_origins: NDArray[np.float64],
     joint_axes: NDArray[np.float64],
     flange: NDArray[np.float64],

@@ -102,7 +102,9 @@ def _item(entry: Entry, kind: Value | None) -> list[str]:
         if entry.beside:
             content = [entry.beside, *content]
     above = list(entry.before)
-    while content and (content[0].startswith("#") or not content[0]):
+    if not any(content):
+        return [*_collapsed(above), "-"]  # an item without a value
+    while content[0].startswith("#") or not content[0]:
         above.append(content.pop(0))
     return [*_collapsed(above), f"- {content[0]}", *(f"  {line}" if line else "" for line in content[1:])]
 

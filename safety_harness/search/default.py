@@ -42,8 +42,7 @@ class Default:
     def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
         self._cube, self._seed, self._claims = cube, seed, claims
         self._explorer = Explorer(cube, seed=seed)
-        self._archives = [Archive(cube.dimension) for _ in range(claims)]
-        self._taken: list[list[Points]] = [[] for _ in range(claims)]  # canonical
+        self._archives = [Archive(cube, _APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
         self._due = 0.0  # points of exploration
@@ -95,7 +94,7 @@ class Default:
         if told.min() < island.score:
             island.score, island.end = float(told.min()), canonical[int(told.argmin())]
         if island.score < 0.0 or island.descent.over:
-            self._taken[island.claim].append(island.end)
+            self._archives[island.claim].take(island.end)
             self._islands.remove(island)
 
     def _descending(self, room: int) -> list[Points]:
@@ -126,9 +125,10 @@ class Default:
         for _ in range(self._claims):
             claim = self._next_claim
             self._next_claim = (claim + 1) % self._claims
-            start = self._worst_place(claim)
+            archive = self._archives[claim]
+            start = None if archive.flat else archive.worst_free
             if start is not None:
-                self._taken[claim].append(start)
+                archive.take(start)
                 low, high = self._bounds(start)
                 rng = generator(self._seed, Branch.SEARCH, 2, self._begun)
                 self._begun += 1
@@ -136,16 +136,6 @@ class Default:
                 self._islands.append(island)
                 return island
         return None
-
-    def _worst_place(self, claim: int) -> Points | None:
-        """The point with the least score that is not near to where a descent has begun or ended."""
-        archive = self._archives[claim]
-        if archive.flat:
-            return None
-        free = np.ones(len(archive.points), bool)
-        for taken in self._taken[claim]:
-            free &= self._cube.distances(archive.points, taken) > _APART
-        return archive.points[int(np.argmax(free))].copy() if free.any() else None
 
     def _bounds(self, start: Points) -> tuple[Points, Points]:
         """Where a descent from ``start`` may go: its alternatives stay, what is not used is fixed."""

@@ -19,7 +19,8 @@ from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 
-_EXAMPLES = 100  # in one call of the engine, which goes for its targets after half of them; then anew
+_GRID = 10_000  # steps of a coordinate: Hypothesis climbs in whole numbers, not within 0 to 1
+_EXAMPLES = 1000  # in one call of the engine, which goes for its targets after half of them; then anew
 
 
 class _Over(BaseException):
@@ -100,4 +101,4 @@ def _coordinate(column: Column) -> st.SearchStrategy[float]:
     if column.flat:
         count = len(column.edges) - 1
         return st.sampled_from(column.middle_of(np.arange(count)).tolist())
-    return st.floats(min_value=0.0, max_value=1.0)
+    return st.integers(0, _GRID).map(lambda k: k / _GRID)

@@ -145,7 +145,7 @@ class Trials:
             margins[k], conclusive[k] = judged_by(self.properties, trace)
             mishaps[k] = mishap_of(trace)
             cells[k] = cell = cell_of(trace, self._seen_of(trace))
-            kinds[k] = "" if cell is None else cell.outcome
+            kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
         self.coverage.add(cells[k] for k in admitted)
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import lru_cache, partial
+from typing import Any
 
 from examples import (
     VISIT,
@@ -12,6 +13,7 @@ from examples import (
     Displaced,
     Nonsense,
     PassingGate,
+    RefusingGate,
     Sleeping,
     TowardsTheHand,
     hand,
@@ -19,19 +21,30 @@ from examples import (
     scenario,
 )
 
-from safety_harness.admission.admit import kinematics
+from safety_harness.admission.admit import admit, kinematics
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, GateKind, Settings
 from safety_harness.trace.trace import Trace
 
 STAYS = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
 
 
+REACH_ONLY = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, gate=GateKind.REACH))
+TOO_FAR = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, radius_m=2.0))
+SIDEWAYS = (0.0, 0.05, 0.08)
+IN_DOUBT = Displaced(SIDEWAYS, spread_m=0.03, spread_threshold_m=0.02)
+CERTAIN = Displaced(SIDEWAYS, spread_m=0.01, spread_threshold_m=0.02)
+
+
+def gate_of(kind: type[Gate], settings: Settings = DEFAULTS, **changed: Any) -> Gate:
+    gate = Gate.of(settings, kinematics())
+    return kind(**{field.name: getattr(gate, field.name) for field in fields(gate)} | changed)
+
+
 def passing() -> Gate:
-    gate = Gate.of(DEFAULTS, kinematics())
-    return PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
+    return gate_of(PassingGate)
 
 
 @lru_cache
@@ -42,6 +55,39 @@ def seeks_the_hand() -> Trace:
 @lru_cache
 def proposes_far_away() -> Trace:
     return run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=passing())
+
+
+@lru_cache
+def proposes_below_the_table() -> Trace:
+    return run(scenario(STAYS, duration_s=5.0), avoider=Displaced((0.0, 0.0, -0.7)), gate=passing())
+
+
+@lru_cache
+def uses_what_it_doubts() -> Trace:
+    return run(scenario(VISIT, settings=REACH_ONLY), avoider=IN_DOUBT)
+
+
+@lru_cache
+def uses_no_answer() -> Trace:
+    return run(scenario(VISIT), avoider=CERTAIN, gate=gate_of(RefusingGate))
+
+
+@lru_cache
+def heads_out_of_reach() -> Trace:
+    return run(scenario(VISIT, settings=TOO_FAR), avoider=Displaced((0.0, 2.0, 0.0)), gate=passing())
+
+
+@lru_cache
+def falls_back_to_the_hand() -> Trace:
+    return run(scenario(VISIT), avoider=IN_DOUBT, gate=gate_of(Gate, fallback=TowardsTheHand()))
+
+
+@lru_cache
+def minds_hands_within(critical_distance_m: float) -> Trace:
+    """A controller that was set up for another critical distance than the cell's."""
+    avoidance = replace(DEFAULTS.avoidance, critical_distance_m=critical_distance_m)
+    other = admit(scenario(VISIT, settings=replace(DEFAULTS, avoidance=avoidance)))
+    return run(scenario(VISIT), controller=other.controller())
 
 
 @lru_cache
@@ -99,9 +145,20 @@ def computes_nonsense() -> Trace:
 
 BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
+    "protective separation kept": seeks_the_hand,
+    "protective separation kept at 2 m/s": seeks_the_hand,
+    "protective separation kept from hands at their own speeds": seeks_the_hand,
     "repulsive poses reachable": proposes_far_away,
     "proposed repulsive poses reachable": proposes_far_away,
     "repulsion moves away from every hand": seeks_the_hand,
+    "repulsive ways clear of table, object and robot": proposes_below_the_table,
+    "uncertain answers fall back within 2 cycles": uses_what_it_doubts,
+    "certain answers are used": uses_no_answer,
+    "stops where neither answer nor opposite pose can be reached": heads_out_of_reach,
+    "fallback poses reachable and away": falls_back_to_the_hand,
+    "gives way within 100 ms of a predicted hand": lambda: minds_hands_within(0.3),
+    "never gives way without a hand": lambda: minds_hands_within(0.8),
+    "never gives way without a hand within 600 mm": lambda: minds_hands_within(0.8),
     "joint positions within limits": turns_on_and_on,
     "joint speeds within limits": turns_too_fast,
     "TCP speed never above 250 mm/s": turns_too_fast,

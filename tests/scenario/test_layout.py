@@ -145,6 +145,7 @@ def test_an_untidy_file_becomes_tidy_and_keeps_its_comments_and_units() -> None:
         ("- a # b\n", "- a  # b\n"),
         ("a # b\n", "# b\na\n"),
         ("# only\na: b", "# only\na: b\n"),
+        ("a:\n  - b\n  - \n", "a:\n  - b\n  -\n"),
     ],
 )
 def test_how_it_is_laid_out(before: str, after: str) -> None:

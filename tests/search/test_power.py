@@ -55,3 +55,13 @@ def test_chance_needs_more_than_five_times_as_many_where_margins_lead_somewhere(
     bug = SMOOTH[2]
     best = np.median([needed(DEFAULT, bug, seed, 2000) for seed in SEEDS])
     assert 5 * best < np.median([needed(UNIFORM, bug, seed, 10_000) for seed in SEEDS])
+
+
+@pytest.mark.parametrize(
+    ("make", "budget"),
+    [(make, 400 if make.name == "hypothesis" else 4000) for make in SEARCHERS],
+    ids=lambda value: getattr(value, "name", str(value)),
+)
+def test_every_searcher_finds_a_bug_within_its_budget(make: MakesSearcher, budget: int) -> None:
+    """Bugs of more than one run in 2,200; Hypothesis, which is slow, begins at an end of everything."""
+    assert all(needed(make, SMOOTH[2], seed, budget) <= budget for seed in range(2))

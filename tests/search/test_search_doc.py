@@ -39,5 +39,5 @@ def test_the_numbers_are_the_programs() -> None:
     assert f"more\n  than {APART} apart" in TEXT
     assert (fuzz._SHRINKING, fuzz._MOST_SHRUNK, DRAWS) == (200, 3, 10)
     assert "200 runs at most" in TEXT
-    assert "three of each claim at most" in TEXT
+    assert "three of each claim at\n  most" in TEXT
     assert "in how many of ten draws" in TEXT

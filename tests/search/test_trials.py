@@ -119,7 +119,7 @@ def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPat
 def test_a_run_is_in_one_cell_of_the_coverage() -> None:
     trials, found = outcomes()
     assert found.cells[1] == Cell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
-    assert found.kinds[1] == "proposed position"
+    assert found.kinds[1] == "right, proposed position"
     assert sum(trials.coverage.counts.values()) == len(POINTS)
     assert cell_of(fast_run(), seen_of(fast_run().scenario)) == found.cells[1]
 

@@ -1,0 +1,191 @@
+"""Doubt leads to the fallback, certainty to the answer: judged by where the arm goes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
+from safety_harness.properties.entry import Entry, count
+from safety_harness.properties.giving_way import LEAST_WAY_M, Finding
+from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
+from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.trace import Trace
+
+SAME_M = 0.001  # a chosen position this near to another is the same
+READS = (
+    "joint_position_rad",
+    "joint_velocity_radps",
+    "transform_tcp_to_base",
+    "tcp_speed_mps",
+    "demanded_joint_velocity_radps",
+)
+
+
+def has_doubt(decision: np.void) -> bool | None:
+    """Is the spread above the avoider's threshold on any axis?  None if it gave no answer or has none."""
+    spread_m, threshold_m = decision["proposed_spread_m"], decision["spread_threshold_m"]
+    if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
+        return None
+    return bool(spread_m.max() > threshold_m)
+
+
+def went(
+    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int, where: str
+) -> tuple[list[Finding], bool]:
+    """What the choice and the motion of a decision say of a target; and whether there was time for any."""
+    decision, findings = trace.decisions[number], []
+    time_s = float(decision["time_s"])
+    chosen, off_m = decision["chosen_position_in_base_m"], np.nan
+    if is_somewhere(chosen) and is_somewhere(target_in_base_m):
+        off_m = float(np.linalg.norm(chosen - target_in_base_m))
+    if not off_m <= SAME_M:
+        findings.append(Finding(SAME_M - off_m, time_s, f"told to go elsewhere than {where}"))
+    done = gone_towards(trace, number, target_in_base_m, after_ticks)
+    if done is None:
+        return findings, bool(findings)
+    findings.append(Finding(done.margin_m, float(trace.time_s[done.worst_tick]), f"on its way to {where}"))
+    return findings, bool(done.due_m >= LEAST_WAY_M) or findings[0].margin_m < 0.0
+
+
+def concluded(
+    prop: UncertainFallsBack | CertainIsUsed, trace: Trace, findings: list[Finding], exercised: int, none: str
+) -> Evaluation:
+    """The word on the worst finding; ``none`` says why there is none."""
+    if not findings:
+        return inconclusive(prop, f"never exercised: {none}")
+    worst = next((f for f in findings if not np.isfinite(f.margin_m)), None)
+    worst = worst or min(findings, key=lambda finding: finding.margin_m)
+    return judged(
+        prop,
+        trace,
+        margin=worst.margin_m,
+        worst_time_s=worst.time_s,
+        reason=worst.what + (f", worst of {exercised} decisions" if exercised > 1 else ""),
+        exercised=exercised,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class UncertainFallsBack:
+    """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
+
+    The opposite pose is computed again from the predictions of the tick.  From ``cycles`` control ticks
+    after the decision on, the TCP has to keep up with the point mass of ``reference`` that heads for
+    it; a chosen position more than 1 mm from it is a violation at once.  A stop is right where the
+    opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``); where it could
+    have been, its margin is minus what the pose had to spare.
+    """
+
+    cycles: int
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"uncertain answers fall back within {self.cycles} cycles"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision whose answer was uncertain."""
+        problem = unreadable(trace, READS)
+        if problem is not None:
+            return inconclusive(self, problem)
+        findings: list[Finding] = []
+        exercised = 0
+        for number, decision in enumerate(trace.decisions):
+            if not has_doubt(decision):
+                continue
+            opposite = opposite_position(trace, decision)
+            if self._stops(trace, decision):
+                findings += _rightly_stopped(trace, decision, opposite, self.cycles)
+                exercised += 1
+                continue
+            found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
+            findings += found
+            exercised += tried
+        return concluded(self, trace, findings, exercised, "no answer was above its threshold")
+
+    def _stops(self, trace: Trace, decision: np.void) -> bool:
+        within = trace.ticks["mode"][decision["tick"] : decision["tick"] + self.cycles + 1]
+        return bool(np.any(within == Mode.PROTECTIVE_STOP))
+
+
+def _rightly_stopped(
+    trace: Trace, decision: np.void, opposite: NDArray[np.float64], cycles: int
+) -> list[Finding]:
+    tick, time_s = int(decision["tick"]), float(decision["time_s"])
+    last = min(tick + cycles, len(trace.ticks) - 1)
+    return [
+        Finding(-spare_m(trace, decision, opposite), time_s, "stopped, what the opposite pose lacked"),
+        Finding(stopped_m(trace, last), time_s, "the way of the stop"),
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertainIsUsed:
+    """An answer within the avoider's threshold that could be used is used.
+
+    The other direction: a gate that always falls back would make every avoider look safe.  Asked of
+    answers that have something to spare (``spare_m``, at least 1 mm).  The arm has to go there, as for
+    an uncertain one to the opposite pose; a stop costs the whole way.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "certain answers are used"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision whose answer was certain and usable."""
+        problem = unreadable(trace, READS)
+        if problem is not None:
+            return inconclusive(self, problem)
+        findings: list[Finding] = []
+        exercised = 0
+        for number, decision in enumerate(trace.decisions):
+            proposed = decision["proposed_position_in_base_m"]
+            if has_doubt(decision) is not False or not spare_m(trace, decision, proposed) >= SAME_M:
+                continue
+            if decision["outcome"] == Outcome.STOP:
+                tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
+                way_m = float(np.linalg.norm(proposed - tcp_in_base))
+                findings.append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
+                exercised += 1
+                continue
+            found, tried = went(trace, number, proposed, 0, "the proposed position")
+            findings += found
+            exercised += tried
+        return concluded(self, trace, findings, exercised, "no answer was certain and could be used")
+
+
+UNCERTAIN = Entry(
+    example="uncertain answers fall back within 2 cycles",
+    pattern=r"uncertain answers fall back within (\S+) cycles?",
+    make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
+    unit=Unit.LENGTH,
+    rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
+    source="the paper, section 3.3: the opposite pose where the network is not sure",
+    margin="how far the TCP keeps up with a point mass that heads for the opposite pose; after a stop what "
+    "that pose lacked, or minus what it had to spare",
+    parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
+    exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
+    inconclusive="-",
+    scenario="hesitating-reach",
+    broken_by="an avoider in doubt behind a gate that does not ask for its spread",
+)
+
+CERTAIN = Entry(
+    example="certain answers are used",
+    pattern="certain answers are used",
+    make=lambda *_: CertainIsUsed(),
+    unit=Unit.LENGTH,
+    rationale="a system that always falls back is not the one whose avoider was tested",
+    source="the other direction of the same rule",
+    margin="how far the TCP keeps up with a point mass that heads for the proposed position; after a stop "
+    "minus the way there",
+    parameters="the threshold of the avoider; what a position has to spare",
+    exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
+    inconclusive="-",
+    scenario="hesitating-reach",
+    broken_by="a gate that lets no proposal pass",
+)

@@ -1,0 +1,128 @@
+"""What a position to give way to was worth, and whether the arm went there or stopped: from the truth alone.
+
+Nothing here believes what the gate noted down: the opposite pose is computed again, and so is whether
+a position could have been used.
+"""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
+from safety_harness.properties.base import is_somewhere
+from safety_harness.properties.clearance import clearances_m
+from safety_harness.properties.giving_way import last_tick
+from safety_harness.properties.reference import Progress, progress
+from safety_harness.properties.repulsive_pose import reach_margin
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.straight_way import straight_way
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace
+
+WAY_STEP_M = 0.005
+STOP_SLACK_M = 0.002  # of way, and of time
+STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
+
+
+def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
+    """(3,) the radius of the settings from the TCP, away from the nearest predicted hand; NaN without one."""
+    tick = trace.ticks[decision["tick"]]
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    hands = tick["predicted_hand_in_base_m"][tick["track_valid"]]
+    if len(hands) == 0:  # it has gone while the avoider was thinking
+        hands = decision["hand_position_in_base_m"][None]
+    if not all(is_somewhere(hand) for hand in hands):
+        return np.full(3, np.nan)
+    apart = np.linalg.norm(hands - tcp_in_base, axis=1)
+    nearest = int(np.argmin(apart))
+    if not apart[nearest] > 0.0:
+        return np.full(3, np.nan)
+    away: NDArray[np.float64] = tcp_in_base - hands[nearest]
+    opposite: NDArray[np.float64] = (
+        tcp_in_base + trace.scenario.settings.avoidance.radius_m / apart[nearest] * away
+    )
+    return opposite
+
+
+def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """How much farther than a position the straight way there goes; minus the radius for no position."""
+    if not is_somewhere(position_in_base_m):
+        return -trace.scenario.settings.avoidance.radius_m
+    tick = trace.ticks[decision["tick"]]
+    return reach_margin(
+        tick["joint_position_rad"],
+        tick["transform_tcp_to_base"][:3, 3],
+        position_in_base_m,
+        trace.scenario.settings.motion.min_singular_value,
+        trace.scenario.robot.arm_name,
+    )
+
+
+def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """The least that a position to give way to has to spare; negative for what it lacks to be usable.
+
+    Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
+    predicted hand; clearance of the wrist from the body along the way beyond the gate's 20 mm, or
+    beyond that of its start.  NaN if a prediction is not finite.
+    """
+    settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
+    spare = reach_m(trace, decision, position_in_base_m) - REACH_MARGIN_M
+    if not is_somewhere(position_in_base_m):
+        return spare
+    lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    spare = min(spare, float(position_in_base_m[2]) - lowest_m)
+    for hand in tick["predicted_hand_in_base_m"][tick["track_valid"]]:
+        if not is_somewhere(hand):
+            return np.nan
+        apart = float(np.linalg.norm(tcp_in_base - hand))
+        away = float((position_in_base_m - tcp_in_base) @ (tcp_in_base - hand))
+        spare = min(spare, away / apart if apart > 0.0 else spare)
+    if spare < 0.0:
+        return spare
+    joints_rad = straight_way(
+        load_arm(trace.scenario.robot.arm_name),
+        tick["joint_position_rad"],
+        position_in_base_m,
+        step_m=WAY_STEP_M,
+    )
+    own_m = clearances_m(trace, joints_rad)[:, 2]
+    return min(spare, float(own_m.min() - min(OWN_CLEARANCE_M, own_m[0])))
+
+
+def gone_towards(
+    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int
+) -> Progress | None:
+    """How well the repulsion of decision ``number`` keeps up with the reference that heads for a target.
+
+    The reference begins ``after_ticks`` after the decision, with the TCP's place and speed of then; None
+    if the repulsion was over by then.
+    """
+    last = last_tick(trace, number)
+    decision = trace.decisions[number : number + 1].copy()
+    decision["tick"] += after_ticks
+    decision["chosen_position_in_base_m"] = target_in_base_m
+    if int(decision["tick"][0]) >= last:
+        return None
+    return progress(trace, decision[0], last, None)
+
+
+def stopped_m(trace: Trace, tick: int) -> float:
+    """What the TCP's way from ``tick`` on leaves of that of a protective stop which begins there.
+
+    Allowed are v T_r + v T_s/2 at the speed v of then, one control period's way and 2 mm; counted is
+    the way in T_r + T_s, and for as long as the controller calls it a stop.
+    """
+    braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
+    speed_mps = float(trace.ticks["tcp_speed_mps"][tick])
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    last = tick + ceil((braking.reaction_time_s + stop_s) / period_s) + STOP_GRACE_TICKS
+    released = np.flatnonzero(trace.ticks["mode"][last:] != Mode.PROTECTIVE_STOP)
+    last += int(released[0]) if len(released) else len(trace.ticks)
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][tick : last + 1, :3, 3]
+    way_m = float(np.linalg.norm(np.diff(tcp_in_base, axis=0), axis=1).sum())
+    allowed_s = braking.reaction_time_s + 0.5 * stop_s + period_s
+    return speed_mps * allowed_s + STOP_SLACK_M - way_m

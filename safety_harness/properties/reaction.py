@@ -1,0 +1,112 @@
+"""A predicted hand near the TCP makes the arm give way or stop, and soon."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import HORIZON_M, Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry, quantity
+from safety_harness.scenario.units import TIME
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace
+
+EPS_S = 1e-9  # times are multiples of the control period, to rounding
+
+
+def gives_way(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) is the controller repulsing, or stopped for protection?"""
+    return np.isin(trace.ticks["mode"], (int(Mode.REPULSING), int(Mode.PROTECTIVE_STOP)))
+
+
+def predicted_near(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) is any predicted hand within the critical distance of the true TCP?"""
+    ticks = trace.ticks
+    valid, tcp_in_base = ticks["track_valid"], ticks["transform_tcp_to_base"][:, None, :3, 3]
+    hands = np.where(valid[..., None], ticks["predicted_hand_in_base_m"], np.inf)
+    apart = np.linalg.norm(hands - tcp_in_base, axis=2)
+    near = valid & (apart < trace.scenario.settings.avoidance.critical_distance_m)
+    found: NDArray[np.bool_] = near.any(axis=1)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWay:
+    """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
+
+    Near: within the critical distance of the true TCP, centre to TCP, as the controller's own rule has
+    it.  The time runs from the first such tick in a stretch without giving way to that stretch's end,
+    also if the hand leaves meanwhile: what was predicted has to be answered.  A stretch that the end of
+    the run cuts short counts only if it was too long already.
+
+    Giving way is what the controller says it does, repulsion or protective stop; that it then does it
+    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch without giving way."""
+        problem = unreadable(trace, ("transform_tcp_to_base",))
+        if problem is not None:
+            return inconclusive(self, problem)
+        ticks = trace.ticks
+        known = (np.abs(ticks["predicted_hand_in_base_m"]) < HORIZON_M).all(axis=2)
+        unknown = ticks["track_valid"] & ~known
+        if unknown.any():
+            at_s = trace.time_s[int(np.argmax(unknown.any(axis=1)))]
+            return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
+        near, reacting = predicted_near(trace), gives_way(trace)
+        occasions = int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1))
+        if occasions == 0:
+            return inconclusive(self, "never exercised: no predicted hand came within the critical distance")
+        longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
+        edges = np.diff((~reacting).astype(int), prepend=0, append=0)
+        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+            inside = np.flatnonzero(near[first:end])
+            if len(inside) == 0:
+                continue
+            begun_s = float(trace.time_s[first + inside[0]])
+            ended = end < len(ticks)
+            took_s = float(trace.time_s[end if ended else -1]) - begun_s
+            if not ended and took_s <= self.within_s + EPS_S:
+                open_ones += 1
+            elif took_s > longest_s:
+                longest_s, since_s = took_s, begun_s
+        if open_ones == occasions:
+            return inconclusive(self, "the run ends before the time allowed")
+        margin_s = self.within_s - longest_s
+        return judged(
+            self,
+            trace,
+            margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
+            worst_time_s=since_s + longest_s,
+            reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a predicted hand came near",
+            exercised=occasions - open_ones,
+        )
+
+
+GIVES_WAY = Entry(
+    example="gives way within 100 ms of a predicted hand",
+    pattern=r"gives way within (.+) of a predicted hand",
+    make=lambda match, _, place: GivesWay(within_s=quantity(match[1], TIME, place)),
+    unit=Unit.TIME,
+    rationale="every later step takes it for granted that the arm reacts within the time that its separation "
+    "allows for",
+    source="the paper, section 3.3; the reaction time T_r of ISO/TS 15066",
+    margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
+    "way nor was stopped",
+    parameters="the time; the critical distance of the settings",
+    exercised="a predicted hand comes within the critical distance",
+    inconclusive="a prediction that is not finite; a run that ends within the time allowed",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller whose own critical distance is too short",
+)

@@ -1,0 +1,216 @@
+"""The protective separation distance of ISO/TS 15066, term by term, of every pair of robot and human.
+
+S_p = S_h + S_r + S_s + C + Z_d + Z_r: what the human covers until the robot stands (S_h), what the
+robot covers in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it
+is noticed (C), and how uncertain the places of human (Z_d) and robot (Z_r) are.
+
+A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its
+own speeds, those of its two nearest points along the line between them: the robot's is the rate at
+which the distance would shrink if the human stood still.  Receding counts as standing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.geometry.nearest_points import nearest_shares
+from safety_harness.robot.distance import place_capsules
+from safety_harness.robot.kinematics import forward_kinematics
+
+ASSUMED = (
+    ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
+    ("S_r", "the robot goes on at its speed towards the human for the reaction time, v_r T_r"),
+    ("S_s", "then it brakes uniformly, v_r T_s/2"),
+    ("C", "none: the distance is measured from the true surfaces of hand and forearm"),
+    ("Z_d", "the human is known at control ticks, and is that much elsewhere between two, |v| dt/2"),
+    ("Z_r", "so is the robot; its capsules enclose its meshes"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """One term of S_p [m] and what it takes for granted."""
+
+    symbol: str
+    length_m: float
+    assumption: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation:
+    """One pair at one tick: how far apart it is and has to be.
+
+    ``robot_speed_mps`` and ``hand_speed_mps`` are those towards each other that the terms use;
+    ``reaction_time_s`` and ``stop_time_s`` what is left of them.
+    """
+
+    tick: int
+    hand: int
+    capsule: int
+    forearm: bool
+    distance_m: float
+    robot_speed_mps: float
+    hand_speed_mps: float
+    reaction_time_s: float
+    stop_time_s: float
+    terms: tuple[Term, ...]
+
+    @property
+    def required_m(self) -> float:
+        """S_p."""
+        return sum(term.length_m for term in self.terms)
+
+    @property
+    def margin_m(self) -> float:
+        """How much farther apart the pair is than it has to be."""
+        return self.distance_m - self.required_m
+
+
+def separation_terms(
+    *,
+    hand_speed_mps: float,
+    robot_speed_mps: float,
+    reaction_time_s: float,
+    stop_time_s: float,
+    hand_moves_m: float = 0.0,
+    robot_moves_m: float = 0.0,
+) -> tuple[Term, ...]:
+    """The six terms; the last two arguments are how far the nearest points move within half a tick."""
+    lengths = _lengths(
+        hand_speed_mps, robot_speed_mps, reaction_time_s, stop_time_s, hand_moves_m, robot_moves_m
+    )
+    return tuple(
+        Term(symbol=symbol, length_m=length, assumption=assumption)
+        for (symbol, assumption), length in zip(ASSUMED, lengths, strict=True)
+    )
+
+
+@compiled
+def _lengths(
+    hand_speed_mps: float,
+    robot_speed_mps: float,
+    reaction_time_s: float,
+    stop_time_s: float,
+    hand_moves_m: float,
+    robot_moves_m: float,
+) -> tuple[float, float, float, float, float, float]:
+    return (
+        hand_speed_mps * (reaction_time_s + stop_time_s),
+        robot_speed_mps * reaction_time_s,
+        0.5 * robot_speed_mps * stop_time_s,
+        0.0,
+        hand_moves_m,
+        robot_moves_m,
+    )
+
+
+@compiled
+def least_separation(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    link_index: NDArray[np.int64],
+    start_in_link: NDArray[np.float64],
+    end_in_link: NDArray[np.float64],
+    radius_m: NDArray[np.float64],
+    judged: NDArray[np.bool_],  # (n,) which ticks count
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    present: NDArray[np.bool_],  # (n, hands)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3): hand and elbow
+    velocities_mps: NDArray[np.float64],  # (n, hands, 2, 3)
+    reaction_s: NDArray[np.float64],  # (n,) what is left of the reaction time
+    stop_s: NDArray[np.float64],  # (n,) and of the stop time
+    body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
+    hand_speed_mps: float,  # constant, or NaN for each hand's own
+    half_period_s: float,
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The pair with the least margin.
+
+    (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
+    distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
+    """
+    which, what = np.full(4, -1), np.full(5, np.nan)
+    transforms = np.empty((8, 4, 4))
+    placed = np.empty((radius_m.shape[0], 2, 3))
+    apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
+    least = np.inf
+    for k in range(judged.shape[0]):
+        if not judged[k] or not present[k].any():
+            continue
+        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
+        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+        for hand in range(present.shape[1]):
+            if not present[k, hand]:
+                continue
+            for capsule in range(radius_m.shape[0]):
+                for body in range(2):
+                    start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
+                    s, t = nearest_shares(start, end, placed[capsule, 0], placed[capsule, 1])
+                    total = 0.0
+                    for i in range(3):
+                        robot[i] = placed[capsule, 0, i]
+                        robot[i] += t * (placed[capsule, 1, i] - placed[capsule, 0, i])
+                        apart[i] = start[i] + s * (end[i] - start[i]) - robot[i]
+                        total += apart[i] * apart[i]
+                        human[i] = velocities_mps[k, hand, 0, i]
+                        human[i] += s * (velocities_mps[k, hand, body, i] - velocities_mps[k, hand, 0, i])
+                    axes = sqrt(total)
+                    _velocity(joint_axes, transforms, link_index[capsule], rates_radps[k], robot)
+                    robot_speed = _along(robot, apart, axes)
+                    own_speed = _along(human, apart, -axes)
+                    hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
+                    hand_moves = half_period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
+                    robot_moves = half_period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
+                    needed = 0.0
+                    for length in _lengths(
+                        hand_speed, robot_speed, reaction_s[k], stop_s[k], hand_moves, robot_moves
+                    ):
+                        needed += length
+                    distance = axes - radius_m[capsule] - body_radius_m[body]
+                    if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
+                        least = distance - needed
+                        which[0], which[1], which[2], which[3] = k, hand, capsule, body
+                        what[0], what[1], what[2] = distance, robot_speed, hand_speed
+                        what[3], what[4] = hand_moves, robot_moves
+                        if np.isnan(least):
+                            return which, what
+    return which, what
+
+
+@compiled
+def _velocity(
+    joint_axes: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    link: int,
+    rates_radps: NDArray[np.float64],
+    point: NDArray[np.float64],  # (3,) in the base frame; its velocity [m/s] is written over it
+) -> None:
+    """The velocity of a point that is fixed to a link."""
+    px, py, pz = point[0], point[1], point[2]
+    vx = vy = vz = 0.0
+    for joint in range(min(link, 6)):
+        frame, own = transforms[joint + 1], joint_axes[joint]
+        ax = frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2]
+        ay = frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2]
+        az = frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2]
+        rx, ry, rz = px - frame[0, 3], py - frame[1, 3], pz - frame[2, 3]
+        rate = rates_radps[joint]
+        vx += rate * (ay * rz - az * ry)
+        vy += rate * (az * rx - ax * rz)
+        vz += rate * (ax * ry - ay * rx)
+    point[0], point[1], point[2] = vx, vy, vz
+
+
+@compiled
+def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
+    """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none."""
+    if length == 0.0:
+        return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    return float(max(total / length, 0.0))

@@ -1,0 +1,194 @@
+"""Doubt falls back, certainty is used, and the arm stops where nothing can be reached."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from broken import (
+    CERTAIN,
+    IN_DOUBT,
+    TOO_FAR,
+    falls_back_to_the_hand,
+    gate_of,
+    heads_out_of_reach,
+    uses_no_answer,
+    uses_what_it_doubts,
+)
+from examples import VISIT, AnswersNothing, Displaced, StoppingGate, run, scenario
+
+from safety_harness.properties.base import Property
+from safety_harness.properties.fallback import CertainIsUsed, UncertainFallsBack
+from safety_harness.properties.fallback_poses import FallbackPoses
+from safety_harness.properties.stopping import StopsWhereNothingIsReachable
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.trace import Trace
+
+UNCERTAIN, USED = UncertainFallsBack(cycles=2), CertainIsUsed()
+OUT_OF_REACH = Displaced((0.0, 2.0, 0.0), spread_m=0.03, spread_threshold_m=0.02)
+STOPS, POSES = StopsWhereNothingIsReachable(), FallbackPoses()
+
+
+@lru_cache
+def doubting() -> Trace:
+    return run(scenario(VISIT), avoider=IN_DOUBT)
+
+
+@lru_cache
+def certain() -> Trace:
+    return run(scenario(VISIT), avoider=CERTAIN)
+
+
+@lru_cache
+def nowhere_to_go() -> Trace:
+    return run(scenario(VISIT, settings=TOO_FAR), avoider=OUT_OF_REACH)
+
+
+def edited(trace: Trace, **changed: object) -> Trace:
+    decisions = trace.decisions.copy()
+    for name, value in changed.items():
+        decisions[name] = value
+    return replace(trace, decisions=decisions)
+
+
+@pytest.mark.parametrize(
+    ("prop", "trace"),
+    [
+        (UNCERTAIN, doubting),
+        (USED, certain),
+        (UNCERTAIN, nowhere_to_go),
+        (STOPS, nowhere_to_go),
+        (POSES, doubting),
+    ],
+    ids=["falls-back", "is-used", "stops-in-doubt", "stops", "pose"],
+)
+def test_the_system_holds(prop: Property, trace: object) -> None:
+    evaluation = prop.evaluate(trace())  # type: ignore[operator]
+    assert evaluation.verdict is Verdict.HOLDS, evaluation
+    assert evaluation.exercised > 0
+
+
+def test_doubt_and_certainty_are_each_others_silence() -> None:
+    assert UNCERTAIN.evaluate(certain()).verdict is Verdict.INCONCLUSIVE
+    assert USED.evaluate(doubting()).verdict is Verdict.INCONCLUSIVE
+
+
+def test_an_avoider_without_a_threshold_says_nothing_of_either(visit: Trace) -> None:
+    assert UNCERTAIN.evaluate(visit).verdict is Verdict.INCONCLUSIVE
+    assert USED.evaluate(visit).verdict is Verdict.INCONCLUSIVE
+
+
+def test_no_answer_is_neither_certain_nor_uncertain() -> None:
+    silent = run(scenario(VISIT), avoider=AnswersNothing())
+    assert len(silent.decisions) > 0
+    for prop in (UNCERTAIN, USED):
+        assert prop.evaluate(silent).verdict is Verdict.INCONCLUSIVE
+
+
+def test_noting_down_the_opposite_pose_does_not_make_up_for_going_elsewhere() -> None:
+    """The records say that it fell back; the arm went where the avoider had said."""
+    trace = uses_what_it_doubts()
+    said = edited(
+        trace,
+        outcome=Outcome.OPPOSITE,
+        chosen_position_in_base_m=trace.decisions["opposite_position_in_base_m"],
+    )
+    evaluation = UNCERTAIN.evaluate(said)
+    assert evaluation.verdict is Verdict.VIOLATED, evaluation
+    assert evaluation.reason.startswith("on its way")
+
+
+def test_using_an_answer_is_judged_by_the_way_too() -> None:
+    trace = uses_no_answer()
+    said = edited(
+        trace,
+        outcome=Outcome.PROPOSED,
+        chosen_position_in_base_m=trace.decisions["proposed_position_in_base_m"],
+    )
+    evaluation = USED.evaluate(said)
+    assert evaluation.verdict is Verdict.VIOLATED, evaluation
+    assert evaluation.reason.startswith("on its way")
+
+
+def test_a_stop_is_no_fallback_while_the_opposite_pose_could_be_used() -> None:
+    stopped = run(scenario(VISIT), avoider=IN_DOUBT, gate=gate_of(StoppingGate))
+    evaluation = UNCERTAIN.evaluate(stopped)
+    assert evaluation.verdict is Verdict.VIOLATED
+    assert evaluation.margin is not None
+    assert -0.1 <= evaluation.margin < -0.05  # all that the opposite pose had to spare
+
+
+def test_a_stop_instead_of_a_certain_answer_costs_the_whole_way() -> None:
+    stopped = run(scenario(VISIT), avoider=CERTAIN, gate=gate_of(StoppingGate))
+    evaluation = USED.evaluate(stopped)
+    assert evaluation.verdict is Verdict.VIOLATED
+    assert evaluation.margin == pytest.approx(-np.hypot(0.05, 0.08), abs=1e-9)
+
+
+def test_calling_it_a_stop_and_moving_on_is_violated() -> None:
+    trace = heads_out_of_reach()
+    ticks = trace.ticks.copy()
+    ticks["mode"][ticks["mode"] == Mode.REPULSING] = Mode.PROTECTIVE_STOP
+    evaluation = STOPS.evaluate(replace(trace, ticks=ticks))
+    assert evaluation.verdict is Verdict.VIOLATED
+
+
+def test_a_certain_answer_that_cannot_be_used_need_not_be() -> None:
+    far = Displaced((0.0, 2.0, 0.0), spread_m=0.01, spread_threshold_m=0.02)
+    assert USED.evaluate(run(scenario(VISIT), avoider=far)).verdict is Verdict.INCONCLUSIVE
+
+
+def test_an_arm_that_begins_thirty_cycles_late_keeps_to_thirty_and_not_to_two() -> None:
+    trace, late = doubting(), 30
+    first = int(trace.decisions["tick"][0])
+    ticks = trace.ticks.copy()
+    names = ("joint_position_rad", "transform_tcp_to_base", "joint_velocity_radps", "tcp_speed_mps")
+    for name in (*names, "mode"):
+        ticks[name][first + late :] = trace.ticks[name][first:-late]
+        ticks[name][first : first + late] = trace.ticks[name][first]
+    delayed = replace(trace, ticks=ticks)
+    assert UncertainFallsBack(cycles=2).evaluate(delayed).verdict is Verdict.VIOLATED
+    assert UncertainFallsBack(cycles=late).evaluate(delayed).verdict is Verdict.HOLDS
+
+
+def test_a_fallback_that_heads_for_the_hand_breaks_its_second_part_alone() -> None:
+    evaluation = POSES.evaluate(falls_back_to_the_hand())
+    assert [part.verdict for part in evaluation.parts] == [Verdict.HOLDS, Verdict.VIOLATED]
+    assert evaluation.margin == evaluation.parts[1].margin
+
+
+def test_a_fallback_out_of_reach_breaks_its_first_part_alone() -> None:
+    evaluation = POSES.evaluate(nowhere_to_go())
+    assert [part.verdict for part in evaluation.parts] == [Verdict.VIOLATED, Verdict.HOLDS]
+    assert evaluation.margin is not None
+    assert evaluation.margin < -0.5
+
+
+def test_no_fallback_pose_at_all_is_a_violation() -> None:
+    none = edited(doubting(), opposite_position_in_base_m=np.nan)
+    assert POSES.evaluate(none).verdict is Verdict.VIOLATED
+
+
+def test_without_a_true_hand_its_direction_is_not_exercised() -> None:
+    ticks = doubting().ticks.copy()
+    ticks["hand_present"] = False
+    ticks["hand_distance_capsule"] = -1
+    nobody = replace(doubting(), ticks=ticks, scenario=replace(doubting().scenario, hands=()))
+    evaluation = POSES.evaluate(nobody)
+    assert [part.verdict for part in evaluation.parts] == [Verdict.HOLDS, Verdict.INCONCLUSIVE]
+
+
+@pytest.mark.parametrize("prop", [UNCERTAIN, USED, STOPS, POSES], ids=lambda prop: prop.sentence)
+@pytest.mark.parametrize("field", ["joint_position_rad", "transform_tcp_to_base"])
+def test_what_is_not_finite_is_no_evidence(prop: Property, field: str) -> None:
+    ticks = doubting().ticks.copy()
+    ticks[field][len(ticks) // 2] = np.nan
+    assert prop.evaluate(replace(doubting(), ticks=ticks)).verdict is Verdict.INCONCLUSIVE
+
+
+@pytest.mark.parametrize("prop", [UNCERTAIN, USED, STOPS, POSES], ids=lambda prop: prop.sentence)
+def test_without_a_decision_there_is_nothing_to_judge(prop: Property) -> None:
+    assert prop.evaluate(run(scenario(duration_s=0.2))).verdict is Verdict.INCONCLUSIVE
