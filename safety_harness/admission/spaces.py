@@ -67,24 +67,19 @@ def draw_admissible(
             avoiders[scenario.avoider] = admit(scenario, avoider=known, rehearsed=known is not None).avoider
             scenarios.append(scenario)
         except InputError as error:
+            if _is_a_mistake(error):
+                raise
             last = error
-            refused[why_refused(error)] += 1
+            refused[f"{error.place.field}: expected {error.expected}"] += 1
         drawn += 1
         if on_draw is not None:
             on_draw(drawn)
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
 
 
-def why_refused(error: InputError) -> str:
-    """The reason, the same for draws that are refused alike: "field: expected ...".
-
-    Raises ``error`` where the text is to blame: an avoider that is missing, a claim that nobody knows.
-    """
-    if isinstance(error, ModelError) or (error.place.field or "").startswith(
-        ("avoider", "--avoider", "claims")
-    ):
-        raise error
-    return f"{error.place.field}: expected {error.expected}"
+def _is_a_mistake(error: InputError) -> bool:
+    """Whether the text is to blame: an avoider that is missing, a claim that nobody knows."""
+    return isinstance(error, ModelError) or (error.place.field or "").startswith(("avoider", "claims"))
 
 
 def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
@@ -96,3 +91,13 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
         got=f"{admitted} of {drawn} draws",
         hint=f"{count} times it was {reason}",
     )
+
+
+def why_refused(error: InputError) -> str:
+    """The reason, the same for points that are refused alike: "field: expected ...".
+
+    Raises ``error`` where the text is to blame.
+    """
+    if _is_a_mistake(error) or error.place.field == "--avoider":
+        raise error
+    return f"{error.place.field}: expected {error.expected}"
