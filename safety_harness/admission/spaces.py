@@ -7,10 +7,13 @@ here, and only here, draws are rejected.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from safety_harness.admission.admit import admit
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.exceptions import InadmissibleError, InputError, ModelError
 from safety_harness.scenario.model import Scenario
@@ -75,6 +78,29 @@ def draw_admissible(
         if on_draw is not None:
             on_draw(drawn)
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
+
+
+def admit_points(
+    space: ScenarioSpace, u: NDArray[np.float64], seeds: Iterable[int], *, avoider: Avoider | None = None
+) -> Iterator[Admitted | InputError]:
+    """For each point (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
+
+    ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
+    are drawn for all points at once.  A mistake in the text itself is raised.
+    """
+    avoiders: dict[str, Avoider] = {}
+    for k, (values, seed) in enumerate(zip(space.values_at(u), seeds, strict=True)):
+        try:
+            scenario = space.scenario(values, seed=seed, name=f"{space.name}#{k}")
+            known = avoiders.get(scenario.avoider)
+            one = admit(scenario, avoider=known or avoider, rehearsed=known is not None)
+        except InputError as error:
+            if _is_a_mistake(error):
+                raise
+            yield error
+        else:
+            avoiders[scenario.avoider] = one.avoider
+            yield one
 
 
 def _is_a_mistake(error: InputError) -> bool:

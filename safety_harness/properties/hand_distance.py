@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -175,11 +176,14 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     return bend
 
 
-@once_a_trace
 def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
     """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    arm = load_arm(trace.scenario.robot.arm_name)
-    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, trace.scenario.settings)
+    return _joint_reach_m(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings).copy()
+
+
+@lru_cache(maxsize=16)
+def _joint_reach_m(arm: ArmModel, settings: Settings) -> NDArray[np.float64]:
+    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
     ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
