@@ -150,7 +150,8 @@ class Trials:
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
 
     def _admit(self, scenario: Scenario) -> Admitted:
-        admitted = admit(scenario, avoider=self._avoiders.get(scenario.avoider))
+        known = self._avoiders.get(scenario.avoider)
+        admitted = admit(scenario, avoider=known, rehearsed=known is not None)
         if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
             self._avoiders[scenario.avoider] = admitted.avoider
         return admitted
