@@ -12,6 +12,7 @@ demo: $(VENV)/installed
 
 test: $(VENV)/tested check
 	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 examples/suites --safety-derandomize
 
 check: $(VENV)/tested
 	$(BIN)/ruff check .

@@ -106,6 +106,10 @@ class SearchOrderError(SafetyHarnessError):
     """A searcher was asked and told out of turn, or proposed what is no point of the cube."""
 
 
+class FlakyAvoiderError(AvoiderError):
+    """An avoider answered the same question, with the same seed, in two ways."""
+
+
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
 

@@ -29,6 +29,8 @@ ORDER = [
     {"search"},
     {"report"},
     {"cli"},
+    {"testing"},
+    {"pytest_plugin"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 FILES = sorted(PACKAGE.rglob("*.py"))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from safety_harness import admit, judge, parse_scenario, run_trial
+from safety_harness import admit, judge, parse_scenario, read_space, run_trial
+from safety_harness.testing.simulating import simulate
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -25,11 +27,20 @@ def test_the_scenario_of_the_readme_comes_out_as_it_expects() -> None:
 def test_the_python_of_the_readme_runs(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (code,) = blocks("python")
+    _, code = blocks("python")
     monkeypatch.chdir(README.parent)
     exec(compile(code, "README", "exec"), {"__name__": "readme"})
     lines = capsys.readouterr().out.splitlines()
     assert any(line.startswith("repulsive poses reachable holds") for line in lines)
+
+
+def test_the_test_of_the_readme_passes_for_a_draw_of_its_space(monkeypatch: pytest.MonkeyPatch) -> None:
+    code, _ = blocks("python")
+    monkeypatch.chdir(README.parent)
+    namespace: dict[str, Any] = {}
+    exec(compile(code, "README", "exec"), namespace)
+    draw = read_space(Path("scenarios/spaces/unseen-hand.yaml")).draw(seed=0, k=1)
+    namespace["test_keeps_its_distance"].hypothesis.inner_test(scenario=draw, simulate=simulate)
 
 
 def test_every_linked_document_exists() -> None:

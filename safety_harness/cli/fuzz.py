@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
 from safety_harness.cli.fuzz_json import as_json, complaint_of
 from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, summary
-from safety_harness.cli.show import as_seen_from, write_text
+from safety_harness.cli.show import write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario

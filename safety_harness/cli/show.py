@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import command_line_reference, with_avoider
+from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
@@ -19,7 +17,7 @@ from safety_harness.exceptions import InputError, OutputError, Place, ScenarioEr
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.report.text_file import write_whole
 from safety_harness.scenario.expand import gather
-from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.boxes import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
@@ -103,20 +101,6 @@ def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDA
         for name, low, high in boxes:
             found[(name, *low, *high)] = (name, np.array(low) + shift, np.array(high) + shift)
     return list(found.values())
-
-
-def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
-    """The scenario with its recordings, and its avoider's file, named relative to another folder."""
-    before = scenario.file.parent if scenario.file else Path()
-    hands = tuple(
-        replace(hand, recording=Path(os.path.relpath(before / hand.recording, folder)))
-        if isinstance(hand, RecordedHand)
-        else hand
-        for hand in scenario.hands
-    )
-    moved = replace(scenario, hands=hands, file=folder / "scenario.yaml")
-    own = command_line_reference(scenario)
-    return moved if own == scenario.avoider else with_avoider(moved, own)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionRow,
@@ -78,18 +79,33 @@ def write_report(
     command: str,
     interrupted: bool,
     generated_at: datetime,
+    coverage: Sequence[ClaimTally] | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were
-    planned than are here.  Folders that are missing are made.  Raises OSError.
+    planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
+    more runs than are shown.  Folders that are missing are made.  Raises OSError.
     """
-    page = render(runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at)
+    page = render(
+        runs,
+        title=title,
+        command=command,
+        interrupted=interrupted,
+        generated_at=generated_at,
+        coverage=coverage,
+    )
     write_whole(path, page)
 
 
 def render(
-    runs: Sequence[JudgedRun], *, title: str, command: str, interrupted: bool, generated_at: datetime
+    runs: Sequence[JudgedRun],
+    *,
+    title: str,
+    command: str,
+    interrupted: bool,
+    generated_at: datetime,
+    coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
     environment = Environment(
@@ -108,7 +124,7 @@ def render(
         generated_iso=generated_at.isoformat(),
         summary=summarise(runs, interrupted=interrupted),
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
-        coverage=coverage_rows(tallies(runs)),
+        coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,

@@ -29,21 +29,27 @@ SI_UNITS = {
 }
 
 
-def write_json(path: Path, runs: Sequence[JudgedRun], *, interrupted: bool) -> None:
+def write_json(
+    path: Path,
+    runs: Sequence[JudgedRun],
+    *,
+    interrupted: bool,
+    coverage: Sequence[ClaimTally] | None = None,
+) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
     each run says what was run and has its ``claims`` (a formula that "and" joins also each of its
-    ``parts``), and coverage says of each claim over all runs how often it was put to the test.
-    Margins are in SI units, in full precision, null where there is none; one that is not finite is
-    the text "inf", "-inf" or "nan", since JSON has no such number.  ``trace_sha256`` is of the trace
-    file as it is now.  Raises OSError.
+    ``parts``), and coverage says of each claim over all runs how often it was put to the test;
+    ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
+    none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+    ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
         "format": FORMAT,
         "interrupted": interrupted,
         "runs": [_run(run) for run in runs],
-        "coverage": [_coverage(tally) for tally in tallies(runs)],
+        "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
     }
     write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 

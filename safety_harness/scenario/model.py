@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,6 +206,10 @@ class Scenario:
     faults: tuple[Fault, ...] = ()
     file: Path | None = field(default=None, compare=False)
     places: dict[str, Place] = field(default_factory=dict, compare=False)
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
+        printer.text(f"<scenario {self.name}: {self.title}>")
 
     def place(self, *names: str) -> Place:
         """Where the first of the fields that the file has stands in it, for an error found after reading.

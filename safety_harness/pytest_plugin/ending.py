@@ -1,0 +1,94 @@
+"""The end of a session: what was judged, how often it was really tested, what was kept, the report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from safety_harness.testing.session import session as current
+
+if TYPE_CHECKING:
+    from safety_harness.properties.tally import ClaimTally
+
+
+class Ending:
+    """Gathers what the reports of tests bring, from the workers of xdist too."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+        self._sent: list[dict[str, Any]] = []
+        self._unwritten = ""
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Take what a test judged."""
+        sent = vars(report).get("safety_harness")
+        if sent is not None and (sent["judged"] or sent["replayed"]):
+            self._sent.append(sent)
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """A session in which a claim was never put to the test has failed; write the report."""
+        if self._untested() and session.exitstatus == pytest.ExitCode.OK:
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        file = current().report
+        if file is not None and self._sent:
+            from safety_harness.pytest_plugin.reporting import write_reports
+
+            whole = session.exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
+            self._unwritten = write_reports(
+                file, self._sent, self._tallies(), config=self._config, whole=whole
+            )
+            if self._unwritten and whole:
+                session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        """The table of claims, the kept failures, the seed."""
+        if not self._sent:
+            return
+        from safety_harness.properties.tally import table_lines
+
+        say = terminalreporter.write_line
+        terminalreporter.section("safety claims")
+        for line in table_lines(self._tallies()):
+            say(line)
+        for sentence in self._untested():
+            say(f"never put to the test: {sentence}; the session has failed", red=True)
+        for line in self._remarks():
+            say(line)
+
+    def _remarks(self) -> list[str]:
+        from safety_harness.testing.failure_text import near
+
+        lines = []
+        kept = [Path(sent["kept"]) for sent in self._sent if sent["kept"]]
+        if kept:
+            lines.append("scenarios of failures, tried first next time:")
+            lines += [f"  {near(file)}" for file in kept]
+        tried = [sent for sent in self._sent if sent["replayed"]]
+        if tried:
+            files = sum(len(sent["replayed"]) for sent in tried)
+            passed = [Path(file) for sent in tried if not sent["failed"] for file in sent["replayed"]]
+            lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
+            lines += [f"  {near(file)}" for file in passed]
+        now = current()
+        if any(sent["draws"] for sent in self._sent) and not now.derandomize:
+            again = f"--hypothesis-seed={now.seed}"
+            lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
+        if now.report is not None:
+            lines.append(self._unwritten or f"report: {near(now.report)}")
+        return lines
+
+    def _tallies(self) -> tuple[ClaimTally, ...]:
+        from safety_harness.properties.tally import Judged, tally_claims
+        from safety_harness.pytest_plugin.sending import judgements
+
+        return tally_claims(
+            Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected)
+            for sent in self._sent
+            for j in judgements(sent)
+        )
+
+    def _untested(self) -> list[str]:
+        return [tally.sentence for tally in self._tallies() if tally.untested] if self._sent else []

@@ -1,0 +1,187 @@
+"""The hooks.  Whatever is heavy is imported where it is first needed: most projects never need it.
+
+A session without a scenario file and without a test that uses ``safety_harness.testing`` is left alone.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import sys
+from collections.abc import Generator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from safety_harness.testing.profiles import PROFILES, QUICK, profile_named
+from safety_harness.testing.session import FAILURES, Session, TestRun, begin, session
+
+if TYPE_CHECKING:
+    from safety_harness.pytest_plugin.collecting import ScenarioFile
+    from safety_harness.testing.simulating import Simulate
+
+SUFFIXES = (".yaml", ".yml")
+# The title of a scenario, a space or a suite; or two keys that only scenario files have.
+_TITLE = re.compile(r"^(scenario|scenario space|suite):[ \t]+\S", re.MULTILINE)
+_KEYS = re.compile(
+    r"^(extends|duration|tcp start|avoider|hands|faults|hand sensor|camera|robot|claims|matrix):",
+    re.MULTILINE,
+)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options and ini values."""
+    names = [profile.name for profile in PROFILES]
+    sizes = ", ".join(f"{profile.name} {profile.examples}" for profile in PROFILES)
+    group = parser.getgroup("safety-harness", "safety properties of a hand-avoiding robot arm")
+    group.addoption(
+        "--avoider",
+        metavar="AVOIDER",
+        help="In place of what scenarios name: mc-dropout, 'opposite pose', FILE.py:NAME, FILE.onnx, ...",
+    )
+    group.addoption("--safety-profile", choices=names, help=f"Scenarios that a test draws: {sizes}.")
+    group.addoption(
+        "--safety-derandomize", action="store_true", help="Draw the same scenarios in every session."
+    )
+    group.addoption("--safety-report", metavar="FILE", help="Write an HTML report, and JSON beside it.")
+    parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
+    parser.addini(
+        "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
+    )
+    parser.addini(
+        "safety_failures", "folder for the scenarios of failures, from pytest's root", default=str(FAILURES)
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Begin a session; an avoider that cannot be used ends it at once."""
+    name = config.getoption("safety_profile") or config.getini("safety_profile")
+    try:
+        profile = profile_named(name)
+    except KeyError:
+        expected = ", ".join(profile.name for profile in PROFILES)
+        raise pytest.UsageError(f"safety_profile: expected one of {expected}; got {name!r}") from None
+    new = Session(
+        root=config.rootpath,
+        profile=profile,
+        derandomize=config.getoption("safety_derandomize") or config.getini("safety_derandomize"),
+        seed=_seed(config),
+        avoider=config.getoption("avoider"),
+        failures=config.rootpath / config.getini("safety_failures"),
+        report=_report(config),
+    )
+    before = begin(new)
+    config.add_cleanup(partial(_end, before))
+    if not _is_worker(config):
+        from safety_harness.pytest_plugin.ending import Ending
+
+        config.pluginmanager.register(Ending(config), "safety-harness-ending")
+        if new.avoider is not None and not config.option.help:
+            from safety_harness.pytest_plugin.asking import refuse_unusable_avoider
+
+            refuse_unusable_avoider(new.avoider)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Every worker of xdist draws by the same seed."""
+    node.workerinput["safety_seed"] = session().seed
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
+    """Scenario files, spaces and suites; any other YAML file only if it is asked for by name."""
+    if file_path.suffix not in SUFFIXES:
+        return None
+    if not (parent.session.isinitpath(file_path) or looks_like_ours(file_path)):
+        return None
+    from safety_harness.pytest_plugin.collecting import ScenarioFile
+
+    return ScenarioFile.from_parent(parent, path=file_path)
+
+
+def looks_like_ours(path: Path) -> bool:
+    """Has the beginning of a YAML file the keys of a scenario, a space or a suite?"""
+    try:
+        with path.open("rb") as file:
+            text = file.read(100_000).decode("utf-8", "replace").removeprefix("\ufeff")
+    except OSError:
+        return False
+    return bool(_TITLE.search(text)) or len(set(_KEYS.findall(text))) >= 2
+
+
+@pytest.fixture(scope="session")
+def simulate() -> Simulate:
+    """A function from a scenario to the trace of its run."""
+    from safety_harness.testing.simulating import simulate as shared
+
+    return shared
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Watch the tests that judge runs."""
+    if "safety_harness.testing.asserting" not in sys.modules:  # nobody can have judged anything
+        return (yield)
+    from safety_harness.pytest_plugin.running import watch
+
+    with watch(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What was judged travels with the report, to JUnit and from a worker of xdist to the session."""
+    report = yield
+    test = item.stash.get(TEST, None)
+    if test is not None and report.when == "call":
+        from safety_harness.pytest_plugin.running import complete
+
+        complete(report, item, call, test)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """A mistake in a scenario file or in what a test asks for is told without our frames."""
+    report = yield
+    call = getattr(report, "call", None)
+    if report.failed and call is not None and "safety_harness.exceptions" in sys.modules:
+        from safety_harness.exceptions import SafetyHarnessError
+        from safety_harness.pytest_plugin.asking import explained
+
+        if isinstance(call.excinfo.value, SafetyHarnessError):
+            report.longrepr = explained(call.excinfo.value)
+    return report
+
+
+TEST: pytest.StashKey[TestRun] = pytest.StashKey()
+
+
+def _end(before: Session) -> None:
+    begin(before)
+
+
+def _is_worker(config: pytest.Config) -> bool:
+    return hasattr(config, "workerinput")
+
+
+def _report(config: pytest.Config) -> Path | None:
+    """The file of the report: as seen from where pytest was started."""
+    asked = config.getoption("safety_report")
+    return None if asked is None else config.invocation_params.dir / asked
+
+
+def _seed(config: pytest.Config) -> int:
+    """That of ``--hypothesis-seed``, else one drawn now; a worker of xdist gets its session's."""
+    if _is_worker(config):
+        return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
+    asked = config.getoption("--hypothesis-seed", default=None)
+    if asked is not None and asked.isdigit():
+        return int(asked)
+    return random.SystemRandom().randrange(2**32)

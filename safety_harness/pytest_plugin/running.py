@@ -1,0 +1,142 @@
+"""One test that judges runs: watched while it runs, and what came of it put into its report."""
+
+from __future__ import annotations
+
+import os
+import re
+import traceback
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.pytest_plugin.asking import explained
+from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
+from safety_harness.pytest_plugin.plugin import TEST
+from safety_harness.pytest_plugin.sending import junit_properties, payload
+from safety_harness.scenario.model import Verdict
+from safety_harness.testing.asserting import NotEstablished, SafetyViolation, run_of
+from safety_harness.testing.failure_text import in_store
+from safety_harness.testing.kept import keep
+from safety_harness.testing.session import Judgement, TestRun, session
+
+_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
+
+
+@contextmanager
+def watch(item: pytest.Item) -> Iterator[None]:
+    """A TestRun for ``item`` while it is called; NotEstablished if nothing that it asserts was tested."""
+    function = _hypothesis_function(item)
+    draws = function is not None or isinstance(item, SpaceClaimItem)
+    test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
+    item.stash[TEST] = test
+    session().test = test
+    try:
+        with ExitStack() as stack:
+            if function is not None and _is_about_scenarios(item, function):
+                from safety_harness.testing.watching import watched
+
+                stack.enter_context(watched(function, test))
+            yield
+        refuse_untested(test)
+    except SafetyHarnessError as error:
+        _leave_hypothesis_out(error, function)
+        if isinstance(error, SafetyViolation):
+            _show(error, test)
+        raise
+    finally:
+        session().test = None
+        item.user_properties += junit_properties(test)
+
+
+def _show(violation: SafetyViolation, test: TestRun) -> None:
+    """Put the failing run, made smaller by now, in the place of the one that was found; keep its scenario."""
+    trace = violation.trace
+    test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
+    if test.draws and not in_store(violation.scenario):
+        test.kept = keep(test.id, violation)
+
+
+def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
+    """Let the traceback go straight to the test; of its notes only what a test draws besides a scenario."""
+    draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
+    notes = [note for note in getattr(error, "__notes__", []) if not _OF_TARGETS.match(note)]
+    error.__notes__ = [note for note in notes if draws_more or not note.startswith("Failing ")]
+    frames = []
+    step = error.__traceback__
+    while step is not None:
+        frames.append(step)
+        step = step.tb_next
+    within = [
+        k for k, one in enumerate(frames) if "hypothesis" in Path(one.tb_frame.f_code.co_filename).parts
+    ]
+    if within and within[-1] + 1 < len(frames):
+        # The frame before the first is the function that @given made, which looks like the test itself.
+        before = frames[max(within[0] - 2, 0)]
+        before.tb_next = frames[within[-1] + 1]
+
+
+def refuse_untested(test: TestRun) -> None:
+    """A test that draws its scenarios passes only if one of them decided something."""
+    if not test.draws or not test.judgements:
+        return
+    if all(j.evaluation.verdict is Verdict.INCONCLUSIVE is not j.expected for j in test.judgements):
+        sentences = "; ".join(dict.fromkeys(j.evaluation.sentence for j in test.judgements))
+        last = test.judgements[-1].evaluation.reason
+        runs = len(test.judgements)
+        raise NotEstablished(
+            f"{sentences}: inconclusive in {runs} of {runs} judgements (the last: {last})\n"
+            "  nothing was put to the test, and that is no pass: draw scenarios in which a hand comes near"
+        )
+
+
+def complete(
+    report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun
+) -> None:
+    """Add what was judged to the report, and leave our own frames out of it."""
+    error = call.excinfo.value if call.excinfo is not None else None
+    plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
+    if error is not None and (plain or (isinstance(error, SafetyHarnessError) and _is_ours(item))):
+        report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
+    if report.passed and not test.draws:  # it expected the failures that did not fail it
+        test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
+    sent = payload(test) | {"failed": report.failed}
+    file = session().report
+    if file is not None:
+        from safety_harness.pytest_plugin.reporting import save_runs
+
+        sent["traces"] = save_runs(test, file)
+    vars(report)["safety_harness"] = sent
+    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+
+
+def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
+    """The line of the test in which a mistake came out, unless the mistake names it already."""
+    lines = [
+        step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
+    ]
+    named = isinstance(error, InputError) and error.place.file == item.path
+    near = os.path.relpath(item.path)
+    return [f"  asked for at {near}:{lines[-1]}"] if lines and not named else []
+
+
+def _is_ours(item: pytest.Item) -> bool:
+    return isinstance(item, ClaimItem | SpaceClaimItem)
+
+
+def _hypothesis_function(item: pytest.Item) -> Any:
+    """The function with ``@given``, below a bound method; None for any other item."""
+    function = getattr(item, "obj", None)
+    function = getattr(function, "__func__", function)
+    return function if getattr(function, "is_hypothesis_test", False) else None
+
+
+def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
+    """Does a test with ``@given`` take scenarios of ours, or simulate?"""
+    from safety_harness.testing.drawing import gives_scenarios
+
+    given = function.hypothesis._given_kwargs.values()
+    return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))

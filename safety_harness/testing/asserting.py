@@ -1,0 +1,138 @@
+"""``assert_holds``: a claim that has to hold of a run, or the test fails with everything one has to know."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from contextlib import suppress
+from math import isfinite
+from pathlib import Path
+
+from safety_harness.admission.claims import property_of
+from safety_harness.exceptions import InadmissibleError, InputError, Place, SafetyHarnessError
+from safety_harness.formulas.claim import FormulaClaim
+from safety_harness.formulas.formula import Formula
+from safety_harness.properties.base import Evaluation, Property, unreadable
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.testing.failure_text import failure_text
+from safety_harness.testing.session import Judgement, Run, TestRun, session
+from safety_harness.testing.simulating import original
+from safety_harness.trace.trace import Trace
+
+TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "hand_position_in_base_m")
+
+
+class SafetyViolation(SafetyHarnessError, AssertionError):
+    """A claim did not come out as it has to; the text shows when, why and how to see it again."""
+
+    __module__ = "safety_harness.testing"  # as one imports it, and as test summaries show it
+
+    def __init__(self, evaluation: Evaluation, trace: Trace, expected: Verdict) -> None:
+        super().__init__(evaluation, trace, expected)
+        self.evaluation = evaluation
+        self.trace = trace
+        self.expected = expected
+        self.test = session().test
+
+    @property
+    def scenario(self) -> Scenario:
+        """As the test asked for it, before ``--avoider``."""
+        return original(self.trace)
+
+    def __str__(self) -> str:
+        return failure_text(
+            self.evaluation, self.trace, expected=self.expected, scenario=self.scenario, test=self.test
+        )
+
+
+class NotEstablished(SafetyHarnessError, AssertionError):
+    """A test drew scenarios, and not one of them put what it asserts to the test."""
+
+
+def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
+    """Fail the test unless ``claim`` holds of ``trace``; returns the evaluation.
+
+    ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
+    violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one
+    run that decides nothing (the hand never came near) left to the others: a test in which no run
+    decides anything fails all the same.  InputError for a sentence that nobody knows.
+    """
+    __tracebackhide__ = True
+    try:
+        evaluation = _property(claim, trace.scenario).evaluate(trace)
+    except InputError as error:
+        raise error.with_traceback(None) from None
+    aim(evaluation, Verdict.HOLDS)
+    if not settle(evaluation, run_of(trace), Verdict.HOLDS, trace):
+        raise SafetyViolation(evaluation, trace, Verdict.HOLDS)
+    return evaluation
+
+
+def run_of(trace: Trace) -> Run:
+    """What is remembered of a run."""
+    return Run(
+        name=trace.scenario.name,
+        avoider=trace.provenance.avoider,
+        seed=trace.scenario.seed,
+        sound=trace.complete and unreadable(trace, TRUTH) is None,
+    )
+
+
+def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:
+    """Count a judgement in the test that is running; False if the test has to fail for it."""
+    test = session().test
+    # A sound run may simply be no test of the claim; of one cut short or not finite that is not said.
+    undecided = evaluation.verdict is Verdict.INCONCLUSIVE and run.sound
+    good = evaluation.verdict is expected or (test is not None and test.draws and undecided)
+    if test is None:
+        return good
+    if test.counts:
+        test.note(Judgement(run, evaluation, expected), trace)
+    return good or _another_failure(test, evaluation)
+
+
+def aim(evaluation: Evaluation, expected: Verdict) -> None:
+    """Tell Hypothesis how near the run was to a failure, so that it looks for nearer ones."""
+    margin = evaluation.margin
+    if margin is None or not isfinite(margin) or expected is Verdict.INCONCLUSIVE:
+        return
+    if "hypothesis" not in sys.modules:
+        return
+    from hypothesis import currently_in_test_context, target
+    from hypothesis.errors import InvalidArgument
+
+    if currently_in_test_context():
+        # A claim may be made of a second run in the same example, which cannot have a second target.
+        with suppress(InvalidArgument):
+            target(-margin if expected is Verdict.HOLDS else margin, label=evaluation.sentence)
+
+
+def _another_failure(test: TestRun, evaluation: Evaluation) -> bool:
+    """While one failure is made smaller, that of another claim does not take its place."""
+    first = test.failure
+    return (
+        test.draws and isinstance(first, SafetyViolation) and first.evaluation.sentence != evaluation.sentence
+    )
+
+
+def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:
+    if isinstance(claim, str):
+        return property_of(Claim(sentence=claim, expected=Verdict.HOLDS, place=_caller()), scenario)
+    if isinstance(claim, Formula):
+        formula = FormulaClaim(claim)
+        formula.check(scenario, _caller())
+        return formula
+    if not callable(getattr(claim, "evaluate", None)):
+        expected = "a formula, a property or a sentence"
+        raise InadmissibleError(place=_caller(), expected=expected, got=repr(claim))
+    return claim
+
+
+def _caller() -> Place:
+    """The nearest line below that is not of this file."""
+    frame = inspect.currentframe()
+    while frame is not None and frame.f_code.co_filename == __file__:
+        frame = frame.f_back
+    if frame is None:
+        return Place(field="assert_holds")
+    return Place(file=Path(frame.f_code.co_filename), line=frame.f_lineno, field="assert_holds")

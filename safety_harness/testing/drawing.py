@@ -1,0 +1,100 @@
+"""``scenarios``: what a file, a folder or a space holds, as a Hypothesis strategy."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+from hypothesis import reject
+from hypothesis import strategies as st
+
+from safety_harness.admission.spaces import draw_admissible
+from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.expand import gather
+from safety_harness.scenario.model import Scenario
+from safety_harness.space.read import space_of
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.strategy import strategy
+from safety_harness.testing.session import session
+from safety_harness.testing.simulating import admitting, as_asked, digest_of
+
+_MARK = "_safety_harness_scenarios"
+
+
+def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]:
+    """Scenarios to put a test through.
+
+    ``source`` is a scenario space (a file, or an object): draws of it that can be tried; or a scenario
+    file, a matrix, a suite or a folder: one of its scenarios.  A relative path is sought from the folder
+    of the file that asks for it, then from pytest's root.  All of it is read and checked here:
+    InputError says where the mistake stands, and a note which line asked.
+    """
+    frame = inspect.currentframe()
+    asked = frame.f_back if frame is not None else None
+    try:
+        if isinstance(source, ScenarioSpace):
+            return drawn(source)
+        if not isinstance(source, str | Path):
+            got = f"{type(source).__name__} {source!r}"
+            place = Place(field="scenarios()")
+            raise ScenarioError(place=place, expected="a path or a scenario space", got=got)
+        return _of_files(_found(Path(source), asked))
+    except InputError as error:
+        if asked is not None:
+            error.add_note(f"asked for at {asked.f_code.co_filename}:{asked.f_lineno}")
+        raise
+
+
+def _found(path: Path, asked: FrameType | None) -> Path:
+    """A relative path from the folder of whoever asks, else from the root."""
+    if path.is_absolute() or asked is None:
+        return path
+    beside = Path(asked.f_code.co_filename).parent / path
+    return Path(os.path.abspath(beside if beside.exists() else session().root / path))
+
+
+def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
+    gathered = gather([path], spaces=True)
+    if gathered.errors:
+        raise gathered.errors[0]
+    for scenario in gathered.scenarios:
+        admitting(as_asked(scenario))
+    parts: list[st.SearchStrategy[Scenario]] = []
+    if gathered.scenarios:
+        parts.append(st.sampled_from(gathered.scenarios))
+    for variant, file in gathered.spaces:
+        parts.append(drawn(space_of(variant.tree, file, name=variant.name)))
+    return _marked(st.one_of(parts) if len(parts) > 1 else parts[0])
+
+
+def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
+    """Draws of a space that admission lets through, each with a name of its own.
+
+    InputError for a space of which next to nothing can be tried.
+    """
+    first = draw_admissible(space, seed=0, count=1).scenarios[0]
+    admitting(as_asked(first))
+    return _marked(_admissible(space))
+
+
+def gives_scenarios(strategy: object) -> bool:
+    """Is it a strategy from here?"""
+    return hasattr(strategy, _MARK)
+
+
+def _marked(strategy: st.SearchStrategy[Scenario]) -> st.SearchStrategy[Scenario]:
+    setattr(strategy, _MARK, True)
+    return strategy
+
+
+@st.composite
+def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
+    scenario = draw(strategy(space))
+    try:
+        admitting(as_asked(scenario))
+    except InputError:  # out of reach, out of view: what one draw in so many is
+        reject()
+    return replace(scenario, name=f"{space.name}#{digest_of(scenario)[:6]}")

@@ -1,0 +1,70 @@
+"""Is an avoider a function of its question and seed?  After a run it is asked everything once more."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.asking import Answer, ask
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.exceptions import FlakyAvoiderError
+from safety_harness.scenario.faults import AvoiderFault
+from safety_harness.trace.records import FAULT_CHARACTERS, Check
+from safety_harness.trace.trace import Trace
+
+
+def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
+    """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless the bits are the same.
+
+    Answers that came too late, and those that a simulated fault delayed or spoilt, are left out.
+    """
+    spoilt = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderFault))
+    for number, decision in enumerate(trace.decisions):
+        if int(decision["proposed_failed"]) & Check.LATE:
+            continue
+        if int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
+            continue
+        answer = ask(
+            avoider,
+            hand_position_in_base_m=decision["hand_position_in_base_m"],
+            tcp_position_in_base_m=decision["tcp_position_in_base_m"],
+            seed=int(decision["seed"]),
+            deadline_s=np.inf,
+            late=False,
+        )
+        if not _same(decision, answer):
+            raise FlakyAvoiderError(_difference(trace, number, decision, answer))
+
+
+def _same(decision: np.void, answer: Answer) -> bool:
+    return (
+        _bits(decision["proposed_position_in_base_m"]) == _bits(answer.proposal.position_in_base_m)
+        and _bits(decision["proposed_spread_m"]) == _bits(answer.proposal.spread_m)
+        and str(decision["fault"]) == answer.fault[:FAULT_CHARACTERS]
+    )
+
+
+def _bits(array: NDArray[np.float64]) -> bytes:
+    return np.ascontiguousarray(array).tobytes()
+
+
+def _difference(trace: Trace, number: int, decision: np.void, answer: Answer) -> str:
+    first = _words(decision["proposed_position_in_base_m"], decision["proposed_spread_m"], decision["fault"])
+    second = _words(answer.proposal.position_in_base_m, answer.proposal.spread_m, answer.fault)
+    return (
+        f"the avoider {trace.provenance.avoider!r} answers the same question in two ways\n"
+        f"  decision  {number + 1} of {len(trace.decisions)}, at {float(decision['time_s']):.3f} s of "
+        f"{trace.scenario.name}, with the seed {int(decision['seed'])}\n"
+        f"  first     {first}\n"
+        f"  again     {second}\n"
+        "  hint      randomness has to come from the seed that propose is given, and an answer may not\n"
+        "            depend on earlier questions: no run of such an avoider can be repeated"
+    )
+
+
+def _words(position_m: NDArray[np.float64], spread_m: NDArray[np.float64], fault: object) -> str:
+    if fault:
+        return str(fault)
+    shown = ", ".join(f"{value * 1e3:.9g}" for value in position_m)
+    spread = ", ".join(f"{value * 1e3:.9g}" for value in spread_m)
+    return f"({shown}) mm" + (f", spread ({spread}) mm" if np.any(spread_m) else "")

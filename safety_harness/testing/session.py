@@ -1,0 +1,128 @@
+"""What the tests of one session share: what was asked for, and the test that is running now.
+
+Nothing heavy is imported here: the pytest plug-in reads this file in every project.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safety_harness.testing.profiles import QUICK, Profile
+
+if TYPE_CHECKING:
+    from safety_harness.exceptions import SafetyHarnessError
+    from safety_harness.properties.base import Evaluation
+    from safety_harness.scenario.model import Verdict
+    from safety_harness.trace.trace import Trace
+
+FAILURES = Path(".safety-harness") / "failures"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is remembered of a run when its trace is gone; ``sound``: it was whole, and of finite numbers."""
+
+    name: str  # of its scenario
+    avoider: str
+    seed: int
+    sound: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """One claim judged in one run of a test; ``expected`` is what the test or the file says."""
+
+    run: Run
+    evaluation: Evaluation
+    expected: Verdict
+
+    @property
+    def severity(self) -> tuple[bool, float]:
+        """Smaller for what is worse: what is not as expected first, then the least margin."""
+        evaluation, margin = self.evaluation, self.evaluation.margin
+        broken = evaluation.verdict is not self.expected and evaluation.verdict.value != "inconclusive"
+        return not broken, inf if margin is None else margin
+
+
+@dataclass(eq=False)
+class TestRun:
+    """A test that is running: what was judged in it, and whether it has failed already.
+
+    ``draws``: Hypothesis chooses its scenarios, so that one run that decides nothing is no failure;
+    all of them are.  After its first ``failure`` Hypothesis goes on only to make that one smaller, and
+    what it tries is no longer counted.
+    """
+
+    __test__ = False  # its name is not meant for pytest
+
+    id: str
+    draws: bool
+    keep_traces: bool = False
+    judgements: list[Judgement] = field(default_factory=list)
+    worst: dict[str, Judgement] = field(default_factory=dict)  # of each sentence
+    traces: dict[str, Trace] = field(default_factory=dict)  # of these
+    failure: BaseException | None = None
+    simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
+    failing: set[str] = field(default_factory=set)  # those of the examples that failed
+    refused: dict[str, SafetyHarnessError] = field(default_factory=dict)  # by digest
+    examples: int = 0  # begun
+    runs_since: int = 0  # simulations since the first failure
+    kept: Path | None = None  # where the failing scenario was written
+    replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
+
+    @property
+    def counts(self) -> bool:
+        """Is what is judged now evidence, and not an attempt to make a failure smaller?"""
+        return self.failure is None or not self.draws
+
+    def fail(self, failure: BaseException) -> None:
+        """The present example failed."""
+        self.failure = failure
+        self.failing |= self.simulated
+
+    def note(self, judgement: Judgement, trace: Trace | None) -> None:
+        """Count one judgement, and keep it if it is the worst one of its sentence so far."""
+        self.judgements.append(judgement)
+        before = self.worst.get(judgement.evaluation.sentence)
+        if before is None or judgement.severity < before.severity:
+            self.show(judgement, trace)
+
+    def show(self, judgement: Judgement, trace: Trace | None) -> None:
+        """Let ``judgement`` stand for its sentence in summaries and in the report."""
+        sentence = judgement.evaluation.sentence
+        self.worst[sentence] = judgement
+        if self.keep_traces and trace is not None:
+            self.traces[sentence] = trace
+
+
+@dataclass(eq=False)
+class Session:
+    """One session of tests; the defaults are those of a script or a notebook without pytest."""
+
+    root: Path = field(default_factory=Path.cwd)
+    profile: Profile = QUICK
+    derandomize: bool = False
+    seed: int = 0
+    avoider: str | None = None
+    failures: Path = FAILURES
+    report: Path | None = None
+    saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
+    test: TestRun | None = None
+
+
+_current = Session()
+
+
+def session() -> Session:
+    """The session of this process."""
+    return _current
+
+
+def begin(new: Session) -> Session:
+    """Make ``new`` the session of this process; returns the one before it."""
+    global _current
+    before, _current = _current, new
+    return before

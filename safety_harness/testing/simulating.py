@@ -1,0 +1,137 @@
+"""From a scenario to its trace: the fixture ``simulate``."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.avoiders import avoider_sha256, command_line_reference, with_avoider
+from safety_harness.admission.trial import run_trial
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.exceptions import FlakyAvoiderError, InputError
+from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.write import write_scenario
+from safety_harness.simulation.simulate import INTERRUPTED
+from safety_harness.testing.flaky import refuse_flaky
+from safety_harness.testing.session import TestRun, session
+from safety_harness.trace.trace import Trace
+
+MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
+
+_asked_for: WeakKeyDictionary[Trace, Scenario] = WeakKeyDictionary()
+
+
+def original(trace: Trace) -> Scenario:
+    """The scenario as a test asked for it, before ``--avoider`` put another avoider into it."""
+    return _asked_for.get(trace, trace.scenario)
+
+
+def digest_of(scenario: Scenario) -> str:
+    """Hex digits that two scenarios share if they mean the same, whatever they are called."""
+    text = write_scenario(scenario)
+    hands = [hand.motion.sha256 for hand in scenario.hands if isinstance(hand, RecordedHand)]
+    parts = [text, *hands, command_line_reference(scenario)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def as_asked(scenario: Scenario) -> Scenario:
+    """The scenario with the avoider of ``--avoider``, if there is one."""
+    reference = session().avoider
+    return scenario if reference is None else with_avoider(scenario, reference)
+
+
+class Admitting:
+    """Admission that makes each avoider once: a function of its question keeps nothing of a run."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[object, ...], tuple[Avoider, str]] = {}
+
+    def __call__(self, scenario: Scenario) -> Admitted:
+        """As ``admit``."""
+        reference = command_line_reference(scenario)
+        avoider, sha256 = self._made.get((reference, scenario.settings), (None, ""))
+        if avoider is not None and sha256 == avoider_sha256(scenario):
+            return replace(admit(scenario, avoider=avoider), avoider_sha256=sha256)
+        admitted = admit(scenario)
+        self._made[reference, scenario.settings] = admitted.avoider, admitted.avoider_sha256
+        return admitted
+
+
+admitting = Admitting()
+
+
+class Simulate:
+    """``simulate(scenario)``: the trace of a run in PyBullet, the same for the same scenario.
+
+    The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``.
+    InputError for a scenario that cannot be tried; FlakyAvoiderError for an avoider that, asked the
+    questions of the run once more, answers otherwise.
+    """
+
+    def __init__(self) -> None:
+        self._traces: OrderedDict[str, Trace] = OrderedDict()
+
+    def __repr__(self) -> str:
+        return "<simulate>"
+
+    def __call__(self, scenario: Scenario, *, avoider: Avoider | None = None) -> Trace:
+        """Run ``scenario``, or remember a run of the same."""
+        __tracebackhide__ = True
+        try:
+            if avoider is not None:
+                return _run(replace(admit(scenario, avoider=avoider), avoider_sha256=""))
+            trace = self._remembered(as_asked(scenario))
+        except (InputError, FlakyAvoiderError) as error:
+            raise error.with_traceback(None) from None
+        _asked_for[trace] = scenario
+        return trace
+
+    def _remembered(self, scenario: Scenario) -> Trace:
+        test, digest = session().test, digest_of(scenario)
+        if test is not None:
+            test.simulated.add(digest)
+        if digest in self._traces:
+            self._traces.move_to_end(digest)
+            return replace(self._traces[digest], scenario=scenario)
+        _refuse_more_shrinking(test, digest)
+        try:
+            trace = _run(admitting(scenario))
+        except (InputError, FlakyAvoiderError) as error:
+            if test is not None:
+                test.refused[digest] = error
+            raise
+        self._traces[digest] = trace
+        while len(self._traces) > 1 and sum(len(one.ticks) for one in self._traces.values()) > MOST_TICKS:
+            self._traces.popitem(last=False)
+        return trace
+
+
+simulate = Simulate()  # one for all: claims of the same scenario are judged on the same run
+
+
+def _run(admitted: Admitted) -> Trace:
+    """One run, looked at for Ctrl-C, which a trace only notes, and for an avoider that cannot be repeated."""
+    trace = run_trial(admitted)
+    if trace.ended == INTERRUPTED:
+        raise KeyboardInterrupt
+    refuse_flaky(admitted.avoider, trace)
+    return trace
+
+
+def _refuse_more_shrinking(test: TestRun | None, digest: str) -> None:
+    """After a failure only so many further scenarios are simulated; the rest is not worth the wait."""
+    if test is None or test.counts:
+        return
+    if digest in test.refused:
+        raise test.refused[digest]  # Hypothesis repeats what failed before it tells
+    if digest in test.failing:
+        return
+    hopeless = isinstance(test.failure, InputError | FlakyAvoiderError)  # another scenario does not mend it
+    if hopeless or test.runs_since >= session().profile.shrinking_runs:
+        from hypothesis import reject
+
+        reject()
+    test.runs_since += 1

@@ -1,0 +1,101 @@
+"""A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis.errors import HypothesisException
+
+from safety_harness.testing.independent import NAME
+from safety_harness.testing.kept import kept_for
+from safety_harness.testing.session import TestRun, session
+
+PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
+# A simulation takes as long as it takes, and which draws can be tried is not up to the test.
+OFF = (
+    HealthCheck.too_slow,
+    HealthCheck.filter_too_much,
+    HealthCheck.data_too_large,
+    HealthCheck.large_base_example,
+)
+
+
+def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
+    """``own`` (or the usual) settings as the profile has them; ``fixed``: they have their own examples."""
+    own = own or settings.default
+    assert own is not None
+    examples = own.max_examples if fixed else session().profile.examples
+    return settings(
+        parent=own,
+        max_examples=examples,
+        backend=NAME if own.backend == "hypothesis" else own.backend,
+        deadline=None,
+        database=None,
+        derandomize=session().derandomize,
+        print_blob=False,
+        report_multiple_bugs=False,
+        phases=[phase for phase in PHASES if phase in own.phases],
+        suppress_health_check=[*own.suppress_health_check, *OFF],
+    )
+
+
+@contextmanager
+def watched(function: Any, test: TestRun) -> Iterator[None]:
+    """``function``, a test with ``@given``, is run below as ``under_profile`` says; nothing of it remains."""
+    handle = function.hypothesis
+    before = {
+        "_hypothesis_internal_use_settings": function._hypothesis_internal_use_settings,
+        "_hypothesis_internal_use_seed": function._hypothesis_internal_use_seed,
+        "hypothesis_explicit_examples": getattr(function, "hypothesis_explicit_examples", []),
+    }
+    inner = handle.inner_test
+    own, usual = function._hypothesis_internal_use_settings, settings.default
+    assert usual is not None
+    applied = hasattr(function, "_hypothesis_internal_settings_applied")
+    fixed = applied and own.max_examples != usual.max_examples
+    function._hypothesis_internal_use_settings = under_profile(own, fixed=fixed)
+    if before["_hypothesis_internal_use_seed"] is None and not session().derandomize:
+        function._hypothesis_internal_use_seed = session().seed
+    function.hypothesis_explicit_examples = [*before["hypothesis_explicit_examples"], *_kept(function, test)]
+    handle.inner_test = watching(inner, test)
+    try:
+        yield
+    finally:
+        handle.inner_test = inner
+        for name, value in before.items():
+            setattr(function, name, value)
+
+
+def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]:
+    """``inner``, one example, telling ``test`` of its failure."""
+
+    @functools.wraps(inner)
+    def example(*args: Any, **kwargs: Any) -> None:
+        __tracebackhide__ = True
+        test.simulated.clear()
+        test.examples += 1
+        try:
+            inner(*args, **kwargs)
+        except HypothesisException:  # a draw that it gives up
+            raise
+        except Exception as error:
+            test.fail(error)
+            raise
+
+    return example
+
+
+def _kept(function: Any, test: TestRun) -> Iterator[Any]:
+    """The test's kept failures as explicit examples; none for a test that draws more than a scenario."""
+    from hypothesis import example
+
+    names = list(function.hypothesis._given_kwargs)
+    if len(names) != 1:
+        return
+    for file, scenario in kept_for(test.id):
+        test.replayed.append(file)
+        yield example(**{names[0]: scenario})._this_example

@@ -1,0 +1,106 @@
+"""A project of a user's: scenario files, an avoider, and pytest run on it in a process of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+import safety_harness
+from safety_harness.compiled import cache_root
+
+pytest_plugins = ["pytester"]
+
+PLUGIN = "safety_harness.pytest_plugin.plugin"
+CACHE = cache_root().parent  # asked for now: pytester moves the home folder
+ROOT = Path(safety_harness.__file__).parents[1]
+
+HEAD = """\
+{title}
+duration: 1.2 s
+avoider: opposite pose
+tcp start:
+  offset: [0 mm, -60 mm, 20 mm]
+hands:
+  - hand: right hand
+    starts at: [1000 mm, -500 mm, 300 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - reach for tcp: {speed}
+        until: 20 mm
+        at most: 2 s
+claims:
+"""
+CLAIMS = "  hand distance never below 50 mm: {distance}\n  TCP speed never above 250 mm/s: holds\n"
+
+AVOIDERS = """\
+import numpy as np
+
+from safety_harness import Proposal
+
+
+class Upwards:
+    name = "upwards"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])
+
+
+class Unseeded(Upwards):
+    name = "unseeded"
+
+    def propose(self, **question):
+        shake = np.random.default_rng().normal(0.0, 1e-3, 3)
+        return Proposal(question["tcp_position_in_base_m"] + [0.0, 0.0, 0.1] + shake)
+"""
+
+TEST = """\
+from hypothesis import given, settings
+from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
+
+
+@settings(max_examples=6)
+@given(scenario=scenarios("reaches.yaml"))
+def test_keeps_its_distance(scenario, simulate):
+    assert_holds(hand_distance() > mm(50), simulate(scenario))
+
+
+@settings(max_examples=6)
+@given(scenario=scenarios("reaches.yaml"))
+def test_is_slow(scenario, simulate):
+    assert_holds("TCP speed never above 250 mm/s", simulate(scenario))
+"""
+
+Run = Callable[..., pytest.RunResult]
+
+
+@pytest.fixture
+def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Pytest with the plug-in, whether it is installed or not."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
+    pytester.makeini("[pytest]\nfilterwarnings = error\n")
+    installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
+
+    def run_pytest(*args: str) -> pytest.RunResult:
+        given = () if installed else ("-p", PLUGIN)
+        return pytester.runpytest_subprocess(*given, "-p", "no:randomly", *args)
+
+    return run_pytest
+
+
+@pytest.fixture
+def project(pytester: pytest.Pytester) -> Path:
+    """fast.yaml fails, fine.yaml says that it violates, reaches.yaml is a space; avoiders.py, test_it.py."""
+    folder = pytester.path
+    fast = HEAD.format(title="scenario: a fast reach", speed="2 m/s")
+    (folder / "fast.yaml").write_text(fast + CLAIMS.format(distance="holds"))
+    (folder / "fine.yaml").write_text(fast + CLAIMS.format(distance="violated"))
+    space = HEAD.format(title="scenario space: reaches", speed="from 0.2 m/s to 2 m/s")
+    (folder / "reaches.yaml").write_text(space + CLAIMS.format(distance="holds"))
+    (folder / "avoiders.py").write_text(AVOIDERS)
+    (folder / "test_it.py").write_text(TEST)
+    return folder

@@ -1,0 +1,116 @@
+"""``pytest scenarios/`` without any Python: an item a claim, and mistakes told at their place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from safety_harness.pytest_plugin.plugin import looks_like_ours
+
+DISTANCE, SPEED = "hand distance never below 50 mm", "TCP speed never above 250 mm/s"
+
+
+def test_claims_are_items_that_k_and_ids_and_lf_select(run, project: Path) -> None:
+    first = run("fast.yaml", "fine.yaml", "-v")
+    first.assert_outcomes(passed=3, failed=1)
+    first.stdout.fnmatch_lines([f"fast.yaml::{DISTANCE} FAILED*", f"fast.yaml::{SPEED} PASSED*"])
+    run("fast.yaml", "fine.yaml", "--lf").assert_outcomes(failed=1)
+    run("fast.yaml", "fine.yaml", "-k", "speed").assert_outcomes(passed=2, deselected=2)
+    run(f"fine.yaml::{DISTANCE}").assert_outcomes(passed=1)
+
+
+def test_a_failure_tells_margin_moment_decision_picture_and_commands(run, project: Path) -> None:
+    result = run("fast.yaml")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            f"{DISTANCE}: violated",
+            "  margin    -* mm at *.* s",
+            "  decision  * of *, at *.* s, because: *",
+            "  predicted hand at (*) mm, TCP at (*) mm",
+            "  chosen    (*) mm: *",
+            "hand distance [[]mm[]]",
+            "    50 |*-*",
+            "*! the worst moment*",
+            "to see it again:",
+            f"  pytest 'fast.yaml::{DISTANCE}'",
+            "  safety-harness run fast.yaml",
+            "claim *runs *exercised*",
+            f"{DISTANCE} * 1 *",
+        ]
+    )
+    result.stdout.no_fnmatch_line("*Traceback*")
+
+
+def test_the_combinations_of_a_matrix_and_the_members_of_a_suite_are_nodes(run, project: Path) -> None:
+    text = (project / "fine.yaml").read_text().replace("avoider: opposite pose\n", "")
+    axes = (
+        "matrix:\n  by:\n    opposite: {avoider: opposite pose}\n    nearest: {avoider: nearest candidate}\n"
+    )
+    (project / "both.yaml").write_text(text + axes)
+    (project / "all.yaml").write_text("suite: both\nscenarios: [fine.yaml, reaches.yaml]\n")
+    collected = run("both.yaml", "all.yaml", "--collect-only", "-q")
+    collected.stdout.fnmatch_lines(
+        [
+            f"both.yaml::opposite::{DISTANCE}",
+            f"both.yaml::nearest::{SPEED}",
+            f"all.yaml::fine::{DISTANCE}",
+            f"all.yaml::reaches::{SPEED}",
+        ]
+    )
+    run(f"both.yaml::nearest::{SPEED}").assert_outcomes(passed=1)
+
+
+def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) -> None:
+    (project / "unit.yaml").write_text((project / "fine.yaml").read_text().replace("1.2 s", "1.2 parsec"))
+    (project / "claim.yaml").write_text((project / "fine.yaml").read_text().replace("TCP speed", "TCP sped"))
+    (project / "test_bad.py").write_text((project / "test_it.py").read_text().replace("reaches", "nowhere"))
+    result = run()
+    assert result.ret == pytest.ExitCode.INTERRUPTED
+    result.stdout.fnmatch_lines(["claim.yaml:16: claims.TCP sped*", "  hint *did you mean*"])
+    result.stdout.fnmatch_lines(["unit.yaml:2: duration", "  expected a time *", "  got *parsec"])
+    result.stdout.fnmatch_lines(["nowhere.yaml", "  got *no such file*", "  asked for at test_bad.py:6"])
+    result.stdout.no_fnmatch_line("*Traceback*")
+    result.stdout.no_fnmatch_line("*safety_harness/*.py:*")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "scenario: a hand\nduration: 1 s\n",
+        "scenario space: hands\n",
+        "scenario: >\n  folded\n",
+        "# a comment\nsuite: all of them\n",
+        "extends: base.yaml\navoider: opposite pose\n",
+        "scenaro: a typing error\nduration: 1 s\nclaims: {}\n",
+    ],
+)
+def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "some.yaml"
+    file.write_text(text)
+    assert looks_like_ours(file)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "services:\n  web:\n    image: x\n    extends: base\n",
+        "scenario:\n  name: default\n",
+        "name: test\non: push\njobs: {}\n",
+        "matrix: [1, 2]\n",
+        "about: a scenario: of a kind\n",
+        "\x00\xff",
+    ],
+)
+def test_other_yaml_files_are_left_alone(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "some.yaml"
+    file.write_bytes(text.encode("latin-1"))
+    assert not looks_like_ours(file)
+
+
+def test_a_file_that_is_asked_for_by_name_is_read_whatever_it_is(run, project: Path) -> None:
+    (project / "docker-compose.yaml").write_text("services: {}\n")
+    assert run("docker-compose.yaml").ret == pytest.ExitCode.INTERRUPTED
+    run("--collect-only", "-q").stdout.no_fnmatch_line("*docker*")

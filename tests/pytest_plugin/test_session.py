@@ -1,0 +1,178 @@
+"""A session from beginning to end: profiles, kept failures, flaky avoiders, xdist, JUnit, the report."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+DISTANCE, SPEED = "hand distance never below 50 mm", "TCP speed never above 250 mm/s"
+
+
+def kept(project: Path) -> list[Path]:
+    return sorted(file for file in (project / ".safety-harness").rglob("*.yaml") if file.is_file())
+
+
+def test_a_failure_is_made_smaller_kept_and_tried_first_next_time(run, project: Path) -> None:
+    first = run("test_it.py", "--safety-derandomize")
+    first.assert_outcomes(passed=1, failed=1)
+    first.stdout.fnmatch_lines(
+        [
+            ">*assert_holds(hand_distance() > mm(50), simulate(scenario))",
+            "E * margin    -* mm at * s",
+            "E * scenario: reaches",
+            "E * pytest test_it.py::test_keeps_its_distance",
+            "E * safety-harness run .safety-harness/failures/test_it.py/test_keeps_its_distance/*.yaml",
+            "scenarios of failures, tried first next time:",
+        ]
+    )
+    first.stdout.no_fnmatch_line("*Scenario(name=*Place(file=*")  # no giant repr by Hypothesis
+    first.stdout.no_fnmatch_line("*hypothesis/core.py*")
+    (file,) = kept(project)
+    assert "hand distance > 50 mm: holds" in file.read_text().replace('"', "")
+    again = run("test_it.py", "-k", "distance")
+    again.assert_outcomes(failed=1, deselected=1)
+    again.stdout.fnmatch_lines(["hand distance > 50 mm * 1 * 1 *", "earlier failures tried first: 1*: 0"])
+    assert kept(project) == [file]
+    run(str(file)).assert_outcomes(failed=1)
+
+
+def test_a_space_is_a_test_of_each_claim_and_keeps_its_failures_too(run, project: Path) -> None:
+    first = run("reaches.yaml", "--safety-derandomize", "-v")
+    first.assert_outcomes(passed=1, failed=1)
+    first.stdout.fnmatch_lines(["the scenario, made smaller:", "  scenario: reaches", f"{SPEED} * 50 *"])
+    (file,) = kept(project)
+    assert "hand distance never below 50 mm: holds" in file.read_text()
+
+
+def test_a_kept_file_of_what_passes_now_stays_and_is_said(run, project: Path) -> None:
+    run("test_it.py", "--safety-derandomize")
+    (file,) = kept(project)
+    test = project / "test_it.py"
+    test.write_text(test.read_text().replace("> mm(50)", "< m(9)").replace("mm, ", "m, "))
+    result = run("test_it.py", "-k", "distance", "--safety-derandomize")
+    result.assert_outcomes(passed=1, deselected=1)
+    result.stdout.fnmatch_lines(["earlier failures tried first: 1, in tests that pass now: 1", "*.yaml"])
+    assert kept(project) == [file]
+
+
+def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
+    options = ("-n", "2", "--junitxml=junit.xml", "--safety-report=out/report.html", "--safety-derandomize")
+    result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
+    result.assert_outcomes(passed=4, failed=2)
+    result.stdout.fnmatch_lines([f"{SPEED} * 8 *", "report: out/report.html"])
+    cases = {case.get("name"): case for case in ET.parse(project / "junit.xml").iter("testcase")}
+    found = {p.get("name"): p.get("value") for p in cases["test_is_slow"].iter("property")}
+    assert found["claim"] == SPEED
+    assert found["verdict"] == "holds"
+    assert float(found["margin"] or "nan") > 0.0
+    assert (found["unit"], found["avoider"], found["runs"]) == ("mm/s", "opposite pose", "6")
+    assert {"worst time", "exercised", "scenario", "seed"} <= set(found)
+    report = json.loads((project / "out" / "report.json").read_text())
+    claims = {claim["claim"]: claim for one in report["runs"] for claim in one["claims"]}
+    assert claims[DISTANCE]["verdict"] == "violated"
+    coverage = {one["claim"]: one for one in report["coverage"]}
+    assert coverage[SPEED]["runs"] == 8
+    assert "hand distance" in (project / "out" / "report.html").read_text()
+
+
+def test_an_avoider_that_answers_differently_is_named_with_the_decision(run, project: Path) -> None:
+    result = run("test_it.py", "-k", "slow", "--avoider", "avoiders.py:Unseeded")
+    result.assert_outcomes(failed=1, deselected=1)
+    result.stdout.fnmatch_lines(
+        [
+            "the avoider 'unseeded' answers the same question in two ways",
+            "  decision  1 of *",
+            "  hint *seed*",
+            "  asked for at test_it.py:14",
+        ]
+    )
+
+
+def test_another_avoider_takes_the_place_of_what_files_name(run, project: Path) -> None:
+    result = run("fast.yaml", "--avoider", "avoiders.py:Upwards")
+    result.stdout.fnmatch_lines(["  run *avoider upwards*", "  safety-harness run fast.yaml --avoider *"])
+
+
+@pytest.mark.parametrize(
+    ("avoider", "said"),
+    [
+        ("oposite pose", "did you mean 'opposite pose'?"),
+        ("avoiders.py:Sideways", "something called 'Sideways'"),
+        ("broken.py:X", "ModuleNotFoundError*(broken.py:1)"),
+    ],
+)
+def test_an_avoider_that_cannot_be_used_ends_the_session_at_once(
+    run, project: Path, avoider: str, said: str
+) -> None:
+    (project / "broken.py").write_text("import not_there\n")
+    result = run("fast.yaml", "--avoider", avoider)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: --avoider", f"*{said}*"])
+    result.stderr.no_fnmatch_line("*Traceback*")
+
+
+def test_what_is_never_put_to_the_test_fails_test_and_session(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from hypothesis import given, settings\n"
+        "from safety_harness.testing import *\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_never(scenario, simulate):\n"
+        "    assert_holds(whenever(object_lost()).then(stopped()), simulate(scenario))\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_half(scenario, simulate):\n"
+        "    trace = simulate(scenario)\n"
+        "    assert_holds('TCP speed never above 250 mm/s', trace)\n"
+        "    assert_holds(whenever(object_lost()).then(stopped()), trace)\n"
+    )
+    result = run("test_it.py", "-k", "half")
+    result.assert_outcomes(passed=1, deselected=1)
+    assert result.ret == pytest.ExitCode.TESTS_FAILED
+    result.stdout.fnmatch_lines(["never put to the test: whenever object lost then stopped*"])
+    never = run("test_it.py", "-k", "never")
+    never.assert_outcomes(failed=1, deselected=1)
+    never.stdout.fnmatch_lines(["*inconclusive in * of * judgements*"])
+
+
+def test_mistakes_in_a_test_are_told_in_place_of_a_traceback(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from safety_harness import read_scenario\n"
+        "from safety_harness.testing import *\n"
+        "from pathlib import Path\n"
+        "def test_sentence(simulate):\n"
+        "    assert_holds('hand distanc > 5 mm', simulate(read_scenario(Path('fine.yaml'))))\n"
+        "def test_unit(simulate):\n"
+        "    assert_holds(hand_distance() > s(5), simulate(read_scenario(Path('fine.yaml'))))\n"
+        "def test_violated_outside_hypothesis(simulate):\n"
+        "    assert_holds(hand_distance() > mm(50), simulate(read_scenario(Path('fine.yaml'))))\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(failed=3)
+    result.stdout.fnmatch_lines(["test_it.py:5: assert_holds", '*did you mean "hand distance"*'])
+    result.stdout.fnmatch_lines(["*expected hand distance beside a length*", "  asked for at test_it.py:7"])
+    result.stdout.fnmatch_lines(["E * margin    -* mm*", "E * scenario  fine.yaml"])
+
+
+def test_a_profile_that_is_none_is_a_usage_error(run, project: Path) -> None:
+    assert run("fast.yaml", "--safety-profile", "slow").ret == pytest.ExitCode.USAGE_ERROR
+    result = run("fast.yaml", "-o", "safety_profile=slow")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["*expected one of quick, nightly, certify; got 'slow'*"])
+
+
+def test_a_project_without_scenarios_is_left_alone(run, pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        "import sys\n"
+        "def test_what_is_imported():\n"
+        "    heavy = ('numba', 'numpy', 'pybullet', 'hypothesis', 'ruamel', 'matplotlib')\n"
+        "    assert [name for name in heavy if name in sys.modules] == []\n"
+        "    ours = {name for name in sys.modules if name.startswith('safety_harness.')}\n"
+        "    assert not any('properties' in name or 'simulation' in name for name in ours)\n"
+    )
+    result = run()
+    result.assert_outcomes(passed=1)
+    result.stdout.no_fnmatch_line("*safety claims*")
