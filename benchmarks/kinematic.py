@@ -17,7 +17,7 @@ import multiprocessing
 import resource
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
@@ -100,8 +100,7 @@ def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]
     print(f"\n{words}")
     say("PyBullet", engine, "ms an episode")
     say("kinematic", kinematic, "ms an episode")
-    met = "met" if median(ratio) >= AIMED_RATIO else "NOT MET"
-    say("ratio", ratio, f"(aim {AIMED_RATIO:g}: {met})")
+    say("ratio", ratio, f"(aim {AIMED_RATIO:g}: {met(median(ratio) >= AIMED_RATIO)})")
 
 
 def say(name: str, values: list[float], unit: str) -> None:
@@ -129,17 +128,27 @@ def split(space: ScenarioSpace, scenarios: list[Admitted]) -> None:
         say(name, values, "us")
 
 
-def campaign(name: str, blocks: Sequence[int]) -> tuple[int, float, float]:
-    """(episodes, seconds, largest resident memory [MB]) of drawing, running and judging blocks."""
+@dataclass(frozen=True)
+class Rate:
+    """What one process has done, from drawing to judging."""
+
+    episodes: int
+    wall_s: float
+    processor_s: float
+    most_mb: float
+
+
+def campaign(name: str, blocks: Sequence[int]) -> Rate:
+    """Draw, run and judge blocks of episodes."""
     space = space_named(name)
     judged(block_of(space, 0, 8))
     gc.collect()
     gc.freeze()  # what is loaded stays: a collection need not look at it again
-    begun_s, done = time.perf_counter(), 0
+    wall_s, processor_s, done = time.perf_counter(), time.process_time(), 0
     for number in blocks:
         done += judged(block_of(space, number))
-    took_s = time.perf_counter() - begun_s
-    return done, took_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    wall_s, processor_s = time.perf_counter() - wall_s, time.process_time() - processor_s
+    return Rate(done, wall_s, processor_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
 
 
 def judged(scenarios: list[Admitted]) -> int:
@@ -151,36 +160,31 @@ def judged(scenarios: list[Admitted]) -> int:
 
 
 def scale(name: str, episodes: int) -> None:
-    """One process, then two at a time, on the same number of blocks each."""
+    """One process, then two at a time, each with the same number of blocks."""
     blocks = max(episodes // (2 * BLOCK), 1)
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
         (one,) = pool.starmap(campaign, [(name, range(blocks))], chunksize=1)
     with context.Pool(2) as pool:
         both = pool.starmap(campaign, [(name, range(blocks)), (name, range(blocks, 2 * blocks))], chunksize=1)
-    rate = one[0] / one[1]
-    rate_of_two = sum(done for done, _, _ in both) / max(took_s for _, took_s, _ in both)
-    per_draw = sum(done for done, _, _ in both) / (2 * blocks * BLOCK)
+    done = sum(rate.episodes for rate in both)
+    per_s, per_s_of_two = one.episodes / one.wall_s, done / max(rate.wall_s for rate in both)
+    cpu_ms, minutes = 1e3 * sum(rate.processor_s for rate in both) / done, 1e6 / per_s_of_two / 60.0
+    scaling, draws = per_s_of_two / per_s, 2 * blocks * BLOCK
+    print(f"\n{name}: drawn, admitted, run and judged by its own claims; {done} of {draws} can be tried")
+    print(f"  one process             {per_s:10.1f} episodes a second, {one.most_mb:.0f} MB at most")
+    print(f"  two processes           {per_s_of_two:10.1f}, {max(rate.most_mb for rate in both):.0f} MB each")
+    print(f"  processor time          {cpu_ms:10.2f} ms an episode")
     print(
-        f"\n{name}: drawn, admitted, run and judged by its own claims ({per_draw:.0%} of the draws can be tried)"
+        f"  scaling                 {scaling:10.2f} (aim {AIMED_SCALING:g}: {met(scaling >= AIMED_SCALING)})"
     )
-    print(f"  one process             {rate:10.1f} episodes a second, {one[2]:.0f} MB at most")
-    print(
-        f"  two processes           {rate_of_two:10.1f} episodes a second, {max(b[2] for b in both):.0f} MB each"
-    )
-    scaling, minutes = rate_of_two / rate, 1e6 / rate_of_two / 60.0
-    print(
-        f"  scaling                 {scaling:10.2f} (aim {AIMED_SCALING:g}: {verdict(scaling >= AIMED_SCALING)})"
-    )
-    print(
-        f"  a million episodes      {minutes:10.1f} minutes on two cores "
-        f"(aim {AIMED_MINUTES:g}: {verdict(minutes <= AIMED_MINUTES)})"
-    )
+    words = f"(aim {AIMED_MINUTES:g}: {met(minutes <= AIMED_MINUTES)})"
+    print(f"  a million episodes      {minutes:10.1f} minutes on two cores {words}")
 
 
-def verdict(met: bool) -> str:
+def met(aim: bool) -> str:
     """Whether an aim was met."""
-    return "met" if met else "NOT MET"
+    return "met" if aim else "NOT MET"
 
 
 def main() -> None:
@@ -199,9 +203,10 @@ def main() -> None:
         float((trace.ticks["predicted_distance_m"] < limit_m).mean())
         for trace, limit_m in zip(traces, critical_m, strict=True)
     ]
+    decisions = np.mean([len(trace.decisions) for trace in traces])
     print(
-        f"{given.space}: {len(scenarios)} scenarios of {scenarios[0].scenario.ticks} ticks, {np.mean(near):.1%} of "
-        f"them critical, {np.mean([len(trace.decisions) for trace in traces]):.2f} decisions each"
+        f"{given.space}: {len(scenarios)} scenarios of {scenarios[0].scenario.ticks} ticks, "
+        f"{np.mean(near):.1%} of them critical, {decisions:.2f} decisions each"
     )
     gc.collect()
     gc.freeze()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.controller.stack import begin_tick, finish_tick
 from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
 from safety_harness.trace.records import MAX_TRACKS, Mode
@@ -78,7 +78,7 @@ class ControllerRecords(NamedTuple):
         return self.state, self.command, self.question
 
 
-@compiled
+@inlined
 def look(
     parameters: Records,
     filter_parameters: Records,
@@ -136,7 +136,7 @@ def ask(
     q.faults = acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s)
 
 
-@compiled
+@inlined
 def act(
     parameters: Records,
     states: Records,
@@ -152,7 +152,7 @@ def act(
     q.tick += 1
 
 
-@compiled
+@inlined
 def report(states: Records, commands: Records, questions: Records, ticks: Records) -> None:
     """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]

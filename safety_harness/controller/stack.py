@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
@@ -112,7 +112,7 @@ def see_hands(
             s.predicted_hand_in_base_m[i, :] = np.nan
 
 
-@compiled
+@inlined
 def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
     """Distance from the TCP to the predicted centre of a tracked hand."""
     s = states[0]
@@ -159,7 +159,7 @@ def decide_mode(
     return False
 
 
-@compiled
+@inlined
 def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
     """Is the TCP within the arrival tolerance of the repulsive position?"""
     p, s = parameters[0], states[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 
 @compiled
@@ -79,14 +79,14 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
     return True
 
 
-@compiled
+@inlined
 def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill ``out`` (n,) with ``source``; an assignment to a slice would first look for an overlap."""
     for i in range(out.shape[0]):
         out[i] = source[i]
 
 
-@compiled
+@inlined
 def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill ``out`` (m, n) with ``source``; an assignment to a slice would first look for an overlap."""
     for i in range(out.shape[0]):

@@ -7,7 +7,7 @@ from math import atan2, cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 # Below this squared angle the second-order series are exact to the last bit of a float64.
 SMALL_SQUARED_ANGLE = 1e-8
@@ -92,7 +92,7 @@ def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: ND
         rotation_out[i // 3, i % 3] = entries[i]
 
 
-@compiled
+@inlined
 def rotation_entries(
     x: float, y: float, z: float, angle_rad: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:

@@ -11,7 +11,7 @@ from math import isfinite, isnan, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.segments import (
     point_segment_distance,
     segment_segment_distance,
@@ -22,7 +22,7 @@ from safety_harness.robot.kinematics import forward_kinematics
 DEEPEST = 48  # halvings of an interval: far below any tolerance that float64 can serve
 
 
-@compiled
+@inlined
 def place_capsules(
     transforms: NDArray[np.float64],
     link_index: NDArray[np.int64],
@@ -92,7 +92,7 @@ def hand_distance(
     return best, nearest
 
 
-@compiled
+@inlined
 def _length(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return sqrt(x * x + y * y + z * z)

@@ -10,7 +10,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.rotations import rotation_entries
 
 FRAMES = 8
@@ -49,7 +49,7 @@ def forward_kinematics(
     _compose(transforms_out, 6, flange)
 
 
-@compiled
+@inlined
 def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]) -> None:
     """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time."""
     for i in range(3):
@@ -61,7 +61,7 @@ def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]
     transforms[k + 1, 3, 3] = 1.0
 
 
-@compiled
+@inlined
 def geometric_jacobian(
     joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], jacobian_out: NDArray[np.float64]
 ) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import inlined
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.drive import drive_tick
@@ -35,13 +35,13 @@ Records = NDArray[np.void]
 Floats = NDArray[np.float64]
 
 
-@compiled
+@inlined
 def now_s(clocks: Records) -> float:
     """The start of the coming control tick: a multiple of the period, never a running sum."""
     return float(clocks[0].tick * clocks[0].control_period_s)
 
 
-@compiled
+@inlined
 def sense(
     clocks: Records,
     sensors: Records,
@@ -68,13 +68,13 @@ def sense(
     hand_over(clocks, sensors, object_frames, hand_frames, truths, observations)
 
 
-@compiled
+@inlined
 def mount(clocks: Records, sensors: Records, faults: Records) -> None:
     """Before the cameras look: the hand-eye camera sits where it sits, and the tick's faults begin."""
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
-@compiled
+@inlined
 def exact_object_frame(
     clocks: Records,
     sensors: Records,
@@ -92,7 +92,7 @@ def exact_object_frame(
     )
 
 
-@compiled
+@inlined
 def send_object_frame(
     clocks: Records,
     sensors: Records,
@@ -113,7 +113,7 @@ def send_object_frame(
         )
 
 
-@compiled
+@inlined
 def exact_hand_frame(
     clocks: Records,
     sensors: Records,
@@ -133,7 +133,7 @@ def exact_hand_frame(
     send_hand_frame(clocks, sensors, hand_frames, normals, uniforms, faults, truths, boxes, count)
 
 
-@compiled
+@inlined
 def send_hand_frame(
     clocks: Records,
     sensors: Records,
@@ -152,7 +152,7 @@ def send_hand_frame(
         clocks[0].acted_faults |= spoil_hand_frame(faults, sensors, hand_frames, pose, time_s)
 
 
-@compiled
+@inlined
 def hand_over(
     clocks: Records,
     sensors: Records,
@@ -169,7 +169,7 @@ def hand_over(
         o.joint_velocity_radps[i] = truth.joint_velocity_radps[i]
 
 
-@compiled
+@inlined
 def drive_on(
     clocks: Records, drives: Records, faults: Records, truths: Records, commands: Records, told_radps: Floats
 ) -> bool:
@@ -185,7 +185,7 @@ def drive_on(
     return bool(braking)
 
 
-@compiled
+@inlined
 def move_on(
     clocks: Records,
     hands: Records,
