@@ -22,7 +22,7 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Episode, Findings, Group
 from safety_harness.search.search import search
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
-from safety_harness.search.trials import Trials, World, in_pybullet
+from safety_harness.search.trials import Trials, World, in_kinematic, in_pybullet
 from safety_harness.space.read import read_space
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -31,6 +31,7 @@ FINDINGS, AS_FOUND = "findings.json", "as-found"
 _MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 _MOST_AS_FOUND = 50  # files
 _SHRINKING = 200  # runs for each
+_BATCH = 64  # runs that go to their decisions together
 
 
 def fuzz(
@@ -48,7 +49,7 @@ def fuzz(
         if budget < 1:
             raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
         make = _searcher(searcher)
-        trials = Trials(read_space(file), in_pybullet, seed=seed, avoider=avoider, sentences=tuple(claims))
+        trials = Trials(read_space(file), in_kinematic, seed=seed, avoider=avoider, sentences=tuple(claims))
         session = _Session(trials, out, make, budget)
         session.search()
         session.conclude()
@@ -105,6 +106,7 @@ class _Session:
                 self.trials,
                 searcher,
                 budget=self.budget,
+                batch=_BATCH,
                 on_progress=keep,
                 enough=lambda findings: self.unwritable is not None,
             )

@@ -16,10 +16,11 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.kinematic import run_kinematic, run_many
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, described
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.properties.base import Property
 from safety_harness.scenario.faults import AvoiderFault
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -58,6 +59,26 @@ def in_pybullet(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
             raise KeyboardInterrupt
         found.append(trace)
     return found
+
+
+def in_kinematic(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+    """All together in the kinematic world; one by one if any breaks; rendered images in PyBullet."""
+    try:
+        return list(run_many(admitted))
+    except Exception:
+        return [_alone(one) for one in admitted]
+
+
+def _alone(admitted: Admitted) -> Trace | Exception:
+    try:
+        trace = run_kinematic(admitted)
+    except InadmissibleError:
+        return in_pybullet([admitted])[0]
+    except Exception as error:
+        return error
+    if trace.ended == INTERRUPTED:
+        raise KeyboardInterrupt
+    return trace
 
 
 @dataclass(eq=False)
@@ -129,7 +150,8 @@ class Trials:
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
 
     def _admit(self, scenario: Scenario) -> Admitted:
-        admitted = admit(scenario, avoider=self._avoiders.get(scenario.avoider))
+        known = self._avoiders.get(scenario.avoider)
+        admitted = admit(scenario, avoider=known, rehearsed=known is not None)
         if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
             self._avoiders[scenario.avoider] = admitted.avoider
         return admitted

@@ -13,11 +13,12 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.search import trials as trials_module
 from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
 from safety_harness.search.coverage import AXES, Cell, Coverage, cell_of
 from safety_harness.search.explain import circumstances, ingredients, seen_of
 from safety_harness.search.outcomes import Outcomes
-from safety_harness.search.trials import Trials, in_pybullet
+from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
 from safety_harness.space.read import parse_space
 from safety_harness.trace.trace import Trace
 from tests.search.short_space import CRASHING, SHORT, TEXT
@@ -198,3 +199,34 @@ def test_circumstances_say_where_it_was_and_what_was_decided() -> None:
 
 def test_the_verdict_decides_and_not_the_margin_alone() -> None:
     assert judge(fast_run())[0].verdict is Verdict.VIOLATED
+
+
+def test_in_the_kinematic_world_all_points_together_come_out_as_each_alone() -> None:
+    together = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
+    for k, point in enumerate(POINTS):
+        alone = Trials(SHORT, in_kinematic, seed=3)(point[None], 10 + k)
+        assert np.array_equal(together.margins[k], alone.margins[0])
+        assert together.cells[k] == alone.cells[0]
+
+
+def test_the_kinematic_world_leads_where_pybullet_does() -> None:
+    kinematic = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
+    assert np.abs(kinematic.margins[:, 0] - outcomes()[1].margins[:, 0]).max() < 0.005
+
+
+def test_what_breaks_the_batch_costs_the_others_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(admitted: Sequence[Admitted]) -> list[Trace]:
+        raise SimulationError("the batch ended")
+
+    expected = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
+    monkeypatch.setattr(trials_module, "run_many", broken)
+    found = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
+    assert np.array_equal(found.margins, expected.margins)
+    assert set(found.mishaps) == {""}
+
+
+def test_rendered_images_which_the_kinematic_world_has_not_are_run_in_pybullet() -> None:
+    space = parse_space(TEXT.replace("duration: 400 ms", "duration: 16 ms\ncamera: {source: rendered}"))
+    (run,) = in_kinematic([admit(space.simplest)])
+    assert isinstance(run, Trace)
+    assert run.provenance.world == "pybullet"
