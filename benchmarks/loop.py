@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.avoidance.gate import Gate
 from safety_harness.controller import controller
 from safety_harness.scenario.read import read_scenario
 from safety_harness.simulation import pybullet_world
@@ -230,13 +231,13 @@ def where_the_time_goes(admitted: Admitted) -> dict[str, float]:
     engine.getJointStates = watch.timed("joint states", pybullet.getJointStates)
     with (
         patch.object(pybullet_world, "pybullet", engine),
-        watch.on("drives", pybullet_world, "drive_tick"),
-        watch.on("hands", pybullet_world, "advance_hands"),
-        watch.on("fill_truth", pybullet_world, "fill_truth"),
+        watch.on("drives", pybullet_world, "drive_on"),
+        watch.on("hands, truth", pybullet_world, "move_on"),
         watch.on("observe", PyBulletWorld, "observe"),
-        watch.on("begin_tick", controller, "begin_tick"),
-        watch.on("decide", controller.AvoidingServo, "_decide"),
-        watch.on("finish_tick", controller, "finish_tick"),
+        watch.on("look", controller, "look"),
+        watch.on("decide", controller.AvoidingServo, "decide"),
+        watch.on("rule", Gate, "rule"),
+        watch.on("act", controller, "act"),
         watch.on("report, recording", controller.AvoidingServo, "report"),
         watch.on("report, recording", PyBulletWorld, "true_state"),
     ):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from safety_harness.admission.admit import Admitted, admit
+    from safety_harness.admission.kinematic import run_kinematic, run_many
     from safety_harness.admission.spaces import AdmittedDraws, draw_admissible
     from safety_harness.admission.trial import judge, run_trial
     from safety_harness.avoidance.avoider import Avoider, Proposal
@@ -78,6 +79,8 @@ __all__ = [
     "parse_space",
     "read_scenario",
     "read_space",
+    "run_kinematic",
+    "run_many",
     "run_trial",
     "save_trace",
     "space_from",
@@ -89,6 +92,7 @@ __all__ = [
 
 _HOMES = {
     "admission.admit": ("Admitted", "admit"),
+    "admission.kinematic": ("run_kinematic", "run_many"),
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_trial"),
     "avoidance.avoider": ("Avoider", "Proposal"),

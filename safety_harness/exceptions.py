@@ -102,6 +102,10 @@ class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 
 
+class SearchOrderError(SafetyHarnessError):
+    """A searcher was asked and told out of turn, or proposed what is no point of the cube."""
+
+
 class FlakyAvoiderError(AvoiderError):
     """An avoider answered the same question, with the same seed, in two ways."""
 

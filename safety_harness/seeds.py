@@ -18,6 +18,7 @@ class Branch(IntEnum):
     DECISION = 2
     SPACE_DRAW = 3
     HAND_MOTION = 4
+    SEARCH = 5
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -26,6 +26,7 @@ ORDER = [
     {"properties"},
     {"formulas"},
     {"admission"},
+    {"search"},
     {"report"},
     {"reproduction"},
     {"cli"},

@@ -56,4 +56,5 @@ def test_branches_keep_their_numbers() -> None:
         "DECISION": 2,
         "SPACE_DRAW": 3,
         "HAND_MOTION": 4,
+        "SEARCH": 5,
     }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,9 @@ from safety_harness.exceptions import InadmissibleError, SettingsError
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.scenario.fault_table import fault_table
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import Robot, Scenario
 from safety_harness.servoing.control import DesiredView
+from safety_harness.settings import Settings
 
 FIRST_ANSWER_S = 300.0  # time to import, load and compile whatever an avoider needs
 
@@ -64,20 +66,15 @@ class Admitted:
         )
 
 
-def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
+def admit(scenario: Scenario, *, avoider: Avoider | None = None, rehearsed: bool = False) -> Admitted:
     """Resolve and check; InadmissibleError names the place, what was expected and what came.
 
-    ``avoider`` takes the place of the one that the scenario names.
+    ``avoider`` takes the place of the one that the scenario names; ``rehearsed``: it has answered before.
     """
     arm = load_arm(scenario.robot.arm_name)
     sha256 = ""
     try:
-        check_cameras(scenario)
-        check_restart_delay(scenario)
-        check_object(scenario)
-        view = view_of(scenario.settings)
-        check_view(scenario, view)
-        check_desired(scenario, arm)
+        view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
         start = start_joint_position(scenario, arm)
         check_start(scenario, arm, start)
         check_hands(scenario, arm, start)
@@ -87,8 +84,31 @@ def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
             avoider, sha256 = avoider_of(scenario), avoider_sha256(scenario)
     except SettingsError as error:
         raise _placed(error, scenario) from error
-    rehearse(scenario, avoider)
+    if not rehearsed:
+        rehearse(scenario, avoider)
     return Admitted(scenario, arm, view, start, avoider, properties, sha256)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """What is refused, or not, whatever hands and start are; ``scenario`` has the places for messages."""
+
+    settings: Settings
+    robot: Robot
+    scenario: Scenario = field(compare=False)
+
+
+@lru_cache(maxsize=16)  # many scenarios share a cell
+def _view_of_cell(cell: _Cell) -> DesiredView:
+    """The desired view in a cell that can be worked in."""
+    scenario = cell.scenario
+    check_cameras(scenario)
+    check_restart_delay(scenario)
+    check_object(scenario)
+    view = view_of(cell.settings)
+    check_view(scenario, view)
+    check_desired(scenario, load_arm(cell.robot.arm_name))
+    return view
 
 
 def _placed(error: SettingsError, scenario: Scenario) -> InadmissibleError:

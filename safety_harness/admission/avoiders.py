@@ -115,7 +115,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         raise InadmissibleError(
             place=place, expected=f"an avoider's name or file, {SENTENCE}", got=repr(reference)
         )
-    return replace(scenario, avoider=reference, places=scenario.places | {"avoider": place})
+    return replace(scenario, avoider=reference, places={**scenario.places, "avoider": place})
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:

@@ -7,10 +7,13 @@ here, and only here, draws are rejected.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
-from safety_harness.admission.admit import admit
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.exceptions import InadmissibleError, InputError, ModelError
 from safety_harness.scenario.model import Scenario
@@ -63,7 +66,8 @@ def draw_admissible(
         try:
             scenario = space.draw(seed, drawn)
             # An avoider is made once: that it answers, and what else admission asks of it, does not vary.
-            avoiders[scenario.avoider] = admit(scenario, avoider=avoiders.get(scenario.avoider)).avoider
+            known = avoiders.get(scenario.avoider)
+            avoiders[scenario.avoider] = admit(scenario, avoider=known, rehearsed=known is not None).avoider
             scenarios.append(scenario)
         except InputError as error:
             if _is_a_mistake(error):
@@ -74,6 +78,29 @@ def draw_admissible(
         if on_draw is not None:
             on_draw(drawn)
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
+
+
+def admit_points(
+    space: ScenarioSpace, u: NDArray[np.float64], seeds: Iterable[int], *, avoider: Avoider | None = None
+) -> Iterator[Admitted | InputError]:
+    """For each point (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
+
+    ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
+    are drawn for all points at once.  A mistake in the text itself is raised.
+    """
+    avoiders: dict[str, Avoider] = {}
+    for k, (values, seed) in enumerate(zip(space.values_at(u), seeds, strict=True)):
+        try:
+            scenario = space.scenario(values, seed=seed, name=f"{space.name}#{k}")
+            known = avoiders.get(scenario.avoider)
+            one = admit(scenario, avoider=known or avoider, rehearsed=known is not None)
+        except InputError as error:
+            if _is_a_mistake(error):
+                raise
+            yield error
+        else:
+            avoiders[scenario.avoider] = one.avoider
+            yield one
 
 
 def _is_a_mistake(error: InputError) -> bool:
@@ -90,3 +117,13 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
         got=f"{admitted} of {drawn} draws",
         hint=f"{count} times it was {reason}",
     )
+
+
+def why_refused(error: InputError) -> str:
+    """The reason, the same for points that are refused alike: "field: expected ...".
+
+    Raises ``error`` where the text is to blame.
+    """
+    if _is_a_mistake(error) or error.place.field == "--avoider":
+        raise error
+    return f"{error.place.field}: expected {error.expected}"

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.kinematic import recorded_late
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.consistency import refuse_contradictions
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.simulate import simulate
-from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
 
@@ -30,9 +30,7 @@ def run_trial(
     ``recorded`` is an earlier trace of the same scenario, whose late decisions are late again, and no
     others; ``on_tick`` is told the number of ticks done.
     """
-    late: list[bool] = []
-    if recorded is not None:
-        late = [bool(failed & Check.LATE) for failed in recorded.decisions["proposed_failed"]]
+    late = recorded_late(recorded)
     with PyBulletWorld(
         admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
     ) as world:

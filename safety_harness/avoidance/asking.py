@@ -86,17 +86,23 @@ def _late_fault(deadline_s: float) -> str:
 def _ask(avoider: Avoider, hand_in_base_m: Vector, tcp_in_base_m: Vector, seed: int) -> Answer:
     try:
         threshold_m = spread_threshold_of(avoider)
-        proposal = checked(
-            avoider.propose(
-                hand_position_in_base_m=hand_in_base_m, tcp_position_in_base_m=tcp_in_base_m, seed=seed
-            )
+        proposal = avoider.propose(
+            hand_position_in_base_m=hand_in_base_m, tcp_position_in_base_m=tcp_in_base_m, seed=seed
         )
+        return answer_of(proposal, threshold_m)
     except AvoiderError as error:
         return Answer(fault=str(error) or "AvoiderError")
     except Exception as error:  # a user's code may raise anything
         frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
         return Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))
-    return Answer(proposal, np.nan if threshold_m is None else threshold_m)
+
+
+def answer_of(proposal: object, threshold_m: float | None) -> Answer:
+    """What an avoider returned, looked at; a fault in words if it is no proposal."""
+    try:
+        return Answer(checked(proposal), np.nan if threshold_m is None else threshold_m)
+    except AvoiderError as error:
+        return Answer(fault=str(error))
 
 
 @contextmanager

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
-from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
+from safety_harness.scenario.fault_table import FaultKind, acting
 
-LATE, SILENT, NAN = FaultKind.AVOIDER_LATE, FaultKind.AVOIDER_SILENT, FaultKind.AVOIDER_NAN
+NAN = int(FaultKind.AVOIDER_NAN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +58,3 @@ class AnswersNaN:
 def faulty(faults: NDArray[np.void], avoider: Avoider, time_s: float) -> Avoider:
     """What ``avoider`` is at ``time_s``, with the faults (n,) FAULT."""
     return AnswersNaN(avoider.name) if acting(faults, NAN, time_s) else avoider
-
-
-def answer_delay_s(faults: NDArray[np.void], time_s: float) -> float:
-    """How long an answer to a question of ``time_s`` takes; infinity for one that never comes."""
-    return inf if acting(faults, SILENT, time_s) else float(delay_s(faults, LATE, time_s))
-
-
-def avoider_faults(faults: NDArray[np.void], time_s: float) -> int:
-    """Bits of the faults of the avoider that act on a question of ``time_s``."""
-    return int(acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s))

@@ -89,8 +89,11 @@ class Gate:
         )
 
     def rule(self, avoider: Avoider, query: Query) -> Ruling:
-        """Ask the avoider, check its proposal, fall back to the opposite pose, else stop."""
-        proposed = self._ask(avoider, query, self.decision_deadline_s, query.late)
+        """Ask the avoider, then ``rule_on`` its answer."""
+        return self.rule_on(self._ask(avoider, query, self.decision_deadline_s, query.late), query)
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """Check the avoider's answer, fall back to the opposite pose, else stop."""
         opposite = self._ask(self.fallback, query, np.inf, None)
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_a_program, with_avoider
+from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -27,6 +28,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import shown
+from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Provenance, Trace
@@ -47,7 +49,10 @@ def replay(path: Path, avoider: str | None = None) -> int:
     progress = ScenarioProgress([stored.scenario])
     with progress.running():
         progress.begin(0)
-        fresh = run_trial(admitted, recorded=stored, on_tick=progress.tick)
+        if stored.provenance.world == KinematicWorld.name:
+            fresh = run_kinematic(admitted, recorded=stored, on_tick=progress.tick)
+        else:
+            fresh = run_trial(admitted, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
         say(f"{fresh.ended}, after {len(fresh.ticks)} of {len(stored.ticks)} ticks")
         return INTERRUPTED

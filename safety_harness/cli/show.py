@@ -15,6 +15,7 @@ from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
+from safety_harness.report.text_file import write_whole
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
@@ -60,7 +61,7 @@ def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
         drawn = draw_admissible(space, seed, count)
         for scenario in drawn.scenarios:
             path = out / f"{scenario.name.replace('#', '-')}.yaml"
-            _write(path, write_scenario(as_seen_from(out, scenario)))
+            write_text(path, write_scenario(as_seen_from(out, scenario)))
             result(str(path))
     except InputError as error:
         explain(error)
@@ -102,9 +103,9 @@ def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDA
     return list(found.values())
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
+    """A text file, with folders that are missing; OutputError if it cannot be written."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise OutputError.of(path, error) from error

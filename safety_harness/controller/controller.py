@@ -7,18 +7,17 @@ stack with an avoider and the gate.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from math import ceil
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.faulty import Asked, answer_delay_s, avoider_faults, faulty
+from safety_harness.avoidance.faulty import Asked, faulty
 from safety_harness.avoidance.gate import Gate, Query, Ruling
+from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, look, report
 from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
-from safety_harness.controller.stack import begin_tick, finish_tick
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
@@ -26,21 +25,7 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, Mode, Outcome
-
-FROM_STATE = (
-    "object_visible",
-    "features",
-    "feature_error",
-    "sse",
-    "track_valid",
-    "predicted_hand_in_base_m",
-    "predicted_distance_m",
-    "mode",
-    "gain",
-    "camera_twist",
-    "limits",
-)
+from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, TICK_COMPILED, Outcome
 
 
 class Controller(Protocol):
@@ -70,18 +55,6 @@ class Controller(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class Question:
-    """What the avoider was asked, and from which tick on its answer counts; ``late``: that there is none."""
-
-    avoider: Avoider
-    hand_position_in_base_m: NDArray[np.float64]  # (3,)
-    trigger: int
-    counts_from: int
-    late: bool
-    faults: int  # bits
-
-
 class AvoidingServo:
     """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
 
@@ -102,118 +75,94 @@ class AvoidingServo:
         faults: NDArray[np.void] | None = None,
     ) -> None:
         self.name = avoider.name
-        self._avoider = avoider
-        self._gate = gate
+        self.avoider = avoider
+        self.gate = gate
+        fixed = _fixed(settings, arm, view)
+        self.records = ControllerRecords(
+            fixed[0].copy(),
+            fixed[1].copy(),
+            initial_state(),
+            no_tracks(),
+            np.zeros(1, ANSWER),
+            np.zeros(1, COMMAND),
+            np.zeros(1, QUESTION),
+            fault_table(()) if faults is None else faults,
+        )
         self._root_seed = root_seed
-        self._faults = fault_table(()) if faults is None else faults
-        self._period_s = settings.clock.control_period_s
-        self._deadline_s = settings.avoidance.decision_deadline_s
-        self._question: Question | None = None
-        self._acted_faults = 0
-        self._parameters = parameters(settings, arm, view)
-        self._filter_parameters = filter_parameters(settings.hand_filter, settings.hand_sensor)
-        self._state = initial_state()
-        self._tracks = no_tracks()
-        self._answer = np.zeros(1, ANSWER)
-        self._command = np.zeros(1, COMMAND)
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
         self._latencies_s: list[float] = []
-        self._decided_now = False
-        self._ticks = 0
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Look, decide if asked to, act."""
-        asked = begin_tick(self._parameters, self._filter_parameters, self._state, self._tracks, observation)
-        self._acted_faults, self._decided_now = 0, False
-        if asked and self._question is None:
-            self._question = self._ask(float(observation[0]["time_s"]))
-        if self._question is not None:
-            self._wait_or_decide(self._question, observation)
-        finish_tick(self._parameters, self._state, observation, self._answer, self._command)
-        self._ticks += 1
-        return self._command
+        """Look, decide if it is time to, act."""
+        if look(*(self.records.for_look + (observation,))):
+            query = self.query(observation)
+            self.decide(query, self.gate.rule(self.asked(), query))
+        act(*(self.records.for_act + (observation,)))
+        return self.records.command
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Copy what the stack knows into the trace's record of this tick."""
-        for name in FROM_STATE:  # arrays of one record: their fields are quicker than a record's
-            tick[name] = self._state[name]
-        tick["demanded_joint_velocity_radps"] = self._command["joint_velocity_radps"]
-        tick["decision"] = len(self._decisions) - 1 if self._decided_now else -1
-        tick["faults"] |= self._acted_faults
+        report(*(self.records.for_report + (tick.view(TICK_COMPILED),)))
 
     @property
     def decisions(self) -> NDArray[np.void]:
         """(m,) DECISION."""
-        return np.concatenate([np.zeros(0, DECISION), *self._decisions])
+        decisions = np.zeros(len(self._decisions), DECISION)
+        for k, decision in enumerate(self._decisions):
+            decisions[k] = decision[0]
+        return decisions
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
         return np.array(self._latencies_s, dtype=np.float64)
 
-    def _ask(self, time_s: float) -> Question:
-        """The question of now; a healthy avoider's answer counts at once."""
-        state = self._state[0]
-        hand_in_base_m = state["predicted_hand_in_base_m"][state["nearest_track"]].copy()
-        avoider = faulty(self._faults, self._avoider, time_s)
-        delay_s = answer_delay_s(self._faults, time_s)
-        ticks = ceil(min(delay_s, self._deadline_s) / self._period_s - 1e-9)
-        if ticks > 0:
-            avoider = Asked(avoider, hand_in_base_m, state["transform_tcp_to_base"][:3, 3].copy())
-        return Question(
-            avoider,
-            hand_in_base_m,
-            int(state["trigger"]),
-            self._ticks + ticks,
-            delay_s > self._deadline_s,
-            avoider_faults(self._faults, time_s),
+    def asked(self) -> Avoider:
+        """Who answers the question that counts now: the avoider, as its faults leave it."""
+        question = self.records.question[0]
+        avoider = faulty(self.records.faults, self.avoider, float(question["asked_s"]))
+        if not question["delayed"]:
+            return avoider
+        hand_in_base_m, tcp_in_base_m = (
+            question[name].copy() for name in ("hand_position_in_base_m", "tcp_position_in_base_m")
         )
+        return Asked(avoider, hand_in_base_m, tcp_in_base_m)
 
-    def _wait_or_decide(self, question: Question, observation: NDArray[np.void]) -> None:
-        """Go on as before until the answer counts; one that comes after a protective stop is of no use."""
-        state = self._state[0]
-        self._acted_faults = question.faults
-        if self._ticks < question.counts_from:
-            state["decision_pending"] = False
-            return
-        self._question = None
-        if state["mode"] == Mode.PROTECTIVE_STOP:
-            state["decision_pending"] = False
-            return
-        self._decided_now = True
-        state["decision_pending"], state["trigger"] = True, question.trigger
-        self._decide(question, observation)
-
-    def _decide(self, question: Question, observation: NDArray[np.void]) -> None:
-        """Let the gate hear the avoider and rule, note everything down."""
-        state, o = self._state[0], observation[0]
-        number = len(self._decisions)
-        nearest = state["nearest_track"]
+    def query(self, observation: NDArray[np.void]) -> Query:
+        """The decision that counts now, as the gate wants it."""
+        state, question = self.records.state[0], self.records.question[0]
+        number, nearest = len(self._decisions), state["nearest_track"]
         hand = (
-            state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else question.hand_position_in_base_m
+            state["predicted_hand_in_base_m"][nearest]
+            if nearest >= 0
+            else question["hand_position_in_base_m"]
         )
         recorded = self._recorded_late[number] if number < len(self._recorded_late) else None
-        query = Query(
+        return Query(
             hand_position_in_base_m=hand.copy(),
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
             transform_tcp_to_base=state["transform_tcp_to_base"].copy(),
-            joint_position_rad=o["joint_position_rad"].copy(),
+            joint_position_rad=observation[0]["joint_position_rad"].copy(),
             hands_in_base_m=state["predicted_hand_in_base_m"][state["track_valid"] != 0],
             seed=seed(self._root_seed, Branch.DECISION, number),
-            late=True if question.late else recorded,
+            late=True if question["late"] else recorded,
         )
-        ruling = self._gate.rule(question.avoider, query)
-        self._answer["stop"] = ruling.outcome is Outcome.STOP
-        self._answer["position_in_base_m"] = ruling.chosen_position_in_base_m
-        self._latencies_s.append(ruling.latency_s)
-        self._decisions.append(self._record(query, ruling, float(o["time_s"])))
 
-    def _record(self, query: Query, ruling: Ruling, time_s: float) -> NDArray[np.void]:
+    def decide(self, query: Query, ruling: Ruling) -> None:
+        """Take the gate's ruling over, note everything down."""
+        answer = self.records.answer
+        answer["stop"] = ruling.outcome is Outcome.STOP
+        answer["position_in_base_m"] = ruling.chosen_position_in_base_m
+        self._latencies_s.append(ruling.latency_s)
+        self._decisions.append(self._record(query, ruling))
+
+    def _record(self, query: Query, ruling: Ruling) -> NDArray[np.void]:
         """(1,) DECISION."""
         record = np.zeros(1, DECISION)
-        record["tick"], record["time_s"] = self._ticks, time_s
-        record["trigger"] = self._state["trigger"]
+        for name in ("tick", "time_s"):
+            record[name] = self.records.question[name]
+        record["trigger"] = self.records.state["trigger"]
         record["seed"] = query.seed
         record["hand_position_in_base_m"] = query.hand_position_in_base_m
         record["tcp_position_in_base_m"] = query.tcp_position_in_base_m
@@ -228,3 +177,9 @@ class AvoidingServo:
         record["opposite_failed"] = ruling.opposite_failed
         record["fault"] = ruling.fault[:FAULT_CHARACTERS]
         return record
+
+
+@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+def _fixed(settings: Settings, arm: ArmModel, view: DesiredView) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """What no episode changes."""
+    return parameters(settings, arm, view), filter_parameters(settings.hand_filter, settings.hand_sensor)

@@ -49,6 +49,7 @@ PARAMETERS = np.dtype(
         ("repulsion_acceleration_mps2", np.float64),
         ("arrival_tolerance_m", np.float64),
         ("restart_delay_s", np.float64),
+        ("decision_deadline_s", np.float64),
     ],
     align=True,
 )

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
@@ -42,7 +43,7 @@ def begin_tick(
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
     p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.joint_origins, p.joint_axes, p.flange, o.joint_position_rad, s.link_transforms)
-    s.transform_tcp_to_base[:, :] = s.link_transforms[7]
+    copy_matrix(s.link_transforms[7], s.transform_tcp_to_base)
     see_object(parameters, states, observations)
     see_hands(parameters, filter_parameters, states, tracks, observations)
     s.limits = 0
@@ -66,7 +67,7 @@ def see_object(
         s.feature_error[:] = np.nan
         s.sse = np.nan
         return
-    s.moments[:] = o.moments
+    copy_vector(o.moments, s.moments)
     finite = features(s.moments, p.desired_area, p.desired_depth_m, p.dense, s.features)
     s.sse = feature_error(s.features, p.desired_features, s.feature_error)
     if not (finite and np.isfinite(s.sse)):
@@ -89,7 +90,7 @@ def see_hands(
     if p.eye_in_hand:
         compose_into(s.transform_tcp_to_base, p.transform_camera_to_tcp, transform_sensor_to_base)
     else:
-        transform_sensor_to_base[:, :] = p.transform_sensor_to_base
+        copy_matrix(p.transform_sensor_to_base, transform_sensor_to_base)
     predict_positions(
         tracks,
         o.time_s + p.prediction_horizon_s,
@@ -111,7 +112,7 @@ def see_hands(
             s.predicted_hand_in_base_m[i, :] = np.nan
 
 
-@compiled
+@inlined
 def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
     """Distance from the TCP to the predicted centre of a tracked hand."""
     s = states[0]
@@ -158,7 +159,7 @@ def decide_mode(
     return False
 
 
-@compiled
+@inlined
 def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
     """Is the TCP within the arrival tolerance of the repulsive position?"""
     p, s = parameters[0], states[0]

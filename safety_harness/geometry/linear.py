@@ -1,11 +1,11 @@
-"""Small dense linear systems in compiled code (numba's own solver would need scipy)."""
+"""Small dense linear systems and copies in compiled code (numba's own solver would need scipy)."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 
 @compiled
@@ -60,17 +60,35 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
         largest = abs(work[pivot, column])
         if not (largest > 0.0 and largest < np.inf):  # also catches NaN
             return False
-        for j in range(n):
-            work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
-            inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
+        if pivot != column:
+            for j in range(n):
+                work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
+                inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
         scale = 1.0 / work[column, column]
-        for j in range(n):
+        for j in range(column + 1, n):  # what lies before is read no more
             work[column, j] *= scale
+        for j in range(n):
             inverse_out[column, j] *= scale
         for row in range(n):
             if row != column:
                 factor = work[row, column]
-                for j in range(n):
+                for j in range(column + 1, n):
                     work[row, j] -= factor * work[column, j]
+                for j in range(n):
                     inverse_out[row, j] -= factor * inverse_out[column, j]
     return True
+
+
+@inlined
+def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` (n,) with ``source``; an assignment to a slice would first look for an overlap."""
+    for i in range(out.shape[0]):
+        out[i] = source[i]
+
+
+@inlined
+def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` (m, n) with ``source``; an assignment to a slice would first look for an overlap."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = source[i, j]

@@ -7,7 +7,7 @@ from math import atan2, cos, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 # Below this squared angle the second-order series are exact to the last bit of a float64.
 SMALL_SQUARED_ANGLE = 1e-8
@@ -87,16 +87,27 @@ def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 @compiled
 def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: NDArray[np.float64]) -> None:
     """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` about the *unit* ``axis`` (3,)."""
+    entries = rotation_entries(axis[0], axis[1], axis[2], angle_rad)
+    for i in range(9):
+        rotation_out[i // 3, i % 3] = entries[i]
+
+
+@inlined
+def rotation_entries(
+    x: float, y: float, z: float, angle_rad: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """The entries, row by row, of the turn by ``angle_rad`` about the *unit* axis (x, y, z)."""
     c, s = cos(angle_rad), sin(angle_rad)
     half = sin(0.5 * angle_rad)
     d = 2.0 * half * half
-    x, y, z = axis[0], axis[1], axis[2]
-    rotation_out[0, 0] = c + d * x * x
-    rotation_out[0, 1] = d * x * y - s * z
-    rotation_out[0, 2] = d * x * z + s * y
-    rotation_out[1, 0] = d * x * y + s * z
-    rotation_out[1, 1] = c + d * y * y
-    rotation_out[1, 2] = d * y * z - s * x
-    rotation_out[2, 0] = d * x * z - s * y
-    rotation_out[2, 1] = d * y * z + s * x
-    rotation_out[2, 2] = c + d * z * z
+    return (
+        c + d * x * x,
+        d * x * y - s * z,
+        d * x * z + s * y,
+        d * x * y + s * z,
+        c + d * y * y,
+        d * y * z - s * x,
+        d * x * z - s * y,
+        d * y * z + s * x,
+        c + d * z * z,
+    )

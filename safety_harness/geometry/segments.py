@@ -7,10 +7,10 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import inlined
 
 
-@compiled
+@inlined
 def point_segment_distance(
     point: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> float:
@@ -25,7 +25,7 @@ def point_segment_distance(
     return sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@compiled
+@inlined
 def segment_segment_distance(
     a_start: NDArray[np.float64],
     a_end: NDArray[np.float64],
@@ -37,7 +37,7 @@ def segment_segment_distance(
     return sqrt(x * x + y * y + z * z)
 
 
-@compiled
+@inlined
 def segment_segment_vector(
     a_start: NDArray[np.float64],
     a_end: NDArray[np.float64],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 
 @compiled
@@ -20,7 +20,7 @@ def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float6
     return transform
 
 
-@compiled
+@inlined
 def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     """Inverse (4, 4) of a rigid transform, by transposing its rotation: (R^T, -R^T t)."""
     inverse = np.zeros((4, 4))
@@ -34,7 +34,7 @@ def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     return inverse
 
 
-@compiled
+@inlined
 def compose_into(
     outer: NDArray[np.float64], inner: NDArray[np.float64], transform_out: NDArray[np.float64]
 ) -> None:

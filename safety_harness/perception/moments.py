@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 
 MAX_ORDER = 6
 M00, XG, YG = 0, 1, 2
@@ -27,14 +27,14 @@ _OUTER_WEIGHT = (18.0 - np.sqrt(30.0)) / 72.0
 _WEIGHTS = np.array([_OUTER_WEIGHT, _INNER_WEIGHT, _INNER_WEIGHT, _OUTER_WEIGHT])
 
 
-@compiled
+@inlined
 def mu_index(i: int, j: int) -> int:
     """Where mu_ij stands in a moment vector."""
     order = i + j
     return FIRST_MU + (order * (order + 1)) // 2 + j
 
 
-@compiled
+@inlined
 def add_powers(x: float, y: float, weight: float, out: NDArray[np.float64]) -> None:
     """Add ``weight`` x^i y^j to every mu_ij of the moment vector ``out``."""
     weighted_x_power = weight
@@ -114,7 +114,7 @@ def point_moments(
     return _finish(xg, yg, out)
 
 
-@compiled
+@inlined
 def _finish(xg: float, yg: float, out: NDArray[np.float64]) -> bool:
     """Write m00 and the centroid before the centred moments, whose first order is zero by definition."""
     out[M00] = out[FIRST_MU]

@@ -23,7 +23,7 @@ class FiniteTrace:
 
     What is not there is left out: a hand that is absent, the features of an image without the object,
     the prediction of a slot that tracks nothing, the proposal of an avoider that gave none, the position
-    that a stop chose, the threshold of an avoider without one.
+    that a stop chose, the threshold of an avoider without one, the time of a decision that was not timed.
     """
 
     unit: Unit = Unit.COUNT
@@ -86,7 +86,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     bad = np.zeros(len(decisions), np.bool_)
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0)
     if len(latency_s) == len(decisions):
-        bad |= ~np.isfinite(latency_s)
+        bad |= np.isinf(latency_s)  # NaN: not timed
     answered, chosen = decisions["fault"] == "", decisions["outcome"] != Outcome.STOP
     opposite = decisions["outcome"] == Outcome.OPPOSITE
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,13 @@ from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
-from safety_harness.robot.distance import closest_approach_between
+from safety_harness.robot.distance import (
+    chain_lengths,
+    closest_approach_between,
+    hand_distance,
+    place_capsules,
+)
+from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
@@ -137,9 +144,11 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     corner_at = paths.corner_at[own]
     after = np.searchsorted(np.arange(len(ticks)), corner_at, side="right")
     at = np.insert(np.arange(len(ticks), dtype=np.float64), after, corner_at)
-    joints_rad = np.column_stack(
-        [np.interp(at, np.arange(len(ticks)), column) for column in ticks["joint_position_rad"].T]
-    )
+    joints_rad = ticks["joint_position_rad"].copy()
+    if len(corner_at):
+        joints_rad = np.column_stack(
+            [np.interp(at, np.arange(len(ticks)), column) for column in joints_rad.T]
+        )
     corners = paths.corners_in_base_m[own]
     hand_m = np.insert(ticks["hand_position_in_base_m"][:, hand], after, corners[:, 0], axis=0)
     elbow_m = np.insert(ticks["elbow_position_in_base_m"][:, hand], after, corners[:, 1], axis=0)
@@ -169,8 +178,12 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
 
 def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
     """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    arm = load_arm(trace.scenario.robot.arm_name)
-    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, trace.scenario.settings)
+    return _joint_reach_m(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings).copy()
+
+
+@lru_cache(maxsize=16)
+def _joint_reach_m(arm: ArmModel, settings: Settings) -> NDArray[np.float64]:
+    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, settings)
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
     ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
@@ -217,14 +230,30 @@ def _closest_in_trace(
 ) -> tuple[float, int, float]:
     """Least distance over a trace: (distance, tick before it, fraction of the way to the next).
 
-    Intervals whose Lipschitz bound already exceeds the best so far are passed over.
+    From where the distance is known, stretches are passed over in which nothing can come as near as the
+    best so far: a joint moves no point farther than by its angle times its chain of links, and distances
+    change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
-    for k in range(distance_m.shape[0] - 1):
+    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
+    transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
+    k = 0
+    while k < distance_m.shape[0] - 1:
+        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
+        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+        left_m, _ = hand_distance(placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m)
+        first = k
+        while k < distance_m.shape[0] - 1:
+            left_m -= _displacement(joints_rad, hands_m, elbows_m, reach_m, k)
+            if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
+                break
+            k += 1
+        if k > first:
+            continue
         bound, where = closest_approach_between(
             joint_origins,
             joint_axes,
@@ -245,9 +274,28 @@ def _closest_in_trace(
             best + slack_m[k],
         )
         bound -= slack_m[k]
-        if not bound >= best:  # a NaN must come out, not be passed over
+        if not bound >= best:
             best, index, fraction = bound, k, where
+        k += 1
     return best, index, fraction
+
+
+@compiled
+def _displacement(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    hands_m: NDArray[np.float64],  # (n, 3)
+    elbows_m: NDArray[np.float64],  # (n, 3)
+    reach_m: NDArray[np.float64],  # (6,)
+    k: int,
+) -> float:
+    """By how much [m] a distance can change from instant k to the next, at most."""
+    arm, hand, elbow = 0.0, 0.0, 0.0
+    for i in range(6):
+        arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+    for i in range(3):
+        hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2
+        elbow += (elbows_m[k + 1, i] - elbows_m[k, i]) ** 2
+    return float(arm + np.sqrt(max(hand, elbow)))
 
 
 HAND_DISTANCE = Entry(

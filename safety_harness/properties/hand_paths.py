@@ -17,7 +17,7 @@ from safety_harness.compiled import compiled
 from safety_harness.scenario.model import RecordedHand
 from safety_harness.simulation.hand_motion import advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 
@@ -39,6 +39,7 @@ class HandPaths:
     corners_in_base_m: NDArray[np.float64]
 
 
+@once_a_trace
 def hand_paths(trace: Trace) -> HandPaths:
     """Follow the moves again; hands that head for the TCP see the trace's."""
     scenario, count = trace.scenario, len(trace.ticks)

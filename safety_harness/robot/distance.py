@@ -11,7 +11,7 @@ from math import isfinite, isnan, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.segments import (
     point_segment_distance,
     segment_segment_distance,
@@ -22,7 +22,7 @@ from safety_harness.robot.kinematics import forward_kinematics
 DEEPEST = 48  # halvings of an interval: far below any tolerance that float64 can serve
 
 
-@compiled
+@inlined
 def place_capsules(
     transforms: NDArray[np.float64],
     link_index: NDArray[np.int64],
@@ -35,19 +35,20 @@ def place_capsules(
     ``transforms`` (8, 4, 4) are those of ``forward_kinematics``.
     """
     for capsule in range(link_index.shape[0]):
-        link = transforms[link_index[capsule]]
+        link = link_index[capsule]
         for i in range(3):
+            x, y, z = transforms[link, i, 0], transforms[link, i, 1], transforms[link, i, 2]
             placed_out[capsule, 0, i] = (
-                link[i, 0] * start_in_link[capsule, 0]
-                + link[i, 1] * start_in_link[capsule, 1]
-                + link[i, 2] * start_in_link[capsule, 2]
-                + link[i, 3]
+                x * start_in_link[capsule, 0]
+                + y * start_in_link[capsule, 1]
+                + z * start_in_link[capsule, 2]
+                + transforms[link, i, 3]
             )
             placed_out[capsule, 1, i] = (
-                link[i, 0] * end_in_link[capsule, 0]
-                + link[i, 1] * end_in_link[capsule, 1]
-                + link[i, 2] * end_in_link[capsule, 2]
-                + link[i, 3]
+                x * end_in_link[capsule, 0]
+                + y * end_in_link[capsule, 1]
+                + z * end_in_link[capsule, 2]
+                + transforms[link, i, 3]
             )
 
 
@@ -70,14 +71,16 @@ def hand_distance(
     thickest = max(hand_radius_m, forearm_radius_m)
     forearm_half = 0.5 * _length(hand, elbow)
     for capsule in range(radius_m.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
-        start, end = placed[capsule, 0], placed[capsule, 1]
         # No point of a segment is farther from its middle than half its length.
-        between = 0.0
+        between, squared = 0.0, 0.0
         for i in range(3):
-            between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start[i] + end[i])) ** 2
-        spread = forearm_half + 0.5 * _length(start, end) + thickest + radius_m[capsule]
+            start_i, end_i = placed[capsule, 0, i], placed[capsule, 1, i]
+            between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start_i + end_i)) ** 2
+            squared += (end_i - start_i) * (end_i - start_i)
+        spread = forearm_half + 0.5 * sqrt(squared) + thickest + radius_m[capsule]
         if sqrt(between) - spread >= best:  # never true of a NaN
             continue
+        start, end = placed[capsule, 0], placed[capsule, 1]
         to_hand = point_segment_distance(hand, start, end) - hand_radius_m
         to_forearm = segment_segment_distance(hand, elbow, start, end) - forearm_radius_m
         distance = min(to_hand, to_forearm) - radius_m[capsule]
@@ -89,7 +92,7 @@ def hand_distance(
     return best, nearest
 
 
-@compiled
+@inlined
 def _length(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return sqrt(x * x + y * y + z * z)
@@ -208,6 +211,23 @@ def _bend(
     position can make longer than the chain of links from joint j to p.  A point that bends by
     no more than b leaves the chord of an interval of length h by at most b h^2 / 8.
     """
+    longest = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
+    bend = 0.0
+    for i in range(6):
+        for j in range(6):
+            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * longest[max(i, j)]
+    return bend
+
+
+@compiled
+def chain_lengths(
+    joint_origins: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    link_index: NDArray[np.int64],
+    start_in_link: NDArray[np.float64],
+    end_in_link: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves."""
     longest = np.zeros(6)  # from joint j to any point that it moves
     for capsule in range(link_index.shape[0]):
         link = link_index[capsule]
@@ -222,11 +242,7 @@ def _bend(
             longest[joint] = max(longest[joint], chain)
             x, y, z = joint_origins[joint, 0, 3], joint_origins[joint, 1, 3], joint_origins[joint, 2, 3]
             chain += sqrt(x * x + y * y + z * z)
-    bend = 0.0
-    for i in range(6):
-        for j in range(6):
-            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * longest[max(i, j)]
-    return bend
+    return longest
 
 
 @compiled

@@ -56,9 +56,9 @@ class InverseKinematics:
         turned = pose.copy()
         turned[:3, :3] = pose[:3, :3] @ self._zero_rotation_inverse
         answers = np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6)
-        wrapped = pi - np.mod(pi - answers, 2.0 * pi)
-        exact = [np.abs(self._forward(answer)[TCP] - pose).max() <= EXACT_POSE for answer in wrapped]
-        return wrapped[exact] if exact else np.empty((0, 6))
+        arm = self.arm
+        count = _keep_exact(arm.joint_origins, arm.joint_axes, arm.flange, pose, answers)
+        return answers[:count]
 
     def nearest(
         self, transform_tcp_to_base: NDArray[np.float64], reference_joint_position: NDArray[np.float64]
@@ -68,19 +68,12 @@ class InverseKinematics:
         Distance is Euclidean in joint angles; full turns of each joint are tried.  None when no
         solution is within the limits.
         """
-        turns = 2.0 * pi * np.arange(-2, 3)
-        reference = np.asarray(reference_joint_position, dtype=np.float64)
-        variants = self.branches(transform_tcp_to_base)[:, :, None] + turns  # (k, 6, 5)
-        lower, upper = self.arm.position_lower_rad[:, None], self.arm.position_upper_rad[:, None]
-        away = np.where(
-            (variants >= lower) & (variants <= upper), np.abs(variants - reference[:, None]), np.inf
-        )
-        distance = np.sqrt((away.min(axis=2) ** 2).sum(axis=1))  # (k,)
-        if not np.isfinite(distance).any():
-            return None
-        branch = int(distance.argmin())
-        solution: NDArray[np.float64] = variants[branch, np.arange(6), away[branch].argmin(axis=1)]
-        return solution
+        branches = self.branches(transform_tcp_to_base)
+        reference = np.array(reference_joint_position, dtype=np.float64)
+        solution = np.empty(6)
+        arm = self.arm
+        found = _nearest(branches, reference, arm.position_lower_rad, arm.position_upper_rad, solution)
+        return solution if found else None
 
     def reach_along(
         self,
@@ -126,6 +119,57 @@ class InverseKinematics:
             arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, self._transforms
         )
         return self._transforms
+
+
+@compiled
+def _keep_exact(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    pose: NDArray[np.float64],  # (4, 4)
+    answers: NDArray[np.float64],  # (k, 6), overwritten
+) -> int:
+    """Wrap the answers, and move those that give ``pose`` to the front; returns how many they are."""
+    transforms = np.empty((FRAMES, 4, 4))
+    kept = 0
+    for k in range(answers.shape[0]):
+        for i in range(6):
+            answers[kept, i] = pi - np.mod(pi - answers[k, i], 2.0 * pi)
+        forward_kinematics(joint_origins, joint_axes, flange, answers[kept], transforms)
+        exact = True
+        for i in range(4):
+            for j in range(4):
+                exact = exact and abs(transforms[TCP, i, j] - pose[i, j]) <= EXACT_POSE
+        kept += exact
+    return kept
+
+
+@compiled
+def _nearest(
+    branches: NDArray[np.float64],  # (k, 6)
+    reference: NDArray[np.float64],  # (6,)
+    lower_rad: NDArray[np.float64],
+    upper_rad: NDArray[np.float64],
+    solution_out: NDArray[np.float64],  # (6,)
+) -> bool:
+    """Fill the nearest of the branches and their full turns within the limits; False if there is none."""
+    candidate = np.empty(6)
+    best = np.inf
+    for k in range(branches.shape[0]):
+        total = 0.0
+        for i in range(6):
+            least = np.inf
+            for turn in range(-2, 3):
+                angle = branches[k, i] + turn * (2.0 * pi)
+                away = abs(angle - reference[i])
+                if lower_rad[i] <= angle <= upper_rad[i] and away < least:
+                    candidate[i], least = angle, away
+            total += least * least
+        distance = np.sqrt(total)
+        if distance < best:
+            best = distance
+            solution_out[:] = candidate
+    return bool(best < np.inf)
 
 
 @compiled

@@ -10,9 +10,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
-from safety_harness.geometry.rotations import rotation_about
-from safety_harness.geometry.transforms import compose_into
+from safety_harness.compiled import compiled, inlined
+from safety_harness.geometry.rotations import rotation_entries
 
 FRAMES = 8
 TCP = 7
@@ -31,22 +30,38 @@ def forward_kinematics(
     T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_7 = T_6 F, with ``joint_origins`` O (6, 4, 4),
     ``joint_axes`` a (6, 3), ``flange`` F (4, 4) and ``joint_position_rad`` q (6,).
     """
-    turn = np.empty((3, 3))
     for i in range(4):
         for j in range(4):
             transforms_out[0, i, j] = 1.0 if i == j else 0.0
     for joint in range(6):
-        link = transforms_out[joint + 1]
-        compose_into(transforms_out[joint], joint_origins[joint], link)
-        rotation_about(joint_axes[joint], joint_position_rad[joint], turn)
+        _compose(transforms_out, joint, joint_origins[joint])
+        x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_entries(x, y, z, joint_position_rad[joint])
         for i in range(3):
-            x, y, z = link[i, 0], link[i, 1], link[i, 2]
-            for j in range(3):
-                link[i, j] = x * turn[0, j] + y * turn[1, j] + z * turn[2, j]
-    compose_into(transforms_out[6], flange, transforms_out[7])
+            x, y, z = (
+                transforms_out[joint + 1, i, 0],
+                transforms_out[joint + 1, i, 1],
+                transforms_out[joint + 1, i, 2],
+            )
+            transforms_out[joint + 1, i, 0] = x * r00 + y * r10 + z * r20
+            transforms_out[joint + 1, i, 1] = x * r01 + y * r11 + z * r21
+            transforms_out[joint + 1, i, 2] = x * r02 + y * r12 + z * r22
+    _compose(transforms_out, 6, flange)
 
 
-@compiled
+@inlined
+def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]) -> None:
+    """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time."""
+    for i in range(3):
+        x, y, z = transforms[k, i, 0], transforms[k, i, 1], transforms[k, i, 2]
+        for j in range(4):
+            transforms[k + 1, i, j] = x * inner[0, j] + y * inner[1, j] + z * inner[2, j]
+        transforms[k + 1, i, 3] += transforms[k, i, 3]
+        transforms[k + 1, 3, i] = 0.0
+    transforms[k + 1, 3, 3] = 1.0
+
+
+@inlined
 def geometric_jacobian(
     joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], jacobian_out: NDArray[np.float64]
 ) -> None:

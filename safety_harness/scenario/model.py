@@ -6,6 +6,7 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -188,7 +189,7 @@ class Claim:
     place: Place = field(default_factory=Place, compare=False)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Scenario:
     """One thing to try: the hands, the TCP start, the avoider, the settings and the claims."""
 
@@ -205,11 +206,14 @@ class Scenario:
     robot: Robot = Robot.UR10
     faults: tuple[Fault, ...] = ()
     file: Path | None = field(default=None, compare=False)
-    places: dict[str, Place] = field(default_factory=dict, compare=False)
+    places: Mapping[str, Place] = field(default_factory=dict, compare=False)
+
+    def __repr__(self) -> str:
+        """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
+        return f"<scenario {self.name}: {self.title}>"
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """Name and title only, where values of tests are printed; ``write_scenario`` gives all of it."""
-        printer.text(f"<scenario {self.name}: {self.title}>")
+        printer.text(repr(self))
 
     def place(self, *names: str) -> Place:
         """Where the first of the fields that the file has stands in it, for an error found after reading.

@@ -14,7 +14,7 @@ from typing import Any
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
 from safety_harness.scenario.fault_phrases import read_faults
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence, places
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, SENTENCE, Field, Fields, is_sentence
 from safety_harness.scenario.model import (
     Claim,
     JointStart,
@@ -27,6 +27,7 @@ from safety_harness.scenario.model import (
 )
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import refuse_distributions
+from safety_harness.scenario.places import Places
 from safety_harness.scenario.read_hands import read_hands
 from safety_harness.scenario.read_moves import LONGEST_S, read_position
 from safety_harness.scenario.settings_keys import read_group, setting_keys
@@ -135,7 +136,7 @@ def scenario_of(
         robot=_robot(given.optional("robot")),
         faults=read_faults(given.optional("faults"), duration_s=duration_s),
         file=file,
-        places=places(root),
+        places=Places(root),
     )
 
 

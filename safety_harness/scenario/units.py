@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 from safety_harness.exceptions import Place, ScenarioError
 
@@ -175,6 +176,7 @@ def _units_hint(unit: str, dimension: Dimension) -> str:
     return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 
+@lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their numbers
 def _si_value(number: str, factor: _Factor) -> float | None:
     """``number`` times ``factor``, rounded once; None when no finite float is meant."""
     exponent = number.lower().partition("e")[2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from safety_harness.perception.hand_boxes import (
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.seeds import Branch, generator
-from safety_harness.settings import HandSensorKind, ImageSource, ObjectKind, Settings
+from safety_harness.settings import HandSensorKind, ImageSource, Object, ObjectKind, Settings
 
 RING = 64  # frames under way at a time
 
@@ -91,7 +92,11 @@ class Sensors:
 
 def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
     """(n, 3) vertices of the object on its plane."""
-    shape = settings.object
+    return _polygon_in_base(settings.object).copy()
+
+
+@lru_cache(maxsize=16)
+def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
     c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
     polygon = np.array(shape.polygon_m)
     flat = polygon @ np.array([[c, s], [-s, c]])
@@ -102,6 +107,28 @@ def sensors(
     settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]
 ) -> Sensors:
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
+    hand = settings.hand_sensor
+    state = _state(settings).copy()
+    state["transform_sensor_to_base"] = transform_sensor_to_base
+    noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
+    normals, uniforms = np.zeros((1, MAX_DETECTIONS, 3)), np.zeros((1, MAX_DETECTIONS))
+    if noisy:
+        noise, dropout = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
+        normals = noise.standard_normal((ticks + 1, MAX_DETECTIONS, 3))
+        uniforms = dropout.random((ticks + 1, MAX_DETECTIONS))
+    return Sensors(
+        state,
+        np.zeros(RING, OBJECT_FRAME),
+        np.zeros(RING, HAND_FRAME),
+        object_polygon_in_base(settings),
+        normals,
+        uniforms,
+    )
+
+
+@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+def _state(settings: Settings) -> NDArray[np.void]:
+    """(1,) SENSORS, but for where a fixed one stands."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
     state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
@@ -115,7 +142,6 @@ def sensors(
     )
     state["ideal"] = hand.kind is HandSensorKind.IDEAL
     state["eye_in_hand"] = hand.kind is HandSensorKind.EYE_IN_HAND
-    state["transform_sensor_to_base"] = transform_sensor_to_base
     state["hand_focal_px"] = hand.focal_px
     state["hand_width_px"], state["hand_height_px"] = hand.width_px, hand.height_px
     state["hand_c_u"], state["hand_c_v"] = sensor_principal_point_px(hand)
@@ -127,17 +153,7 @@ def sensors(
     state["pixel_noise_px"] = hand.pixel_noise_px
     state["depth_noise_per_m"] = hand.depth_noise_per_m
     state["dropout_probability"] = hand.dropout_probability
-    noise, dropout = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
-    noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
-    frames = ticks + 1 if noisy else 1
-    return Sensors(
-        state,
-        np.zeros(RING, OBJECT_FRAME),
-        np.zeros(RING, HAND_FRAME),
-        object_polygon_in_base(settings),
-        noise.standard_normal((frames, MAX_DETECTIONS, 3)),
-        dropout.random((frames, MAX_DETECTIONS)),
-    )
+    return state
 
 
 def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:

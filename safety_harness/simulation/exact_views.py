@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.transforms import compose_into, inverse_transform
 from safety_harness.perception.camera import (
     polygon_inside_image,
@@ -67,7 +68,7 @@ def sensor_pose(
     if s.eye_in_hand:
         compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, sensor_to_base_out)
     else:
-        sensor_to_base_out[:, :] = s.transform_sensor_to_base
+        copy_matrix(s.transform_sensor_to_base, sensor_to_base_out)
 
 
 @compiled

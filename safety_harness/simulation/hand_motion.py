@@ -148,7 +148,10 @@ def advance_move(
 def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
     hand = hands[k]
-    speed = np.sqrt((hand.velocity_in_base_mps**2).sum())
+    squared = 0.0
+    for i in range(3):
+        squared += hand.velocity_in_base_mps[i] * hand.velocity_in_base_mps[i]
+    speed = np.sqrt(squared)
     if speed == 0.0:
         return 0.0
     stop_s = speed / hand.max_acceleration_mps2
@@ -177,8 +180,9 @@ def follow_leg(
     used_s = 0.0
     if not hand.on_leg:
         used_s = brake(hands, k, dt_s)
-        if np.any(hand.velocity_in_base_mps != 0.0):
-            return dt_s, False
+        for i in range(3):
+            if hand.velocity_in_base_mps[i] != 0.0:
+                return dt_s, False
         begin_leg(hands, k, target_in_base_m, distance_m)
     acceleration, way = hand.max_acceleration_mps2, hand.leg_way_m
     peak = min(speed_mps, np.sqrt(acceleration * way))

@@ -5,6 +5,7 @@ A wander's points are drawn here, from the scenario's seed, the hand's number an
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def hands_at_start(scenario: Scenario) -> Hands:
         record["first"], record["count"] = sum(map(len, moves)), len(program)
         moves.append(program)
         _begin(record, hand, number, scenario)
-    hands = Hands(state, np.concatenate(moves), np.concatenate(samples))
+    hands = Hands(state, _joined(moves), np.concatenate(samples))
     advance_hands(hands.state, hands.moves, hands.samples, np.zeros(3), 0.0, 0.0)
     return hands
 
@@ -105,7 +106,17 @@ def _program(hand: MovingHand, number: int, scenario: Scenario) -> NDArray[np.vo
     for group in groups:
         count += len(group)
         group["after"] = count
-    return np.concatenate([*groups, np.zeros(0, MOVE)])
+    return _joined(groups)
+
+
+def _joined(groups: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
+    """(m,) MOVE, one after another; numpy's own joining first compares the types field by field."""
+    joined = np.zeros(sum(map(len, groups)), MOVE)
+    begin = 0
+    for group in groups:
+        joined[begin : begin + len(group)] = group
+        begin += len(group)
+    return joined
 
 
 def _record(
@@ -138,7 +149,7 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> NDArray[np.v
     if isinstance(move, Sweep):
         there = _record(Kind.LEG, shifted(move.from_in_base_m, shift), speed_mps=move.speed_mps)
         aside = _record(Kind.LEG, shifted(move.to_in_base_m, shift), speed_mps=move.speed_mps)
-        return np.concatenate([there, np.tile(np.concatenate([aside, there]), move.times)])
+        return _joined([there, *[aside, there] * move.times])
     goal = move.position_in_base_m if isinstance(move, MoveTo) else hand.starts_at_in_base_m
     return _record(Kind.LEG, shifted(goal, shift), speed_mps=move.speed_mps)
 
@@ -154,7 +165,7 @@ def _reach(move: Reach, object_position_in_base_m: Vector3) -> NDArray[np.void]:
     ]
     if move.hesitation is not None:
         parts.insert(1, _record(Kind.WAIT, duration_s=move.hesitation.duration_s))
-    group = np.concatenate(parts)
+    group = _joined(parts)
     group["within_s"] = move.at_most_s
     return group
 

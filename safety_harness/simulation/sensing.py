@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import inlined
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.simulation.cameras import RING
 
 TIME_EPS_S = 1e-9
 
 
-@compiled
+@inlined
 def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]:
     """Is a frame due at ``time_s``, and when is the one after it?"""
     if period_s <= 0.0:
@@ -25,7 +26,7 @@ def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]
     return True, (np.floor((time_s + TIME_EPS_S) / period_s) + 1.0) * period_s
 
 
-@compiled
+@inlined
 def object_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
     """Whether the object's camera takes a frame at this tick; asking advances its clock."""
     s = sensors[0]
@@ -33,7 +34,7 @@ def object_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
     return due
 
 
-@compiled
+@inlined
 def hand_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
     """Whether the hand sensor takes a frame at this tick; asking advances its clock."""
     s = sensors[0]
@@ -41,7 +42,7 @@ def hand_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
     return due
 
 
-@compiled
+@inlined
 def push_object_frame(
     sensors: NDArray[np.void],
     frames: NDArray[np.void],
@@ -54,11 +55,11 @@ def push_object_frame(
     frame = frames[s.object_frames % RING]
     frame.time_s, frame.late_s = time_s, 0.0
     frame.visible = visible
-    frame.moments[:] = moments
+    copy_vector(moments, frame.moments)
     s.object_frames += 1
 
 
-@compiled
+@inlined
 def push_hand_frame(
     sensors: NDArray[np.void],
     frames: NDArray[np.void],
@@ -90,7 +91,7 @@ def push_hand_frame(
     s.hand_frames += 1
 
 
-@compiled
+@inlined
 def deliver(
     sensors: NDArray[np.void],
     object_frames: NDArray[np.void],
@@ -108,7 +109,7 @@ def deliver(
             break
         o.image_new = True
         o.object_visible = frame.visible
-        o.moments[:] = frame.moments
+        copy_vector(frame.moments, o.moments)
         s.object_delivered += 1
     o.boxes_new = False
     while s.hand_delivered < s.hand_frames:
@@ -118,5 +119,5 @@ def deliver(
         o.boxes_new = True
         o.boxes_time_s = hand_frame.time_s
         o.box_count = hand_frame.count
-        o.boxes[:, :] = hand_frame.boxes
+        copy_matrix(hand_frame.boxes, o.boxes)
         s.hand_delivered += 1

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
-from safety_harness.settings import Settings
+from safety_harness.settings import Camera, Hand, Settings
 
 ARM = np.dtype(
     [
@@ -27,14 +30,19 @@ ARM = np.dtype(
 
 def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
     """(1,) ARM."""
+    return _arm_record(arm, settings.hand).copy()
+
+
+@lru_cache(maxsize=16)
+def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
     record = np.zeros(1, ARM)
     record["joint_origins"], record["joint_axes"], record["flange"] = (
         arm.joint_origins,
         arm.joint_axes,
         arm.flange,
     )
-    record["hand_radius_m"] = settings.hand.radius_m
-    record["forearm_radius_m"] = settings.hand.forearm_radius_m
+    record["hand_radius_m"] = hand.radius_m
+    record["forearm_radius_m"] = hand.forearm_radius_m
     return record
 
 
@@ -44,7 +52,11 @@ def cell_capsules(capsules: CapsuleSet, settings: Settings) -> CapsuleSet:
     A D435 is 90 mm wide, 25 mm high and 25 mm deep (Intel's data sheet); its capsule, about the
     optical centre and along the image's u axis, has half the diagonal of its section as radius.
     """
-    camera = settings.camera
+    return _with_camera(capsules, settings.camera)
+
+
+@lru_cache(maxsize=16)
+def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     offset = np.array(camera.mount_offset_in_tcp_m)
     along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
@@ -69,10 +81,10 @@ def fill_truth(
     """Write the truth part of a tick, and the placed capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]
     tick.time_s = time_s
-    tick.joint_position_rad[:] = joint_position_rad
-    tick.joint_velocity_radps[:] = joint_velocity_radps
+    copy_vector(joint_position_rad, tick.joint_position_rad)
+    copy_vector(joint_velocity_radps, tick.joint_velocity_radps)
     forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, arm.link_transforms)
-    tick.transform_tcp_to_base[:, :] = arm.link_transforms[7]
+    copy_matrix(arm.link_transforms[7], tick.transform_tcp_to_base)
     jacobian = np.empty((6, 6))
     geometric_jacobian(arm.joint_axes, arm.link_transforms, jacobian)
     squared = 0.0

@@ -119,6 +119,11 @@ class InRegion:
         volume_m3 = math.fsum(np.prod(high - low, axis=1))
         return np.where(self.known.contains(values), -math.log(volume_m3), -np.inf)
 
+    @property
+    def edges(self) -> Vector:
+        """(k + 1,) from 0 to 1: where along the first coordinate one box ends and the next begins."""
+        return self._pieces[2]
+
     @cached_property
     def _pieces(self) -> tuple[Vector, Vector, Vector]:
         """Corners (k, 3) and the edges (k + 1,) of the boxes' shares of the first coordinate."""

@@ -131,19 +131,20 @@ class Choice:
         return (0.0,)
 
     @cached_property
-    def _edges(self) -> Vector:
+    def edges(self) -> Vector:
+        """(k + 1,) from 0 to 1: where in the cube one number's interval ends and the next begins."""
         edges = np.concatenate([[0.0], np.cumsum(self.chances)])
         scaled: Vector = edges / edges[-1]
         return scaled
 
     def values_at(self, u: Vector) -> Vector:
         """(n, 1) -> (n, 1) numbers from 0, rising."""
-        number = np.searchsorted(self._edges[1:-1], u[:, 0], side="right")
+        number = np.searchsorted(self.edges[1:-1], u[:, 0], side="right")
         return number.astype(float)[:, None]
 
     def cube_at(self, values: Vector) -> Vector:
         """The middle of each number's interval."""
-        edges, number = self._edges, values[:, 0].astype(int)
+        edges, number = self.edges, values[:, 0].astype(int)
         middle: Vector = (edges[number] + edges[number + 1])[:, None] / 2.0
         return middle
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +37,7 @@ Vector = NDArray[np.float64]
 _MOST_READINGS = 1000  # of one scenario, where alternatives look alike
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ScenarioSpace:
     """What varies, and the text around it; made by ``read_space``, ``parse_space`` or ``space_from``.
 
@@ -53,6 +54,13 @@ class ScenarioSpace:
     parameters: tuple[Parameter, ...]
     notes: tuple[str, ...] = ()
     recordings: Mapping[str, bytes] | None = None  # by their SHA-256, in place of files
+
+    def __repr__(self) -> str:
+        """Name and title only: a strategy that is made of a space is named by it."""
+        return f"<scenario space {self.name}: {self.title}>"
+
+    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
+        printer.text(repr(self))
 
     @property
     def dimension(self) -> int:

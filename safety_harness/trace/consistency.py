@@ -20,7 +20,7 @@ from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
@@ -48,6 +48,7 @@ class Inconsistency:
         return f"{self.where}: expected {self.expected}, got {self.got}"
 
 
+@once_a_trace
 def first_inconsistency(trace: Trace) -> Inconsistency | None:
     """The first thing in ``trace`` that contradicts its scenario or itself, or None."""
     checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (_length, _decisions, _ticks)
@@ -58,9 +59,8 @@ def at_first(
     wrong: NDArray[np.bool_], field: str, what: str, expected: str, values: NDArray[np.generic]
 ) -> Iterator[Inconsistency]:
     """The first record (n, ...) in which anything is ``wrong``, with the value that stands there."""
-    rows = wrong.any(axis=tuple(range(1, wrong.ndim)))
-    if rows.any():
-        index = int(np.argmax(rows))
+    if wrong.any():
+        index = int(np.argmax(wrong.any(axis=tuple(range(1, wrong.ndim)))))
         yield Inconsistency(field, what, index, expected, " ".join(str(values[index]).split()))
 
 
@@ -102,6 +102,8 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
 
 def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     decisions, count = trace.decisions, len(trace.ticks)
+    if len(decisions) == 0:
+        return
     tick = decisions["tick"]
     wrong = (tick < 0) | (tick >= count)
     yield from at_first(wrong, "tick", "decision", f"one of {count} ticks", tick)
@@ -139,7 +141,10 @@ def _enumerated(
     values: NDArray[np.int64], field: str, what: str, members: type[IntEnum]
 ) -> Iterator[Inconsistency]:
     codes = [int(member) for member in members]
-    yield from at_first(~np.isin(values, codes), field, what, f"one of {codes}", values)
+    wrong = np.ones(len(values), np.bool_)
+    for code in codes:
+        wrong &= values != code
+    yield from at_first(wrong, field, what, f"one of {codes}", values)
 
 
 def _flags(

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
+from typing import TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
+
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +36,9 @@ class Trace:
 
     A run that was cut short has fewer ticks than ``scenario.ticks`` + 1 (both ends of the
     duration are recorded) and ``ended`` says why; no property takes it for a safe one.
-    ``decision_latency_s`` (m,) is the wall-clock time that each decision took: the one thing here that
-    a repetition does not give again, and nothing but reports reads it.
+    ``decision_latency_s`` (m,) is the wall-clock time that each decision took, NaN for one that was not
+    timed since it was made together with others: the one thing here that a repetition does not give
+    again, and nothing but reports reads it.
     """
 
     scenario: Scenario
@@ -56,3 +63,16 @@ class Trace:
         """(n,) the time of each tick."""
         times: NDArray[np.float64] = self.ticks["time_s"]
         return times
+
+
+def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
+    """``function``, whose result is kept as long as the trace is: traces never change."""
+    known: WeakKeyDictionary[Trace, R] = WeakKeyDictionary()
+
+    @wraps(function)
+    def kept(trace: Trace) -> R:
+        if trace not in known:
+            known[trace] = function(trace)
+        return known[trace]
+
+    return kept

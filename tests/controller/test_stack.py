@@ -261,7 +261,7 @@ def test_between_images_the_last_features_stand() -> None:
         observation["image_new"] = False
         observation["moments"] = np.nan
         command = bench.controller.step(observation)
-    assert bench.controller._state["sse"][0] == seen["sse"]
+    assert bench.controller.records.state["sse"][0] == seen["sse"]
     assert np.abs(command["joint_velocity_radps"]).max() > 0.0
 
 

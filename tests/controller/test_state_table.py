@@ -288,7 +288,7 @@ def test_features_that_are_no_numbers_are_an_object_lost() -> None:
     observation["moments"] = np.nan
     command = bench.controller.step(observation)
     assert np.isfinite(command["joint_velocity_radps"]).all()
-    assert mode(bench.controller._state[0]) is Mode.OBJECT_LOST
+    assert mode(bench.controller.records.state[0]) is Mode.OBJECT_LOST
 
 
 @pytest.mark.parametrize("near", [False, True])
@@ -318,13 +318,18 @@ def test_joint_angles_that_are_no_numbers_stop_the_arm() -> None:
 def test_a_track_that_is_no_number_is_not_hidden_by_another(slot: int) -> None:
     bench = Bench()
     bench.tick(AWAY, (1.2, 0.9, 0.2))
-    for name in bench.controller._tracks.dtype.names or ():
-        if bench.controller._tracks[name].dtype == np.float64 and name not in ("time_s", "last_seen_s"):
-            bench.controller._tracks[name][slot] = np.nan
+    for name in bench.controller.records.tracks.dtype.names or ():
+        if bench.controller.records.tracks[name].dtype == np.float64 and name not in (
+            "time_s",
+            "last_seen_s",
+        ):
+            bench.controller.records.tracks[name][slot] = np.nan
     observation = bench.observation(())
     observation["boxes_new"] = False
     bench.controller.step(observation)
-    assert mode(bench.controller._state[0]) is Mode.PROTECTIVE_STOP  # no direction leads away from nowhere
+    assert (
+        mode(bench.controller.records.state[0]) is Mode.PROTECTIVE_STOP
+    )  # no direction leads away from nowhere
 
 
 def test_a_whole_story_passes_through_the_table_in_the_engine() -> None:

@@ -12,8 +12,6 @@ import pytest
 import safety_harness
 from safety_harness.compiled import cache_root
 
-pytest_plugins = ["pytester"]
-
 PLUGIN = "safety_harness.pytest_plugin.plugin"
 CACHE = cache_root().parent  # asked for now: pytester moves the home folder
 ROOT = Path(safety_harness.__file__).parents[1]

@@ -151,7 +151,13 @@ def test_the_client_is_closed_after_a_run_and_after_an_error_in_it() -> None:
 def test_the_client_is_closed_when_construction_fails(
     error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    build = pybullet_world.build_cell
+
     def fails(*_: object, **__: object) -> None:
+        raise error
+
+    def builds_and_fails(*given: object, **named: object) -> None:
+        build(*given, **named)  # type: ignore[arg-type]
         raise error
 
     before = connections()
@@ -161,7 +167,7 @@ def test_the_client_is_closed_when_construction_fails(
             world_of(scenario())
     assert connections() == before
     with monkeypatch.context() as patch:
-        patch.setattr(PyBulletWorld, "_observe_truth", fails)
+        patch.setattr(pybullet_world, "build_cell", builds_and_fails)
         with pytest.raises(error):
             world_of(scenario())
     assert connections() == before

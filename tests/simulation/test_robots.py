@@ -35,7 +35,7 @@ def shipped(robot: Robot, duration_s: float = 3.0) -> Scenario:
 @pytest.mark.parametrize("robot", OTHERS)
 def test_controller_gate_and_world_have_the_scenarios_arm(robot: Robot) -> None:
     admitted = admit(shipped(robot))
-    gate = admitted.controller()._gate
+    gate = admitted.controller().gate
     assert admitted.arm is load_arm(robot.arm_name) is gate.kinematics.arm
     assert gate.capsules is load_capsules(robot.arm_name)
 

@@ -1,0 +1,220 @@
+"""How fast is the kinematic world, judging included?  Run: python benchmarks/kinematic.py [--episodes N].
+
+Both worlds run the very same scenarios, drawn from an unseen space, in turns within one process, so that a
+busy machine slows both; a ratio is formed within each turn and printed as median (least to greatest).
+With ``--episodes`` that many more are drawn, run and judged, in one process and then in two at a time.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import argparse
+import gc
+import multiprocessing
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.admission.claims import property_of
+from safety_harness.admission.kinematic import run_many
+from safety_harness.admission.spaces import admit_points
+from safety_harness.admission.trial import run_trial
+from safety_harness.properties.base import Property
+from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.space.read import read_space
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
+
+SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
+DURATION_S = 4.0  # 500 control ticks
+SCENARIOS = 24
+REPEATED = 4  # runs of the kinematic world in a turn, since it is so much quicker
+TURNS = 5
+BLOCK = 256  # points whose values are drawn at once
+AIMED_RATIO, AIMED_SCALING, AIMED_MINUTES = 50.0, 1.8, 20.0
+
+
+def space_named(name: str) -> ScenarioSpace:
+    """One of the shipped spaces."""
+    return read_space(SPACES / f"{name}.yaml")
+
+
+def shortened(admitted: Admitted) -> Admitted:
+    """The same for DURATION_S."""
+    return replace(admitted, scenario=replace(admitted.scenario, duration_s=DURATION_S))
+
+
+def block_of(space: ScenarioSpace, number: int, size: int = BLOCK) -> list[Admitted]:
+    """Block ``number`` of the draws, without those that cannot be tried."""
+    u = np.random.default_rng([7, number]).random((size, space.dimension))
+    seeds = range(number * size, (number + 1) * size)
+    return [shortened(one) for one in admit_points(space, u, seeds) if isinstance(one, Admitted)]
+
+
+def catalogue_for(admitted: Admitted) -> tuple[Property, ...]:
+    """Every property of the catalogue, by its example."""
+    claims = (Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE)
+    return tuple(property_of(claim, admitted.scenario) for claim in claims)
+
+
+def judge_all(traces: Sequence[Trace], properties: Sequence[tuple[Property, ...]]) -> None:
+    """Every property of every trace."""
+    for trace, of_trace in zip(traces, properties, strict=True):
+        for prop in of_trace:
+            prop.evaluate(trace)
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """How long it takes."""
+    begun_s = time.perf_counter()
+    work()
+    return time.perf_counter() - begun_s
+
+
+def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]], words: str) -> None:
+    """Both worlds in turns, each judging what it ran."""
+    engine, kinematic, ratio = [], [], []
+
+    def engine_turn() -> None:
+        judge_all([run_trial(one) for one in scenarios], properties)
+
+    def kinematic_turn() -> None:
+        for _ in range(REPEATED):
+            judge_all(list(run_many(scenarios)), properties)
+
+    kinematic_turn()  # warm
+    for _ in range(TURNS):
+        engine.append(1e3 * seconds(engine_turn) / len(scenarios))
+        kinematic.append(1e3 * seconds(kinematic_turn) / len(scenarios) / REPEATED)
+        ratio.append(engine[-1] / kinematic[-1])
+    print(f"\n{words}")
+    say("PyBullet", engine, "ms an episode")
+    say("kinematic", kinematic, "ms an episode")
+    say("ratio", ratio, f"(aim {AIMED_RATIO:g}: {met(median(ratio) >= AIMED_RATIO)})")
+
+
+def say(name: str, values: list[float], unit: str) -> None:
+    """A line: median (least to greatest)."""
+    print(f"  {name:24}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
+
+
+def split(space: ScenarioSpace, scenarios: list[Admitted]) -> None:
+    """Where the time of an episode goes, from drawing to judging."""
+    rows: dict[str, list[float]] = {"draw and admit": [], "run": [], "judge its claims": [], "judge all": []}
+    everything = [catalogue_for(one) for one in scenarios]
+    for turn in range(TURNS):
+        begun_s = time.perf_counter()
+        drawn = block_of(space, 1000 + turn, 64)
+        rows["draw and admit"].append(1e6 * (time.perf_counter() - begun_s) / len(drawn))
+        begun_s = time.perf_counter()
+        traces = list(run_many(scenarios))
+        rows["run"].append(1e6 * (time.perf_counter() - begun_s) / len(scenarios))
+        claimed = [one.properties for one in scenarios]
+        rows["judge its claims"].append(1e6 * seconds(lambda: judge_all(traces, claimed)) / len(scenarios))  # noqa: B023
+        fresh = [replace(trace) for trace in traces]
+        rows["judge all"].append(1e6 * seconds(lambda: judge_all(fresh, everything)) / len(scenarios))  # noqa: B023
+    print("\nwhere the time of an episode goes")
+    for name, values in rows.items():
+        say(name, values, "us")
+
+
+@dataclass(frozen=True)
+class Rate:
+    """What one process has done, from drawing to judging."""
+
+    episodes: int
+    wall_s: float
+    processor_s: float
+    most_mb: float
+
+
+def campaign(name: str, blocks: Sequence[int]) -> Rate:
+    """Draw, run and judge blocks of episodes."""
+    space = space_named(name)
+    judged(block_of(space, 0, 8))
+    gc.collect()
+    gc.freeze()  # what is loaded stays: a collection need not look at it again
+    wall_s, processor_s, done = time.perf_counter(), time.process_time(), 0
+    for number in blocks:
+        done += judged(block_of(space, number))
+    wall_s, processor_s = time.perf_counter() - wall_s, time.process_time() - processor_s
+    return Rate(done, wall_s, processor_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0)
+
+
+def judged(scenarios: list[Admitted]) -> int:
+    """Run and judge by their own claims; how many."""
+    for one, trace in zip(scenarios, run_many(scenarios), strict=True):
+        for prop in one.properties:
+            prop.evaluate(trace)
+    return len(scenarios)
+
+
+def scale(name: str, episodes: int) -> None:
+    """One process, then two at a time, each with the same number of blocks."""
+    blocks = max(episodes // (2 * BLOCK), 1)
+    context = multiprocessing.get_context("spawn")
+    with context.Pool(1) as pool:
+        (one,) = pool.starmap(campaign, [(name, range(blocks))], chunksize=1)
+    with context.Pool(2) as pool:
+        both = pool.starmap(campaign, [(name, range(blocks)), (name, range(blocks, 2 * blocks))], chunksize=1)
+    done = sum(rate.episodes for rate in both)
+    per_s, per_s_of_two = one.episodes / one.wall_s, done / max(rate.wall_s for rate in both)
+    cpu_ms, minutes = 1e3 * sum(rate.processor_s for rate in both) / done, 1e6 / per_s_of_two / 60.0
+    scaling, draws = per_s_of_two / per_s, 2 * blocks * BLOCK
+    print(f"\n{name}: drawn, admitted, run and judged by its own claims; {done} of {draws} can be tried")
+    print(f"  one process             {per_s:10.1f} episodes a second, {one.most_mb:.0f} MB at most")
+    print(f"  two processes           {per_s_of_two:10.1f}, {max(rate.most_mb for rate in both):.0f} MB each")
+    print(f"  processor time          {cpu_ms:10.2f} ms an episode")
+    print(
+        f"  scaling                 {scaling:10.2f} (aim {AIMED_SCALING:g}: {met(scaling >= AIMED_SCALING)})"
+    )
+    words = f"(aim {AIMED_MINUTES:g}: {met(minutes <= AIMED_MINUTES)})"
+    print(f"  a million episodes      {minutes:10.1f} minutes on two cores {words}")
+
+
+def met(aim: bool) -> str:
+    """Whether an aim was met."""
+    return "met" if aim else "NOT MET"
+
+
+def main() -> None:
+    """Print everything."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--space", default="unseen-both", help="a shipped space")
+    parser.add_argument("--episodes", type=int, default=4096, help="for the rates of one and two processes")
+    given = parser.parse_args()
+    space = space_named(given.space)
+    scenarios = block_of(space, 0, 2 * SCENARIOS)[:SCENARIOS]
+    traces = list(run_many(scenarios))
+    critical_m = [one.scenario.settings.avoidance.critical_distance_m for one in scenarios]
+    near = [
+        float((trace.ticks["predicted_distance_m"] < limit_m).mean())
+        for trace, limit_m in zip(traces, critical_m, strict=True)
+    ]
+    decisions = np.mean([len(trace.decisions) for trace in traces])
+    print(
+        f"{given.space}: {len(scenarios)} scenarios of {scenarios[0].scenario.ticks} ticks, "
+        f"{np.mean(near):.1%} of them critical, {decisions:.2f} decisions each"
+    )
+    gc.collect()
+    gc.freeze()
+    compare(scenarios, [one.properties for one in scenarios], "judged by the space's own claims")
+    compare(scenarios, [catalogue_for(one) for one in scenarios], "judged by the whole catalogue")
+    split(space, scenarios)
+    scale(given.space, given.episodes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""``findings.json``: everything that a search found, for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from safety_harness.search.confirm import Complaint
+from safety_harness.search.findings import Findings, Group
+from safety_harness.search.trials import Trials
+
+
+def complaint_of(trials: Trials, group: Group) -> Complaint:
+    """What a group of violations or mishaps is about."""
+    return Complaint(None if group.claim is None else trials.claims[group.claim], group.kind)
+
+
+def as_json(
+    trials: Trials, findings: Findings, budget: int, unconfirmed: Sequence[Group], written: Sequence[Path]
+) -> dict[str, object]:
+    """Counts, the nearest margins, distinct violations with their points, and the coverage; SI throughout."""
+    return {
+        "space": trials.space.name,
+        "avoider": trials.avoider,
+        "searcher": findings.searcher,
+        "seed": trials.seed,
+        "budget": budget,
+        "tried": findings.tried,
+        "refused": dict(findings.refused.most_common()),
+        "interrupted": findings.interrupted,
+        "claims": [
+            {
+                "sentence": goal.sentence,
+                "with a verdict": int(findings.evidence[k]),
+                "violated": int(findings.violated[k]),
+                "first violation after": int(findings.first_violation[k]) or None,
+                "least margin": None if near is None else float(near.margins[k]),
+            }
+            for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
+        ],
+        "distinct": [_of_group(trials, group) for group in findings.groups],
+        "not confirmed in PyBullet": [_of_group(trials, group) for group in unconfirmed],
+        "counterexamples": [str(path) for path in written],
+        "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
+    }
+
+
+def _of_group(trials: Trials, group: Group) -> dict[str, object]:
+    return {
+        "complaint": complaint_of(trials, group).sentence,
+        "kind": group.kind,
+        "runs": group.count,
+        "worst margin": None if group.claim is None else group.worst_margin(),
+        "worst point": group.worst.point.tolist(),
+        "number": group.worst.number,
+    }

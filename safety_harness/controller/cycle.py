@@ -1,0 +1,175 @@
+"""One tick of ``AvoidingServo``, compiled: everything between observation and command but the decision.
+
+``look`` says whether a decision counts now; whoever can make one then fills the answer, and ``act``
+goes on.  One episode at a time or many to their next decision: these are the functions.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled, inlined
+from safety_harness.controller.stack import begin_tick, finish_tick
+from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
+from safety_harness.trace.records import MAX_TRACKS, Mode
+
+PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
+LATE, SILENT = int(FaultKind.AVOIDER_LATE), int(FaultKind.AVOIDER_SILENT)
+NAN = int(FaultKind.AVOIDER_NAN)
+
+Records = NDArray[np.void]
+
+QUESTION = np.dtype(
+    [
+        ("tick", np.int64),  # of the run, now
+        ("time_s", np.float64),
+        ("open", np.bool_),  # the avoider has been asked, and its answer does not count yet
+        ("asked_s", np.float64),
+        ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted one, when it was asked
+        ("tcp_position_in_base_m", np.float64, (3,)),
+        ("trigger", np.int64),
+        ("delayed", np.bool_),  # the answer counts later than at once
+        ("counts_from", np.int64),  # tick
+        ("late", np.bool_),  # there will be none
+        ("faults", np.int64),  # bits of those that act on it
+        ("acted_faults", np.int64),  # bits, at this tick
+        ("made", np.int64),  # decisions so far
+        ("made_now", np.bool_),
+    ],
+    align=True,
+)
+
+
+class ControllerRecords(NamedTuple):
+    """All that one episode's controller knows and remembers."""
+
+    parameters: Records  # (1,) PARAMETERS
+    filter_parameters: Records  # (1,) FILTER_PARAMETERS
+    state: Records  # (1,) STATE
+    tracks: Records  # (MAX_TRACKS,) TRACK
+    answer: Records  # (1,) ANSWER
+    command: Records  # (1,) COMMAND
+    question: Records  # (1,) QUESTION
+    faults: Records  # (n,) FAULT
+
+    @property
+    def for_look(self) -> Any:
+        """What ``look`` takes before the observation."""
+        return (
+            self.parameters,
+            self.filter_parameters,
+            self.state,
+            self.tracks,
+            self.question,
+            self.faults,
+        )
+
+    @property
+    def for_act(self) -> Any:
+        """What ``act`` takes before the observation."""
+        return self.parameters, self.state, self.answer, self.command, self.question
+
+    @property
+    def for_report(self) -> Any:
+        """What ``report`` takes before the trace's record."""
+        return self.state, self.command, self.question
+
+
+@inlined
+def look(
+    parameters: Records,
+    filter_parameters: Records,
+    states: Records,
+    tracks: Records,
+    questions: Records,
+    faults: Records,
+    observations: Records,
+) -> bool:
+    """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
+
+    Until it does the controller goes on as before; an answer that comes after a protective stop is of
+    no use.
+    """
+    s, q = states[0], questions[0]
+    asked = begin_tick(parameters, filter_parameters, states, tracks, observations)
+    q.time_s = observations[0].time_s
+    q.acted_faults = 0
+    q.made_now = False
+    if asked and not q.open:
+        ask(parameters, states, questions, faults, observations)
+    if not q.open:
+        return False
+    q.acted_faults = q.faults
+    if q.tick < q.counts_from:
+        s.decision_pending = False
+        return False
+    q.open = False
+    if s.mode == PROTECTIVE_STOP:
+        s.decision_pending = False
+        return False
+    q.made_now = True
+    s.decision_pending = True
+    s.trigger = q.trigger
+    return True
+
+
+@compiled
+def ask(
+    parameters: Records, states: Records, questions: Records, faults: Records, observations: Records
+) -> None:
+    """Open the question of now; a healthy avoider's answer counts at once."""
+    p, s, q, time_s = parameters[0], states[0], questions[0], observations[0].time_s
+    late_s = np.inf if acting(faults, SILENT, time_s) else delay_s(faults, LATE, time_s)
+    waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
+    q.open = True
+    q.asked_s = time_s
+    for i in range(3):
+        q.hand_position_in_base_m[i] = s.predicted_hand_in_base_m[s.nearest_track, i]
+        q.tcp_position_in_base_m[i] = s.transform_tcp_to_base[i, 3]
+    q.trigger = s.trigger
+    q.delayed = waits > 0
+    q.counts_from = q.tick + waits
+    q.late = late_s > p.decision_deadline_s
+    q.faults = acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s)
+
+
+@inlined
+def act(
+    parameters: Records,
+    states: Records,
+    answers: Records,
+    commands: Records,
+    questions: Records,
+    observations: Records,
+) -> None:
+    """Act on the answer, if one was waited for, and command the arm for this tick."""
+    q = questions[0]
+    finish_tick(parameters, states, observations, answers, commands)
+    q.made += q.made_now
+    q.tick += 1
+
+
+@inlined
+def report(states: Records, commands: Records, questions: Records, ticks: Records) -> None:
+    """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
+    s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
+    tick.object_visible = s.object_visible
+    tick.sse = s.sse
+    tick.predicted_distance_m = s.predicted_distance_m
+    tick.mode = s.mode
+    tick.gain = s.gain
+    tick.limits = s.limits
+    for i in range(6):
+        tick.features[i] = s.features[i]
+        tick.feature_error[i] = s.feature_error[i]
+        tick.camera_twist[i] = s.camera_twist[i]
+        tick.demanded_joint_velocity_radps[i] = command.joint_velocity_radps[i]
+    for k in range(MAX_TRACKS):
+        tick.track_valid[k] = s.track_valid[k]
+        for i in range(3):
+            tick.predicted_hand_in_base_m[k, i] = s.predicted_hand_in_base_m[k, i]
+    tick.decision = q.made - 1 if q.made_now else -1
+    tick.faults |= q.acted_faults

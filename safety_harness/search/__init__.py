@@ -1,0 +1,1 @@
+"""Search: find scenarios that violate a claim, and hand back the simplest; it estimates nothing."""

@@ -1,0 +1,132 @@
+"""CMA-ES (Hansen and Ostermeier, 2001) with restarts, from the package ``cma``, for asking and telling."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+
+from safety_harness.search.ask_tell import least
+from safety_harness.search.cube import Cube, Points
+from safety_harness.seeds import Branch, generator
+
+_FLAT = 1e-9  # a population whose scores differ by less says nothing
+_PATIENCE = 10  # generations that find nothing better
+
+
+class Descent:
+    """One run of CMA-ES within bounds; points are handed out until a population is complete.
+
+    ``low``, ``high`` (d,) are the bounds, of which equal ones fix a coordinate; ``start`` (d,) is the
+    first mean and ``step`` its deviation, as a part of the bounds' distance.
+    """
+
+    def __init__(
+        self,
+        low: Points,
+        high: Points,
+        start: Points,
+        step: float,
+        rng: np.random.Generator,
+        population: int | None = None,
+    ) -> None:
+        import cma  # slow to import
+
+        self._low, self._size = low, high - low
+        self._free = np.flatnonzero(self._size > 0.0)
+        self._start = start.copy()
+        options: dict[str, object] = {
+            "bounds": [0.0, 1.0],
+            "randn": lambda *shape: rng.standard_normal(shape),
+            "seed": np.nan,  # leaves numpy's global generator alone
+            "verbose": -9,
+            "verb_log": 0,
+        }
+        if population is not None:
+            options["popsize"] = population
+        self.size = len(self._free)
+        self._alone = self.size < 2  # which cma cannot
+        mean = (start - low)[self._free] / self._size[self._free]
+        if self._alone:
+            mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
+        self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
+        self._population: list[Points] = []
+        self._scores: list[float] = []
+        self._handed_out = 0
+        self.best = np.inf
+        self.since_better = 0  # generations
+        self.flat = False
+
+    @property
+    def population(self) -> int:
+        """Points in a generation."""
+        return int(self._cma.popsize)
+
+    @property
+    def step(self) -> float:
+        """The deviation now."""
+        return float(self._cma.sigma)
+
+    def propose(self, count: int) -> Points:
+        """(m, d) the next points of this generation, 0 <= m <= ``count``."""
+        if not self._population:
+            self._population, self._scores, self._handed_out = list(self._cma.ask()), [], 0
+        points = self._population[self._handed_out : self._handed_out + count]
+        self._handed_out += len(points)
+        found = np.tile(self._start, (len(points), 1))
+        for row, point in zip(found, points, strict=True):
+            within = np.clip(point, 0.0, 1.0)[: self.size]
+            row[self._free] = self._low[self._free] + within * self._size[self._free]
+        return np.clip(found, 0.0, 1.0)
+
+    def learn(self, scores: Points) -> None:
+        """(m,) scores of the points that were proposed last; +inf where there is none."""
+        self._scores += scores.tolist()
+        if len(self._scores) < len(self._population):
+            return
+        told = np.array(self._scores)
+        finite = told[np.isfinite(told)]
+        worst = finite.max() if len(finite) else 0.0
+        self.flat = len(finite) == 0 or worst - finite.min() < _FLAT
+        lowest = finite.min() if len(finite) else np.inf
+        self.since_better = 0 if lowest < self.best - 1e-3 else self.since_better + 1
+        self.best = min(self.best, lowest)
+        self._cma.tell(self._population, np.where(np.isfinite(told), told, worst + 1.0).tolist())
+        self._population = []
+
+    @property
+    def over(self) -> bool:
+        """Whether another generation is worth asking for; only true between generations."""
+        if self._population:
+            return False
+        return self.flat or self.since_better >= _PATIENCE or self.step < 1e-3 or bool(self._cma.stop())
+
+
+class CmaEs:
+    """CMA-ES on the least score, from a random point anew whenever it stagnates, with twice the population.
+
+    It goes where a claim is violated the most; alternatives are coordinates to it like all others.
+    """
+
+    name = "cma-es"
+
+    def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
+        self._dimension, self._seed, self._restarts = cube.dimension, seed, 0
+        self._descent = self._begin()
+
+    def _begin(self) -> Descent:
+        rng = generator(self._seed, Branch.SEARCH, self._restarts)
+        low, high = np.zeros(self._dimension), np.ones(self._dimension)
+        population = (4 + int(3 * np.log(self._dimension))) * 2 ** min(self._restarts, 5)
+        return Descent(low, high, rng.random(self._dimension), 0.3, rng, max(population, 4))
+
+    def propose(self, count: int) -> Points:
+        """The rest of a generation, or the next one."""
+        if self._descent.over:
+            self._restarts += 1
+            self._descent = self._begin()
+        return self._descent.propose(count)
+
+    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+        """The least score of each point."""
+        self._descent.learn(least(scores))

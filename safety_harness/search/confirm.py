@@ -1,0 +1,103 @@
+"""Whether one scenario shows what a search found, in a world; and for how many draws of the avoider's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.claims import property_of
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, described, spread_threshold_of
+from safety_harness.exceptions import InputError
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.search.trials import World, mishap_of
+from safety_harness.seeds import Branch
+from safety_harness.seeds import seed as leaf
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True)
+class Complaint:
+    """What is wrong: a claim is violated, or, without one, a mishap of this kind happens."""
+
+    claim: Claim | None
+    kind: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return self.kind if self.claim is None else self.claim.sentence
+
+    def is_in(self, run: Trace | Exception) -> bool:
+        """Whether a run shows it."""
+        return mishap(run) == self.kind if self.claim is None else self.margin_in(run) is not None
+
+    def margin_in(self, run: Trace | Exception) -> float | None:
+        """The margin by which the claim is violated [SI]; None if it is not."""
+        if self.claim is None or isinstance(run, Exception):
+            return None
+        evaluation = property_of(self.claim, run.scenario).evaluate(run)
+        return evaluation.margin if evaluation.verdict is Verdict.VIOLATED else None
+
+
+def mishap(run: Trace | Exception) -> str:
+    """What went wrong in a run that is no claim's matter; empty if nothing did."""
+    return f"the run failed: {described(run)}" if isinstance(run, Exception) else mishap_of(run)
+
+
+@dataclass(frozen=True)
+class Confirm:
+    """Runs one scenario at a time, with everything made anew; True if the complaint is in the run.
+
+    A claim has to be violated by at least ``by`` [SI].
+    """
+
+    complaint: Complaint
+    world: World
+    by: float = 0.0
+
+    def __call__(self, scenario: Scenario) -> bool:
+        """False as well for what admission refuses."""
+        try:
+            run = self.world([admit(scenario)])[0]
+        except InputError:
+            return False
+        margin = self.complaint.margin_in(run)
+        return self.complaint.is_in(run) and (margin is None or -margin >= self.by)
+
+    def share_of_draws(self, scenario: Scenario, draws: int) -> int:
+        """In how many of ``draws`` of the avoider's own randomness it is violated, all else the same."""
+        admitted = admit(scenario)
+        others = [_with_draws(admitted, k) for k in range(draws)]
+        return sum(self.complaint.is_in(self.world([one])[0]) for one in others)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherDraws:
+    """An avoider with other seeds: the k-th stream of its own randomness."""
+
+    avoider: Avoider
+    stream: int
+
+    @property
+    def name(self) -> str:
+        """The avoider's own."""
+        return self.avoider.name
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The avoider's own; AvoiderError as there."""
+        return spread_threshold_of(self.avoider)
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """What the avoider says with another seed."""
+        return self.avoider.propose(
+            hand_position_in_base_m=hand_position_in_base_m,
+            tcp_position_in_base_m=tcp_position_in_base_m,
+            seed=leaf(seed, Branch.SEARCH, 5, self.stream),
+        )
+
+
+def _with_draws(admitted: Admitted, stream: int) -> Admitted:
+    return replace(admitted, avoider=OtherDraws(admitted.avoider, stream))

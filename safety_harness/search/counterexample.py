@@ -1,0 +1,160 @@
+"""A counterexample: shrunk, confirmed, explained, and as a scenario file with its evidence in comments."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.claims import property_of
+from safety_harness.properties.base import Evaluation
+from safety_harness.robot.description import urdf_file
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.write import write_scenario
+from safety_harness.search.confirm import Complaint, Confirm
+from safety_harness.search.cube import Points
+from safety_harness.search.explain import circumstances, ingredients
+from safety_harness.search.knobs import knobs
+from safety_harness.search.paths import with_value
+from safety_harness.search.shrink import Shrunk, shrink
+from safety_harness.search.trials import World
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
+
+KEPT = 0.1  # of the margin, when shrinking
+DRAWS = 10  # of the avoider's own randomness
+
+
+@dataclass(frozen=True, eq=False)
+class Counterexample:
+    """``shrunk.scenario`` with the verdicts of the confirming run as what its claims expect.
+
+    ``run`` is that run (an Exception for one that could not be carried on), ``draws`` in how many of
+    DRAWS draws of the avoider's own randomness it happens.  ``explanation`` is lines for people.
+    """
+
+    complaint: Complaint
+    found: Scenario
+    shrunk: Shrunk
+    run: Trace | Exception
+    evaluations: tuple[Evaluation, ...]
+    explanation: tuple[str, ...]
+    draws: int
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is written."""
+        claims = self.shrunk.scenario.claims
+        if self.evaluations:
+            pairs = zip(claims, self.evaluations, strict=True)
+            claims = tuple(replace(claim, expected=evaluation.verdict) for claim, evaluation in pairs)
+        title = "the avoider or the run fails" if self.complaint.claim is None else self.complaint.sentence
+        return replace(
+            self.shrunk.scenario,
+            title=f"counterexample: {title}",
+            about="",
+            claims=claims,
+        )
+
+    def is_same_as(self, other: Counterexample) -> bool:
+        """Whether they shrank to one story, told with other numbers, and came about in one way."""
+        return self.complaint == other.complaint and _story(self) == _story(other)
+
+
+def _story(one: Counterexample) -> Scenario:
+    """The scenario without a name and a seed, and without its numbers."""
+    scenario = replace(one.shrunk.scenario, name="", file=None, seed=0)
+    for knob in knobs(scenario):
+        scenario = with_value(scenario, knob.path, 0.0)
+    return scenario
+
+
+def counterexample_of(
+    found: Scenario, complaint: Complaint, world: World, *, budget: int
+) -> Counterexample | None:
+    """Confirm, shrink and explain; None if ``world`` does not show the complaint.
+
+    What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
+    Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
+    """
+    first = world([admit(found)])[0]
+    if not complaint.is_in(first):
+        return None
+    confirm = Confirm(complaint, world, by=-KEPT * (complaint.margin_in(first) or 0.0))
+    shrunk = shrink(found, confirm, budget=budget)
+    run = world([admit(shrunk.scenario)])[0]
+    evaluations: tuple[Evaluation, ...] = ()
+    lines: list[str] = []
+    if isinstance(run, Trace):
+        properties = [property_of(claim, run.scenario) for claim in run.scenario.claims]
+        evaluations = tuple(prop.evaluate(run) for prop in properties)
+        lines += circumstances(run)
+    draws = 0
+    if not shrunk.interrupted:
+        lines += ingredients(shrunk.scenario, complaint, world)
+        draws = confirm.share_of_draws(shrunk.scenario, DRAWS)
+        lines.append(f"the avoider's own randomness: it happens in {draws} of {DRAWS} draws of it")
+    return Counterexample(complaint, found, shrunk, run, evaluations, tuple(lines), draws)
+
+
+def text_of(one: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:
+    """The file: the scenario below what is known of it, as comments."""
+    head = [f"A counterexample to: {one.complaint.sentence}", *origin]
+    head.append(
+        f"Shrunk in {one.shrunk.used} runs" + ("" if one.shrunk.settled else ", not to the end") + "."
+    )
+    for evaluation in one.evaluations:
+        head += _margins(evaluation, "")
+    if isinstance(one.run, Trace):
+        head += _evidence(one.run)
+    if trace_file is not None:
+        head.append(f"confirming run: {trace_file.name} (safety-harness replay)")
+    head += ["", *one.explanation]
+    comments = "".join(f"# {line}".rstrip() + "\n" for line in head)
+    return comments + "\n" + write_scenario(one.scenario)
+
+
+def _margins(evaluation: Evaluation, indent: str) -> list[str]:
+    """The verdict, the margin as it is shown and exactly, and those of the parts."""
+    exact = "" if evaluation.margin is None else f" ({evaluation.margin!r} in SI)"
+    when = "" if evaluation.worst_time_s is None else f" at {evaluation.worst_time_s:.3f} s"
+    verdict = "VIOLATED" if evaluation.verdict is Verdict.VIOLATED else evaluation.verdict.value
+    line = f"{indent}{verdict} {evaluation.margin_text()}{exact}{when}: {evaluation.sentence}"
+    return [line, *(inner for part in evaluation.parts for inner in _margins(part, indent + "  "))]
+
+
+def _evidence(trace: Trace) -> list[str]:
+    made, scenario = trace.provenance, trace.scenario
+    claims = "\n".join(claim.sentence for claim in scenario.claims)
+    urdf = urdf_file(scenario.robot.arm_name).read_bytes()
+    libraries = ", ".join(f"{name} {version}" for name, version in made.libraries)
+    seeds = ", ".join(str(int(seed)) for seed in trace.decisions["seed"]) or "none was asked for"
+    return [
+        f"world {made.world}, safety-harness {made.package_version}, Python {made.python}, {made.platform}",
+        f"libraries: {libraries}",
+        f"source {made.source_hash}",
+        f"avoider {made.avoider}, file {made.avoider_sha256 or 'none'}",
+        f"URDF {hashlib.sha256(urdf).hexdigest()}",
+        f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
+        f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",
+    ]
+
+
+def origin_of(space: ScenarioSpace, point: Points, number: int, seed: int, searcher: str) -> list[str]:
+    """How it was found: the search, and every value of the space, exactly."""
+    lines = [
+        f"Found in the space {space.name}: point {number} of searcher {searcher}, seed {seed}; as found:"
+    ]
+    values = space.values_at(np.asarray(point, float)[None])[0]
+    for parameter in space.parameters:
+        own = values[parameter.columns]
+        if np.any(np.isnan(own)):
+            continue
+        labels = getattr(parameter.distribution, "labels", None)
+        shown = repr(labels[int(own[0])]) if labels else " ".join(f"{float(value)!r}" for value in own)
+        lines.append(f"  {parameter.name} = {shown} {parameter.distribution.unit}".rstrip())
+    return lines

@@ -1,0 +1,136 @@
+"""What of a space was exercised: approach direction x speed x distance x seen or unseen x outcome, as counts.
+
+A run is in one cell.  Direction, speed and what was seen are those at its gravest decision (a protective
+stop before an opposite pose before a proposed one, the first of them), or, without a decision, at the
+hand's nearest approach; the distance is the nearest of the run.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.space.regions import Seen
+from safety_harness.trace.records import Outcome
+from safety_harness.trace.trace import Trace
+
+DIRECTIONS = (
+    "front",
+    "back",
+    "left",
+    "right",
+    "above",
+    "below",
+)  # +x -x +y -y +z -z of the base, from the TCP
+SPEEDS = ("at rest", "to 0.5 m/s", "to 1 m/s", "above 1 m/s")
+DISTANCES = ("touching", "to 50 mm", "to 200 mm", "farther")
+SEEN = ("seen", "hand unseen", "TCP unseen", "both unseen")
+OUTCOMES = ("no decision", "proposed position", "opposite pose", "protective stop")
+AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen": SEEN, "outcome": OUTCOMES}
+
+_AT_REST_MPS = 0.05
+_GRAVITY = {Outcome.PROPOSED: 1, Outcome.OPPOSITE: 2, Outcome.STOP: 3}
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One of 1,536, each by its word on every axis."""
+
+    direction: str
+    speed: str
+    distance: str
+    seen: str
+    outcome: str
+
+    def __str__(self) -> str:
+        return ", ".join(getattr(self, axis.name) for axis in fields(self))
+
+
+@dataclass
+class Coverage:
+    """How many runs fell into which cell; ``without`` counts those in which no hand was ever there."""
+
+    counts: Counter[Cell] = field(default_factory=Counter)
+    without: int = 0
+
+    def add(self, cells: Iterable[Cell | None]) -> None:
+        """Count runs."""
+        for cell in cells:
+            if cell is None:
+                self.without += 1
+            else:
+                self.counts[cell] += 1
+
+    def along(self, axis: str) -> dict[str, int]:
+        """Runs for each word of an axis, 0 included."""
+        found = dict.fromkeys(AXES[axis], 0)
+        for cell, count in self.counts.items():
+            found[getattr(cell, axis)] += count
+        return found
+
+    def table(self, rows: str, columns: str) -> dict[str, dict[str, int]]:
+        """Runs for each pair of words of two axes."""
+        found = {row: dict.fromkeys(AXES[columns], 0) for row in AXES[rows]}
+        for cell, count in self.counts.items():
+            found[getattr(cell, rows)][getattr(cell, columns)] += count
+        return found
+
+    @property
+    def holes(self) -> list[Cell]:
+        """Cells without a run; many of them cannot be reached by any."""
+        return [cell for words in product(*AXES.values()) if not self.counts[cell := Cell(*words)]]
+
+    def __str__(self) -> str:
+        runs = sum(self.counts.values())
+        lines = [f"{len(self.counts)} of {len(self.counts) + len(self.holes)} cells in {runs} runs"]
+        if self.without:
+            lines.append(f"{self.without} runs without any hand")
+        for axis in AXES:
+            words = ", ".join(f"{word} {count}" for word, count in self.along(axis).items())
+            lines.append(f"{axis}: {words}")
+        return "\n".join(lines)
+
+
+def cell_of(trace: Trace, seen: Seen) -> Cell | None:
+    """Where a run belongs; None if no hand was ever there, or nothing of it is finite."""
+    distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
+    if not np.any(np.isfinite(distances)):
+        return None
+    nearest_m = float(np.nanmin(distances))
+    gravity = [_GRAVITY[Outcome(int(outcome))] for outcome in trace.decisions["outcome"]]
+    gravest = int(np.argmax(gravity)) if gravity else -1
+    tick = int(trace.decisions["tick"][gravest]) if gravity else int(np.nanargmin(distances.min(axis=1)))
+    hand = int(np.nanargmin(distances[tick]))
+    hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
+    tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
+    return Cell(
+        direction=_direction(hand_m[tick] - tcp_m),
+        speed=_speed(trace, hand_m, tick),
+        distance=_distance(nearest_m),
+        seen=SEEN[int(not seen.hand.contains(hand_m[tick])) + 2 * int(not seen.tcp.contains(tcp_m))],
+        outcome=OUTCOMES[gravity[gravest] if gravity else 0],
+    )
+
+
+def _direction(way_m: NDArray[np.float64]) -> str:
+    axis = int(np.argmax(np.abs(way_m)))
+    return DIRECTIONS[2 * axis + int(way_m[axis] < 0.0)]
+
+
+def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
+    """Over the tick before, and after for the first one."""
+    before, after = max(tick - 1, 0), max(tick, 1)
+    if after >= len(hand_m):
+        return SPEEDS[0]
+    way_m = float(np.linalg.norm(hand_m[after] - hand_m[before]))
+    speed_mps = way_m / trace.scenario.settings.clock.control_period_s
+    return SPEEDS[int(np.searchsorted([_AT_REST_MPS, 0.5, 1.0], speed_mps))]
+
+
+def _distance(distance_m: float) -> str:
+    return DISTANCES[int(np.searchsorted([0.0, 0.05, 0.2], distance_m))]

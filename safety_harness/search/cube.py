@@ -1,0 +1,108 @@
+"""The unit cube as a searcher sees it: how long, where it jumps, and which points are the same scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.space.boxes import InRegion
+from safety_harness.space.cube import used_by
+from safety_harness.space.distributions import Choice
+from safety_harness.space.space import ScenarioSpace
+
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One coordinate.  Between its ``edges`` (from 0 to 1) the map to scenarios does not jump.
+
+    A coordinate that is ``flat`` gives the same between two edges: it numbers alternatives.
+    """
+
+    edges: tuple[float, ...] = (0.0, 1.0)
+    flat: bool = False
+
+    def interval_of(self, u: Points) -> NDArray[np.int64]:
+        """(n,) coordinates -> (n,) in which interval each is."""
+        return np.searchsorted(np.array(self.edges[1:-1]), u, side="right")
+
+    def middle_of(self, interval: NDArray[np.int64]) -> Points:
+        """(n,) intervals -> (n,) their middles."""
+        edges = np.array(self.edges)
+        middle: Points = (edges[interval] + edges[interval + 1]) / 2.0
+        return middle
+
+
+def _all_used(points: Points) -> NDArray[np.bool_]:
+    return np.ones(points.shape, bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Cube:
+    """The cube of a space.
+
+    ``same`` maps points (n, d) to ones that give the same scenarios, the same for the same scenario (None:
+    by the columns alone).  ``used`` says which coordinates (n, d) matter.
+    """
+
+    columns: tuple[Column, ...]
+    same: Callable[[Points], Points] | None = None
+    used: Callable[[Points], NDArray[np.bool_]] = _all_used
+
+    @property
+    def dimension(self) -> int:
+        """How many coordinates."""
+        return len(self.columns)
+
+    @classmethod
+    def of(cls, space: ScenarioSpace) -> Cube:
+        """The cube of a scenario space."""
+        columns = [Column() for _ in range(space.dimension)]
+        for parameter in space.parameters:
+            distribution = parameter.distribution
+            if isinstance(distribution, Choice | InRegion):
+                edges = tuple(distribution.edges.tolist())
+                columns[parameter.column] = Column(edges, flat=isinstance(distribution, Choice))
+
+        def same(points: Points) -> Points:
+            return space.cube_at(space.values_at(points))
+
+        def used(points: Points) -> NDArray[np.bool_]:
+            mask = np.zeros(points.shape, bool)
+            values = space.values_at(points)
+            for parameter, uses in zip(space.parameters, used_by(space.parameters, values), strict=True):
+                mask[:, parameter.columns] = uses[:, None]
+            return mask
+
+        return cls(tuple(columns), same, used)
+
+    @property
+    def flat_columns(self) -> NDArray[np.int64]:
+        """Which coordinates number alternatives."""
+        return np.flatnonzero([column.flat for column in self.columns])
+
+    def canonical(self, points: Points) -> Points:
+        """(n, d) -> (n, d): the middle of an alternative, 0.5 for what is not used, else as it is."""
+        if self.same is not None:
+            return self.same(points)
+        found = points.copy()
+        for number in self.flat_columns:
+            column = self.columns[number]
+            found[:, number] = column.middle_of(column.interval_of(points[:, number]))
+        return found
+
+    def distances(self, points: Points, to: Points) -> Points:
+        """(n, d) and (d,), both canonical -> (n,): the root mean square over the coordinates.
+
+        A different alternative counts as 1.  Two random points of a cube of many coordinates are about
+        0.41 apart.
+        """
+        difference = points - to
+        flat = self.flat_columns
+        difference[:, flat] = difference[:, flat] != 0.0
+        apart: Points = np.sqrt(np.mean(difference**2, axis=1))
+        return apart

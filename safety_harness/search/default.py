@@ -1,0 +1,152 @@
+"""The default search: explore, and go down from the worst places that are not one another's neighbours.
+
+A third of the points explore (``exploring``); the others are shared among the claims, whose descents
+(CMA-ES) begin at the worst point known of a claim, keep its alternatives, and end when they find a
+violation or nothing better.  The next begins elsewhere.  Where all scores of a claim are the same there is
+nowhere to go: its share explores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.search.archive import Archive
+from safety_harness.search.cma_es import Descent
+from safety_harness.search.cube import Cube, Points
+from safety_harness.search.exploring import Explorer
+from safety_harness.seeds import Branch, generator
+
+_EXPLORING = 1.0 / 3.0
+_APART = 0.15  # root mean square: beginnings and ends of descents on the same claim are farther apart
+_STEP = 0.15
+
+
+@dataclass(eq=False)
+class _Island:
+    """One descent: on which claim, and where it began and stands."""
+
+    claim: int
+    descent: Descent
+    end: Points  # (d,) canonical, the best place so far
+    score: float = np.inf
+
+
+class Default:
+    """See the module."""
+
+    name = "default"
+
+    def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
+        self._cube, self._seed, self._claims = cube, seed, claims
+        self._explorer = Explorer(cube, seed=seed)
+        self._archives = [Archive(cube, _APART) for _ in range(claims)]
+        self._islands: list[_Island] = []
+        self._begun = self._explored = self._proposed = self._next_claim = 0
+        self._due = 0.0  # points of exploration
+        self._parts: list[tuple[_Island | None, int]] = []
+
+    @property
+    def _first(self) -> int:
+        """How many points are explored before the first descent."""
+        return max(32, 4 * self._cube.dimension)
+
+    def propose(self, count: int) -> Points:
+        """Some of each: exploration, and as many descents as there is room for."""
+        self._parts = []
+        exploring = min(max(self._first - self._explored, 0), count)
+        if exploring < count and self._proposed >= self._first:
+            self._due += self._exploring * count
+            exploring = min(int(self._due), count)
+        found = self._descending(count - exploring)
+        exploring = count - sum(map(len, found))
+        if exploring:
+            found.append(self._explorer.points(exploring))
+            self._parts.append((None, exploring))
+            self._explored += exploring
+        self._due -= min(exploring, self._due)
+        self._proposed += count
+        return np.concatenate(found)
+
+    @property
+    def _exploring(self) -> float:
+        """The part of the points that explore."""
+        flat = sum(archive.flat for archive in self._archives)
+        return _EXPLORING + (1.0 - _EXPLORING) * flat / self._claims
+
+    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+        """Remember, and let each descent have its own."""
+        canonical = self._cube.canonical(points)
+        for claim, archive in enumerate(self._archives):
+            archive.add(canonical, scores[:, claim])
+        begin = 0
+        for island, count in self._parts:
+            part = slice(begin, begin + count)
+            begin += count
+            if island is not None:
+                self._advance(island, canonical[part], scores[part, island.claim])
+
+    def _advance(self, island: _Island, canonical: Points, scores: Points) -> None:
+        told = np.where(np.isnan(scores), np.inf, scores)
+        island.descent.learn(told)
+        if told.min() < island.score:
+            island.score, island.end = float(told.min()), canonical[int(told.argmin())]
+        if island.score < 0.0 or island.descent.over:
+            self._archives[island.claim].take(island.end)
+            self._islands.remove(island)
+
+    def _descending(self, room: int) -> list[Points]:
+        """Points of the descents under way, then of new ones while there is room."""
+        found: list[Points] = []
+        if self._explored < self._first:
+            return found
+        for island in list(self._islands):
+            if room < 1:
+                return found
+            room -= self._take(island, room, found)
+        while room > 0:
+            begun = self._begin()
+            if begun is None:
+                break
+            room -= self._take(begun, room, found)
+        return found
+
+    def _take(self, island: _Island, room: int, found: list[Points]) -> int:
+        points = island.descent.propose(room)
+        if len(points):
+            found.append(points)
+            self._parts.append((island, len(points)))
+        return len(points)
+
+    def _begin(self) -> _Island | None:
+        """A descent on the next claim that has a place to begin at; None if no claim has one."""
+        for _ in range(self._claims):
+            claim = self._next_claim
+            self._next_claim = (claim + 1) % self._claims
+            archive = self._archives[claim]
+            start = None if archive.flat else archive.worst_free
+            if start is not None:
+                archive.take(start)
+                low, high = self._bounds(start)
+                rng = generator(self._seed, Branch.SEARCH, 2, self._begun)
+                self._begun += 1
+                island = _Island(claim, Descent(low, high, start, _STEP, rng), start)
+                self._islands.append(island)
+                return island
+        return None
+
+    def _bounds(self, start: Points) -> tuple[Points, Points]:
+        """Where a descent from ``start`` may go: its alternatives stay, what is not used is fixed."""
+        low, high = np.zeros_like(start), np.ones_like(start)
+        for number, column in enumerate(self._cube.columns):
+            interval = int(column.interval_of(start[[number]])[0])
+            low[number], high[number] = column.edges[interval], column.edges[interval + 1]
+            if column.flat:
+                low[number] = high[number] = start[number]
+            elif interval < len(column.edges) - 2:
+                high[number] = np.nextafter(high[number], 0.0)
+        unused = ~self._cube.used(start[None])[0]
+        low[unused] = high[unused] = start[unused]
+        return low, high

@@ -1,0 +1,78 @@
+"""A searcher that fills holes: MAP-Elites (Mouret and Clune, 2015) over the cells that runs fall into.
+
+Each cell keeps the run that came nearest to violating anything.  New points vary an elite, those of
+cells that were seldom visited more often, along the line to another one (Vassiliades and Mouret, 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.search.ask_tell import least
+from safety_harness.search.cube import Cube, Points
+from safety_harness.search.exploring import Explorer
+from safety_harness.seeds import Branch, generator
+
+_EXPLORING = 1.0 / 3.0
+_STEP, _ALONG = 0.05, 0.2
+_FIRST = 64
+
+
+@dataclass(eq=False)
+class _Elite:
+    point: Points  # (d,)
+    score: float
+    visits: int = 1
+
+
+class Diverse:
+    """See the module; where runs have no cells, their alternatives and the nearest claim make one."""
+
+    name = "diverse"
+
+    def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
+        self._cube = cube
+        self._explorer = Explorer(cube, seed=seed)
+        self._rng = generator(seed, Branch.SEARCH, 3)
+        self._elites: dict[Hashable, _Elite] = {}
+        self._proposed = 0
+
+    def propose(self, count: int) -> Points:
+        """A third explores, the others vary elites."""
+        exploring = count
+        if self._proposed >= _FIRST and self._elites:
+            exploring = int(self._rng.binomial(count, _EXPLORING))
+        self._proposed += count
+        points = self._explorer.points(exploring) if exploring else np.empty((0, self._cube.dimension))
+        return np.concatenate([points, self._varied(count - exploring)])
+
+    def _varied(self, count: int) -> Points:
+        elites = list(self._elites.values())
+        if count == 0:
+            return np.empty((0, self._cube.dimension))
+        weight = 1.0 / np.sqrt([elite.visits for elite in elites])
+        parents = self._rng.choice(len(elites), size=(count, 2), p=weight / weight.sum())
+        points = np.array([elite.point for elite in elites])
+        first, second = points[parents[:, 0]], points[parents[:, 1]]
+        along = _ALONG * self._rng.standard_normal((count, 1)) * (second - first)
+        around = _STEP * self._rng.standard_normal(first.shape)
+        varied: Points = np.clip(first + along + around, 0.0, 1.0)
+        return varied
+
+    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+        """Keep what is nearer to a violation than the cell's elite."""
+        lowest = least(scores)
+        alternatives = self._cube.canonical(points)[:, self._cube.flat_columns]
+        nearest = np.where(np.isnan(scores), np.inf, scores).argmin(axis=1)
+        for k, cell in enumerate(cells):
+            key = (*alternatives[k].tolist(), int(nearest[k])) if cell is None else cell
+            elite = self._elites.get(key)
+            if elite is None:
+                self._elites[key] = _Elite(points[k].copy(), float(lowest[k]))
+                continue
+            elite.visits += 1
+            if lowest[k] < elite.score:
+                elite.point, elite.score = points[k].copy(), float(lowest[k])

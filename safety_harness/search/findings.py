@@ -1,0 +1,137 @@
+"""What a search found, kept as it goes: distinct violations, nearest misses, what could not be tried."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from safety_harness.search.cube import Cube, Points
+from safety_harness.search.outcomes import Goal, Outcomes
+
+APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
+_MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One tried point (d,): ``number`` counts all points of the search, ``margins`` (k,) are SI."""
+
+    number: int
+    point: Points
+    margins: Points
+
+
+@dataclass(eq=False)
+class Group:
+    """Violations of one claim (or mishaps: ``claim`` is None) that are one thing to a reader.
+
+    They have the same kind, the same alternatives, and lie near to ``first`` in the cube.
+    """
+
+    claim: int | None
+    kind: str
+    first: Episode
+    worst: Episode
+    leader: Points  # (d,) canonical point of the first
+    count: int = 1
+
+    def worst_margin(self) -> float:
+        """SI; NaN for a mishap."""
+        return float("nan") if self.claim is None else float(self.worst.margins[self.claim])
+
+
+@dataclass(eq=False)
+class Findings:
+    """``tried`` counts runs, ``asked`` points; ``evidence`` and ``violated`` (k,) runs for each claim.
+
+    ``nearest`` is each claim's run with the least margin.  ``first_violation`` (k,) is the number of runs
+    that it took, 0 for none.
+    """
+
+    goals: tuple[Goal, ...]
+    cube: Cube
+    searcher: str
+    asked: int = 0
+    tried: int = 0
+    refused: Counter[str] = field(default_factory=Counter)
+    groups: list[Group] = field(default_factory=list)
+    interrupted: bool = False
+
+    def __post_init__(self) -> None:
+        self.evidence = np.zeros(len(self.goals), np.int64)
+        self.violated = np.zeros(len(self.goals), np.int64)
+        self.first_violation = np.zeros(len(self.goals), np.int64)
+        self.mishaps = 0
+        self.nearest: list[Episode | None] = [None] * len(self.goals)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is anything that should not be."""
+        return bool(self.groups)
+
+    def of_claim(self, claim: int | None) -> list[Group]:
+        """A claim's groups, or the mishaps, the worst first."""
+        groups = [group for group in self.groups if group.claim == claim]
+        return sorted(groups, key=lambda group: (group.worst_margin(), group.first.number))
+
+    def always_violated(self, claim: int, least: int = 20) -> bool:
+        """Whether every run of at least ``least`` violated the claim: then it is no corner that is wrong."""
+        return bool(self.tried >= least and self.violated[claim] == self.tried)
+
+    def add(self, points: Points, outcomes: Outcomes) -> None:
+        """Take in (n, d) points and what came of them."""
+        canonical: Points | None = None
+        for k, point in enumerate(points):
+            number = self.asked
+            self.asked += 1
+            if outcomes.refused[k]:
+                self.refused[outcomes.refused[k]] += 1
+                continue
+            self.tried += 1
+            margins = outcomes.margins[k]
+            known = np.isfinite(margins)
+            self.evidence += known & outcomes.conclusive[k]
+            self._keep_nearest(number, point, margins)
+            wrong = [claim for claim in np.flatnonzero(known & (margins < 0.0)).tolist()]
+            if not wrong and not outcomes.mishaps[k]:
+                continue
+            if canonical is None:
+                canonical = self.cube.canonical(points)
+            episode = Episode(number, point.copy(), margins.copy())
+            for claim in wrong:
+                self.violated[claim] += 1
+                self.first_violation[claim] = self.first_violation[claim] or self.tried
+                self._join(claim, outcomes.kinds[k], episode, canonical[k])
+            if outcomes.mishaps[k]:
+                self.mishaps += 1
+                self._join(None, outcomes.mishaps[k], episode, canonical[k])
+
+    def _keep_nearest(self, number: int, point: Points, margins: Points) -> None:
+        for claim, margin in enumerate(margins):
+            before = self.nearest[claim]
+            if np.isfinite(margin) and (before is None or margin < before.margins[claim]):
+                self.nearest[claim] = Episode(number, point.copy(), margins.copy())
+
+    def _join(self, claim: int | None, kind: str, episode: Episode, canonical: Points) -> None:
+        """Mishaps are told apart by their words alone."""
+        rivals = [group for group in self.groups if group.claim == claim and group.kind == kind]
+        if rivals:
+            leaders = np.array([group.leader for group in rivals])
+            apart = self.cube.distances(leaders, canonical)
+            nearest = rivals[int(apart.argmin())]
+            full = sum(group.claim == claim for group in self.groups) >= _MOST_GROUPS
+            if claim is None or apart.min() <= APART or full:
+                nearest.count += 1
+                if claim is not None and episode.margins[claim] < nearest.worst.margins[claim]:
+                    nearest.worst = episode
+                return
+        self.groups.append(Group(claim, kind, episode, episode, canonical.copy()))
+
+
+def scores_of(goals: Sequence[Goal], outcomes: Outcomes) -> Points:
+    """(n, k) margins over their scales; NaN where nothing was learnt."""
+    scores: Points = outcomes.margins / np.array([goal.scale for goal in goals])
+    return scores

@@ -1,0 +1,26 @@
+"""Every searcher by the name that the command line knows it by."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from safety_harness.search.ask_tell import Searcher
+from safety_harness.search.cma_es import CmaEs
+from safety_harness.search.cube import Cube
+from safety_harness.search.default import Default
+from safety_harness.search.diverse import Diverse
+from safety_harness.search.hypothesis_search import HypothesisSearch
+from safety_harness.search.sampling import QuasiRandom, Uniform
+
+
+class MakesSearcher(Protocol):
+    """How all of them are made: for a cube and a number of claims, from a seed."""
+
+    name: str
+
+    def __call__(self, cube: Cube, *, claims: int, seed: int) -> Searcher:
+        """A searcher that has not begun."""
+        ...
+
+
+SEARCHERS: tuple[MakesSearcher, ...] = (Default, Uniform, QuasiRandom, CmaEs, HypothesisSearch, Diverse)

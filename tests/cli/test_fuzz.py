@@ -1,0 +1,180 @@
+"""fuzz: what it finds it keeps, as files that run takes; its exit codes; its words when there is nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safety_harness.cli import fuzz as fuzz_module
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.replay import replay
+from safety_harness.cli.run import run
+from safety_harness.exceptions import OutputError
+from safety_harness.scenario.expand import gather
+from safety_harness.search.outcomes import Outcomes
+from safety_harness.search.trials import Trials
+from tests.search.short_space import CRASHING, TEXT
+
+
+@pytest.fixture
+def space(tmp_path: Path) -> Path:
+    file = tmp_path / "short.yaml"
+    file.write_text(TEXT)
+    return file
+
+
+@pytest.fixture(autouse=True)
+def _little_shrinking(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz_module, "_SHRINKING", 25)
+    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+
+
+def counterexamples(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.yaml"))
+
+
+def test_a_violation_becomes_a_file_that_runs_and_replays_as_it_says(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert fuzz(space, out=out, budget=12) == DIFFERS
+    shown = capsys.readouterr()
+    (file,) = counterexamples(out)
+    assert "violated" in shown.out
+    assert str(file) in shown.out
+    assert "joint speeds within limits: violated 0 of 12" in shown.err
+    text = file.read_text()
+    for evidence in ("VIOLATED", "in SI", "seed", "source ", "URDF ", "claims ", "world pybullet", "numpy"):
+        assert evidence in text.partition("\nscenario:")[0]
+    assert run([file], tmp_path / "again") == AS_EXPECTED
+    assert replay(file.with_suffix(".trace")) == AS_EXPECTED
+    found = json.loads((out / "findings.json").read_text())
+    assert found["tried"] == 12
+    assert found["counterexamples"] == [str(file)]
+    assert sum(found["coverage"].values()) == 12
+    as_found = gather([out / "as-found"])
+    assert not as_found.errors
+    assert as_found.scenarios
+
+
+def test_the_same_seed_finds_the_same_files(space: Path, tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        fuzz(space, out=tmp_path / name, budget=6, seed=5)
+    first, second = (counterexamples(tmp_path / name) for name in ("first", "second"))
+    assert [file.name for file in first] == [file.name for file in second]
+    assert [file.read_text() for file in first] == [file.read_text() for file in second]
+
+
+def test_a_space_in_which_nothing_is_violated_ends_well_and_says_what_that_is_worth(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fuzz(space, out=tmp_path / "out", budget=3, claims=["joint speeds within limits"]) == AS_EXPECTED
+    err = capsys.readouterr().err
+    assert "nothing found in 3 runs" in err
+    assert "no evidence of safety" in err
+    assert counterexamples(tmp_path / "out") == []
+
+
+def test_a_claim_that_every_run_violates_is_said_to_be_no_corner(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fuzz(space, out=tmp_path / "out", budget=20, claims=["hand distance never below 2 m"]) == DIFFERS
+    assert "every run violates 'hand distance never below 2000 mm'" in capsys.readouterr().err
+
+
+def test_a_claim_that_is_never_put_to_the_test_is_named(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fuzz(space, out=tmp_path / "out", budget=2, claims=["gain switch reached"]) == AS_EXPECTED
+    assert "no run put 'gain switch reached' to the test" in capsys.readouterr().err
+
+
+def test_an_avoider_that_crashes_in_a_corner_is_found_counted_and_saved(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(CRASHING)
+    avoider = str(tmp_path / "mine.py") + ":Crashing"
+    claims = ["joint speeds within limits"]
+    assert fuzz(space, out=tmp_path / "out", avoider=avoider, budget=15, claims=claims) == DIFFERS
+    out, err = capsys.readouterr()
+    assert "the avoider gave no answer: ZeroDivisionError" in out
+    assert "1 kinds of mishap" in err
+    (file,) = counterexamples(tmp_path / "out")
+    assert run([file], tmp_path / "again") == AS_EXPECTED
+
+
+def test_ctrl_c_keeps_what_was_found(
+    space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    evaluate = Trials.__call__
+
+    def interrupted(self: Trials, points: object, first: int) -> object:
+        if first >= 8:
+            raise KeyboardInterrupt
+        return evaluate(self, points, first)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Trials, "__call__", interrupted)
+    assert fuzz(space, out=tmp_path / "out", budget=500) == INTERRUPTED
+    assert "kept as it was found" in capsys.readouterr().err
+    assert list((tmp_path / "out" / "as-found").glob("*.yaml"))
+    assert json.loads((tmp_path / "out" / "findings.json").read_text())["interrupted"]
+
+
+def test_a_full_disk_costs_no_finding(
+    space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(path: Path, text: str) -> None:
+        raise OutputError.of(path, OSError(28, "No space left on device"))
+
+    monkeypatch.setattr(fuzz_module, "write_text", full)
+    assert fuzz(space, out=tmp_path / "out", budget=50) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert "No space left on device" in err
+    assert "scenario: a hand nearby" in out
+    assert "hand distance never below 150 mm: violated" in out
+
+
+def test_what_pybullet_does_not_confirm_is_listed_and_is_no_violation(
+    space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lies(self: Trials, points: np.ndarray, first: int) -> Outcomes:
+        return Outcomes.of_margins(np.full((len(points), 1), -0.1))
+
+    monkeypatch.setattr(Trials, "__call__", lies)
+    out = tmp_path / "out"
+    assert fuzz(space, out=out, budget=2, claims=["joint speeds within limits"]) == AS_EXPECTED
+    assert "not confirmed in PyBullet" in capsys.readouterr().err
+    assert counterexamples(out) == []
+    assert json.loads((out / "findings.json").read_text())["not confirmed in PyBullet"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"budget": 0}, "at least 1 run"),
+        ({"searcher": "dfault"}, "one of default, uniform"),
+        ({"claims": ["hands are happy"]}, "a claim of the catalogue"),
+        ({"avoider": "nobody"}, "nobody"),
+    ],
+)
+def test_bad_input_is_explained_before_anything_runs(
+    options: dict[str, object],
+    message: str,
+    space: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert fuzz(space, out=tmp_path / "out", **options) == BAD_INPUT  # type: ignore[arg-type]
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_scenario_is_no_space(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "one.yaml"
+    file.write_text(TEXT.replace("scenario space:", "scenario:"))
+    assert fuzz(file, out=tmp_path / "out") == BAD_INPUT
+    assert "one.yaml" in capsys.readouterr().err
