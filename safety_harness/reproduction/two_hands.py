@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.poses import kinematics
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.avoidance.gate import Gate
-from safety_harness.controller.controller import AvoidingServo
+from safety_harness.controller.controller import Controller
 from safety_harness.learning.evaluation_sets import leaf
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.reproduction.networks import avoider_in
@@ -93,7 +91,9 @@ def measure(folder: Path, bayesian: Done, *, episodes: int, draw_seed: int, sett
 
 
 def _run(start: Admitted, trigger: str) -> Trace:
-    controller = start.controller() if trigger == EITHER else _PlaneTriggered(start, wall=trigger == WALL)
+    controller: Controller = start.controller()
+    if trigger != EITHER:
+        controller = _PlaneTriggered(start, wall=trigger == WALL)
     with PyBulletWorld(start.scenario, start.arm, start.joint_position_rad) as world:
         return simulate(world, controller, start.scenario)
 
@@ -112,30 +112,44 @@ def _about(trace: Trace, claim: HandDistance) -> Json:
     }
 
 
-class _PlaneTriggered(AvoidingServo):
+class _PlaneTriggered:
     """The system with its critical distance open while the TCP is near the plane, and shut while it is not.
 
     The hands are those predicted at the tick before, 8 ms ago.
     """
 
     def __init__(self, start: Admitted, *, wall: bool) -> None:
-        settings = start.scenario.settings
-        gate = Gate.of(settings, kinematics(start.arm.name))
-        super().__init__(settings, start.arm, start.view, start.avoider, gate, start.scenario.seed)
+        self._system = start.controller()
         self._wall = wall
-        self._critical_m = settings.avoidance.critical_distance_m
+        self._critical_m = start.scenario.settings.avoidance.critical_distance_m
+        self.name = self._system.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Open or shut, then as always."""
-        state = self._state[0]
+        records = self._system.records
+        state = records.state[0]
         hands = state["predicted_hand_in_base_m"][state["track_valid"] != 0]
         critical_m = self._critical_m
         if len(hands) >= 2:
             tcp = state["transform_tcp_to_base"][:3, 3]
             near = plane_distance(tcp, hands[0], hands[1], wall=self._wall) < self._critical_m
             critical_m = ALWAYS_M if near else NEVER_M
-        self._parameters["critical_distance_m"] = critical_m
-        return super().step(observation)
+        records.parameters["critical_distance_m"] = critical_m
+        return self._system.step(observation)
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """As the system does."""
+        self._system.report(tick)
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """The system's."""
+        return self._system.decisions
+
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """The system's."""
+        return self._system.decision_latencies_s
 
 
 def plane_distance(

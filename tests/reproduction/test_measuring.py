@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from math import log
 from pathlib import Path
@@ -11,14 +12,18 @@ import pytest
 
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.candidates import CandidateCap
+from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.learning.evaluation import reachable
 from safety_harness.reproduction.avoiders import ExactOptimum, without_networks
+from safety_harness.reproduction.networks import MODEL
 from safety_harness.reproduction.outlook import IMAGE, POSE
 from safety_harness.reproduction.outlook import measure as by_both_errors
 from safety_harness.reproduction.reach import WORKSPACE, Region, reachable_starts
 from safety_harness.reproduction.safety import nominal_space
 from safety_harness.reproduction.trials import TRIGGER_TICK, run, starts_of
-from safety_harness.reproduction.two_hands import plane_distance
+from safety_harness.reproduction.two_hands import EITHER, PLANE, WALL, plane_distance
+from safety_harness.reproduction.two_hands import measure as by_triggers
+from safety_harness.reproduction.work import Done
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import DEFAULTS
@@ -154,3 +159,14 @@ def test_two_hands_above_each_other_are_a_line() -> None:
     hand = np.array([0.0, 0.0, 0.0])
     above = np.array([0.0, 0.0, 1.0])
     assert plane_distance(np.array([0.3, 0.4, 0.0]), hand, above, wall=False) == pytest.approx(0.5)
+
+
+def test_the_triggers_see_the_same_draw_and_an_endless_plane_asks_most(tmp_path: Path) -> None:
+    trained = tmp_path / "trained"
+    trained.mkdir()
+    shutil.copy(shipped_model("mc-dropout"), trained / MODEL)
+    found = by_triggers(tmp_path, Done(trained, {}), episodes=1, draw_seed=3, settings=DEFAULTS)["triggers"]
+    assert set(found) == {EITHER, PLANE, WALL}
+    (hand,), (plane,), (wall,) = found[EITHER], found[PLANE], found[WALL]
+    assert plane["decisions"] > max(wall["decisions"], hand["decisions"])
+    assert all(0.0 <= one["share_servoing"] <= 1.0 for one in (hand, plane, wall))
