@@ -1,0 +1,23 @@
+"""The page of results in docs/ is what its JSON says."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_page_is_written_from_the_json_beside_it() -> None:
+    file = ROOT / "benchmarks" / "reproduction_results.py"
+    spec = importlib.util.spec_from_file_location("reproduction_results", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    found = json.loads((ROOT / "docs" / "reproduction-results.json").read_text("utf-8"))
+    page = (ROOT / "docs" / "reproduction-results.md").read_text("utf-8")
+    assert "\n".join(module.lines(found)) + "\n" == page
+    assert found["about"]["scale"] == "default"
+    assert found["about"]["trainings"] >= 5
