@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Proposal, Vector
+from safety_harness.avoidance.avoider import Proposal, Vector, proposed_in_turn
 from safety_harness.avoidance.candidates import CandidateCap
 from safety_harness.settings import Settings
+
+Vectors = NDArray[np.float64]  # (n, 3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +45,9 @@ class NearestCandidate:
         errors = np.linalg.norm(candidates - self.desired_tcp_position_in_base_m, axis=1)
         selected = candidates[int(np.argmin(errors))]
         return Proposal(selected + self.hand_pull * (tcp_position_in_base_m - hand_position_in_base_m))
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        return proposed_in_turn(self, hands_in_base_m, tcps_in_base_m, seeds)

@@ -44,11 +44,24 @@ def segment_segment_vector(
     b_start: NDArray[np.float64],
     b_end: NDArray[np.float64],
 ) -> tuple[float, float, float]:
-    """Shortest vector (x, y, z) [m] from a point of segment a to a point of segment b.
+    """Shortest vector (x, y, z) [m] from a point of segment a to a point of segment b."""
+    x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
+    return x, y, z
 
-    The least distance is taken either at an end of one of the segments, or at two inner points
-    whose joining line is perpendicular to both.  All four ends are tried beside the inner
-    solution, so an ill-conditioned one (nearly parallel segments) never makes the answer wrong.
+
+@inlined
+def nearest_of_segments(
+    a_start: NDArray[np.float64],
+    a_end: NDArray[np.float64],
+    b_start: NDArray[np.float64],
+    b_end: NDArray[np.float64],
+) -> tuple[float, float, float, float, float]:
+    """(x, y, z) [m] from the point of segment a that is nearest to segment b to that of b, and both shares.
+
+    A share is how far along its segment, 0 to 1, the point lies; all is NaN if an end is.  The least
+    distance is taken either at an end of one of the segments, or at two inner points whose joining line
+    is perpendicular to both.  All four ends are tried beside the inner solution, so an ill-conditioned
+    one (nearly parallel segments) never makes the answer wrong.
     """
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
     vx, vy, vz = b_end[0] - b_start[0], b_end[1] - b_start[1], b_end[2] - b_start[2]
@@ -61,7 +74,7 @@ def segment_segment_vector(
     per_uu = 1.0 / uu if uu > 0.0 else 0.0
     per_vv = 1.0 / vv if vv > 0.0 else 0.0
     best_x, best_y, best_z = wx, wy, wz
-    best = np.inf
+    best, best_s, best_t = np.inf, 0.0, 0.0
     # The vector is w + t v - s u.  The normal of both, and not uu vv - uv^2, which cancels.
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     nn = nx * nx + ny * ny + nz * nz
@@ -84,6 +97,8 @@ def segment_segment_vector(
         x, y, z = wx + t * vx - s * ux, wy + t * vy - s * uy, wz + t * vz - s * uz
         squared = x * x + y * y + z * z
         if not squared >= best:  # also takes over a NaN
-            best = squared
+            best, best_s, best_t = squared, s, t
             best_x, best_y, best_z = x, y, z
-    return best_x, best_y, best_z
+    if np.isnan(best):
+        return np.nan, np.nan, np.nan, np.nan, np.nan
+    return best_x, best_y, best_z, best_s, best_t

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.geometry.nearest_points import nearest_shares
+from safety_harness.geometry.segments import nearest_of_segments
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 
@@ -151,7 +151,7 @@ def least_separation(
             for capsule in range(radius_m.shape[0]):
                 for body in range(2):
                     start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
-                    s, t = nearest_shares(start, end, placed[capsule, 0], placed[capsule, 1])
+                    _, _, _, s, t = nearest_of_segments(start, end, placed[capsule, 0], placed[capsule, 1])
                     total = 0.0
                     for i in range(3):
                         robot[i] = placed[capsule, 0, i]

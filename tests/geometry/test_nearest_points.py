@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safety_harness.geometry.nearest_points import nearest_shares
-from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.geometry.segments import nearest_of_segments, segment_segment_distance
 
 
 def between(ends: np.ndarray, shares: tuple[float, float]) -> float:
@@ -27,7 +26,8 @@ def test_the_points_found_are_as_far_apart_as_the_segments(kind: str) -> None:
         elif kind in ("point", "points"):
             ends[1] = ends[0]
             ends[3] = ends[2] if kind == "points" else ends[3]
-        shares = nearest_shares(*ends)
+        *_, s, t = nearest_of_segments(*ends)
+        shares = (s, t)
         assert min(shares) >= 0.0
         assert max(shares) <= 1.0
         assert between(ends, shares) == pytest.approx(segment_segment_distance(*ends), abs=1e-12)
@@ -37,4 +37,4 @@ def test_the_points_found_are_as_far_apart_as_the_segments(kind: str) -> None:
 def test_a_nan_comes_out(which: int) -> None:
     ends = np.random.default_rng(1).normal(size=(4, 3))
     ends[which, 1] = np.nan
-    assert np.isnan(nearest_shares(*ends)).all()
+    assert np.isnan(nearest_of_segments(*ends)).all()
