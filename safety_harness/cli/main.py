@@ -291,7 +291,7 @@ def train(
     """Train and calibrate a network; "trial-mc-dropout" takes under a minute.
 
     Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
-    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Needs PyTorch, the extra "learning" of this package.
     Exit code 0; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.train import train as train_recipe
@@ -327,7 +327,7 @@ def export(
 ) -> None:
     """Write a model as ONNX or TorchScript, and try the file against the original on random questions.
 
-    Needs PyTorch: pip install 'safety-harness[learning]'.
+    Needs PyTorch, the extra "learning" of this package.
     Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
     """
     from safety_harness.cli.export import export as export_model

@@ -7,6 +7,7 @@ from itertools import groupby
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted
+from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -20,6 +21,7 @@ from safety_harness.cli.console import (
 from safety_harness.cli.run import admitted_of
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.scenario.model import Scenario
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
@@ -33,7 +35,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    errors = without_repetition([*gathered.errors, *errors, *errors_of_spaces])
+    of_claims = errors_of_claims(gathered.scenarios)
+    errors = without_repetition([*gathered.errors, *errors, *of_claims, *errors_of_spaces])
     bad = {error.place.file for error in errors}
     for file, scenarios in groupby(admitted, key=lambda one: one.scenario.file):
         if file not in bad:
@@ -46,6 +49,18 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         usable = f"{_count(len(admitted), 'scenario')} and {_count(len(spaces), 'space')}"
         say(f"{_count(len(errors), 'mistake')}; {usable} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
+
+
+def errors_of_claims(scenarios: Sequence[Scenario]) -> list[InputError]:
+    """The mistake in each claim; admission stops at a scenario's first one."""
+    errors: list[InputError] = []
+    for scenario in scenarios:
+        for claim in scenario.claims:
+            try:
+                property_of(claim, scenario)
+            except InputError as error:
+                errors.append(error)
+    return errors
 
 
 def _spaces(gathered: Gathered) -> tuple[list[ScenarioSpace], list[InputError]]:

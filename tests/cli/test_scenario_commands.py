@@ -71,6 +71,20 @@ def test_validate_says_ok_of_scenarios_and_spaces(capsys: Captured) -> None:
     assert other.startswith(f"ok {files[1]}: a space, ")
 
 
+def test_validate_tells_the_mistake_of_every_claim(tmp_path: Path, capsys: Captured) -> None:
+    text = (SCENARIOS / "servoing-alone.yaml").read_text()
+    head = text[: text.index("claims:")]
+    wrong = ("hand distance never below 50", "always hand distnce > 1 mm", "nonsense")
+    file = tmp_path / "three.yaml"
+    file.write_text(head + "claims:\n" + "".join(f"  {claim}: holds\n" for claim in wrong))
+    assert validate([file]) == BAD_INPUT
+    error = capsys.readouterr().err
+    first = len(head.splitlines()) + 2
+    for line in range(first, first + 3):
+        assert f"three.yaml:{line}: claims." in error
+    assert "3 mistakes" in error
+
+
 def test_validate_tells_every_mistake_of_every_file(tmp_path: Path, capsys: Captured) -> None:
     write(
         tmp_path,
