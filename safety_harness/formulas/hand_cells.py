@@ -12,13 +12,13 @@ from safety_harness.formulas.cells import absent, rises, tcp_way_m, tent
 from safety_harness.formulas.signal import Sampled
 from safety_harness.properties.hand_distance import (
     RESOLUTION_M,
-    TURNED_RAD,
     capsules_of,
+    followed_hands,
     instants,
     joint_bend_m,
     joint_reach_m,
 )
-from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
+from safety_harness.properties.hand_paths import HandPaths, hand_bend_m
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import closest_approach_between
 from safety_harness.trace.trace import Trace
@@ -32,7 +32,7 @@ def hand_distance_of(trace: Trace) -> Sampled:
     both ends and the ways of arm and hand allow.  Occasions: a hand comes within the critical
     distance of the arm's surface.
     """
-    paths, why = _readable(trace)
+    paths, why = followed_hands(trace)
     if paths is None:
         return absent(trace, why)
     value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
@@ -47,7 +47,7 @@ def hand_distance_of(trace: Trace) -> Sampled:
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp_of(trace: Trace) -> Sampled:
     """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
-    paths, why = _readable(trace)
+    paths, why = followed_hands(trace)
     if paths is None:
         return absent(trace, why)
     tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]
@@ -59,19 +59,6 @@ def nearest_hand_to_tcp_of(trace: Trace) -> Sampled:
         slack_m = hand_bend_m(trace, paths, hand)
         low[:-1, hand], high[:-1, hand] = tent(value[:, hand], way_m, slack_m)
     return _nearest(trace, value, low, high)
-
-
-def _readable(trace: Trace) -> tuple[HandPaths | None, str]:
-    """The ways of the hands, or why no hand of this trace can be judged."""
-    if not trace.scenario.hands:
-        return None, "there is no hand in this scenario"
-    if np.abs(trace.ticks["joint_position_rad"]).max() > TURNED_RAD:
-        return None, "a joint has turned further than any arm can"
-    paths = hand_paths(trace)
-    stray = first_stray(trace, paths)
-    if stray is not None:
-        return None, f"at tick {stray} a hand is not where the scenario moves it"
-    return paths, ""
 
 
 def _nearest(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.properties.entry import Entry, count
-from safety_harness.properties.giving_way import LEAST_WAY_M, Finding
+from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
 from safety_harness.trace.records import Mode, Outcome
 from safety_harness.trace.trace import Trace
@@ -56,8 +56,7 @@ def concluded(
     """The word on the worst finding; ``none`` says why there is none."""
     if not findings:
         return inconclusive(prop, f"never exercised: {none}")
-    worst = next((f for f in findings if not np.isfinite(f.margin_m)), None)
-    worst = worst or min(findings, key=lambda finding: finding.margin_m)
+    worst = worst_of(findings)
     return judged(
         prop,
         trace,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,12 @@ class Finding:
     margin_m: float
     time_s: float
     what: str
+
+
+def worst_of(findings: Sequence[Finding]) -> Finding:
+    """The first whose margin is not finite, else that with the least margin; there must be one."""
+    unknown = next((finding for finding in findings if not np.isfinite(finding.margin_m)), None)
+    return unknown or min(findings, key=lambda finding: finding.margin_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,8 +92,7 @@ class MovesAway:
             return inconclusive(
                 self, f"never exercised: {'no hand was there' if made else 'the arm never gave way'}"
             )
-        worst = next((f for f in findings if not np.isfinite(f.margin_m)), None)
-        worst = worst or min(findings, key=lambda finding: finding.margin_m)
+        worst = worst_of(findings)
         return judged(
             self,
             trace,

@@ -66,14 +66,9 @@ class HandDistance:
         problem = unreadable(trace, READS)
         if problem is not None:
             return inconclusive(self, problem)
-        if not trace.scenario.hands:
-            return inconclusive(self, "there is no hand in this scenario")
-        if np.abs(trace.ticks["joint_position_rad"]).max() > TURNED_RAD:
-            return inconclusive(self, "a joint has turned further than any arm can")
-        paths = hand_paths(trace)
-        stray = first_stray(trace, paths)
-        if stray is not None:
-            return inconclusive(self, f"at tick {stray} a hand is not where the scenario moves it")
+        paths, why = followed_hands(trace)
+        if paths is None:
+            return inconclusive(self, why)
         distance_m, time_s, hand = closest_approach(trace, paths)
         near = trace.ticks["hand_distance_m"].min(axis=1) < self.near_m
         name = trace.scenario.hands[hand].name
@@ -86,6 +81,19 @@ class HandDistance:
             reason=f"{name}: {_words(distance_m)} {part}",
             exercised=int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1)),
         )
+
+
+def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
+    """The ways of the hands, or why no distance from them can be judged in this trace."""
+    if not trace.scenario.hands:
+        return None, "there is no hand in this scenario"
+    if np.abs(trace.ticks["joint_position_rad"]).max() > TURNED_RAD:
+        return None, "a joint has turned further than any arm can"
+    paths = hand_paths(trace)
+    stray = first_stray(trace, paths)
+    if stray is not None:
+        return None, f"at tick {stray} a hand is not where the scenario moves it"
+    return paths, ""
 
 
 def _words(distance_m: float) -> str:
