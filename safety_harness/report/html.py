@@ -7,10 +7,8 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from safety_harness.properties.tally import ClaimTally
@@ -24,6 +22,7 @@ from safety_harness.report.decisions import (
     latency_words,
 )
 from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.report.page_parts import asset, templates
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.text_file import write_whole
@@ -42,8 +41,6 @@ from safety_harness.report.view import (
 )
 from safety_harness.report.words import count_words, share_words
 from safety_harness.scenario.write import write_scenario
-
-PACKAGE = "safety_harness.report"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,30 +105,26 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    environment = Environment(
-        loader=PackageLoader(PACKAGE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    script = _asset("report.js")
-    return environment.get_template("report.html.j2").render(
-        title=title,
-        command=command,
-        generated=_date(generated_at),
-        generated_iso=generated_at.isoformat(),
-        summary=summarise(runs, interrupted=interrupted),
-        sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
-        coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
-        most_decisions=MOST_DECISION_ROWS,
-        share=share_words,
-        count=count_words,
-        most_numbers=MOST_NUMBERS,
-        style=Markup(_asset("report.css")),
-        script=Markup(script),
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    script = asset("report.js")
+    return (
+        templates()
+        .get_template("report.html.j2")
+        .render(
+            title=title,
+            command=command,
+            generated=_date(generated_at),
+            generated_iso=generated_at.isoformat(),
+            summary=summarise(runs, interrupted=interrupted),
+            sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
+            coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
+            most_decisions=MOST_DECISION_ROWS,
+            share=share_words,
+            count=count_words,
+            most_numbers=MOST_NUMBERS,
+            style=Markup(asset("report.css")),
+            script=Markup(script),
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        )
     )
 
 
@@ -170,7 +163,3 @@ def _views(run: JudgedRun, prefix: str) -> tuple[Markup, ...]:
 def _date(moment: datetime) -> str:
     zone = f" {moment.tzname()}" if moment.tzinfo else ""
     return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"
-
-
-def _asset(name: str) -> str:
-    return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")

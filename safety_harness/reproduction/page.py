@@ -5,19 +5,17 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from safety_harness.report.page_parts import asset, templates
 from safety_harness.report.text_file import write_whole
 from safety_harness.reproduction.choices import CHOICES
 from safety_harness.reproduction.document import About, comparison_words
 from safety_harness.reproduction.plots import side_by_side, svg
 from safety_harness.reproduction.result import Result, State, Word
 
-PACKAGE = "safety_harness.report"  # whose templates and style they are
 WORD_CLASS = {
     Word.REPRODUCED: "holds",
     Word.DIRECTION_ONLY: "inconclusive",
@@ -38,27 +36,23 @@ def write_page(path: Path, results: Sequence[Result], about: About) -> None:
 
 def render(results: Sequence[Result], about: About) -> str:
     """The page as text; the same arguments give the same bytes."""
-    environment = Environment(
-        loader=PackageLoader(PACKAGE),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    script = _asset("report.js")
-    return environment.get_template("reproduction.html.j2").render(
-        results=results,
-        about=about,
-        choices=CHOICES,
-        counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
-        word_class=WORD_CLASS,
-        state_class=STATE_CLASS,
-        words=comparison_words,
-        drawings={result.name: _drawings(result) for result in results},
-        style=Markup(_asset("report.css") + _asset("reproduction.css")),
-        script=Markup(script),
-        script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+    script = asset("report.js")
+    return (
+        templates()
+        .get_template("reproduction.html.j2")
+        .render(
+            results=results,
+            about=about,
+            choices=CHOICES,
+            counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
+            word_class=WORD_CLASS,
+            state_class=STATE_CLASS,
+            words=comparison_words,
+            drawings={result.name: _drawings(result) for result in results},
+            style=Markup(asset("report.css") + asset("reproduction.css")),
+            script=Markup(script),
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+        )
     )
 
 
@@ -74,7 +68,3 @@ def _drawings(result: Result) -> list[tuple[Markup, str]]:
     for number, plot in enumerate(result.plots):
         drawn.append((Markup(svg(plot, prefix=f"{result.name}-{number}-")), f"{plot.title}. {plot.caption}"))
     return drawn
-
-
-def _asset(name: str) -> str:
-    return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from page import Node, parse
 
-import safety_harness.report.html as report_html
 from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render
+from safety_harness.report.page_parts import asset
 from safety_harness.report.palette import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
 from safety_harness.scenario.model import Robot, Verdict
@@ -279,7 +279,7 @@ def test_every_drawing_says_what_it_is(full: Node) -> None:
 
 
 def test_every_ink_has_a_value_for_light_and_for_dark_paper() -> None:
-    style = report_html._asset("report.css")
+    style = asset("report.css")
     light, dark = style.split("prefers-color-scheme: dark", 1)
     for ink in Ink:
         assert f"{ink.variable}:" in light, ink
