@@ -19,6 +19,9 @@ class Branch(IntEnum):
     SPACE_DRAW = 3
     HAND_MOTION = 4
     SEARCH = 5
+    CAMPAIGN = 6
+    STATISTICS = 7
+    SELFTEST = 8
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:
