@@ -170,6 +170,18 @@ def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 
+def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) does a state (n,) begin?  One that is there at the first tick begins then."""
+    begins = state.copy()
+    begins[1:] &= ~state[:-1]
+    return begins
+
+
+def times_begun(state: NDArray[np.bool_]) -> int:
+    """How often a state (n,) begins."""
+    return int(np.count_nonzero(begins_at(state)))
+
+
 def judged(
     prop: Property, trace: Trace, *, margin: float, worst_time_s: float, reason: str, exercised: int
 ) -> Evaluation:
