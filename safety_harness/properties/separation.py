@@ -137,17 +137,18 @@ def least_separation(
     (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
     distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
 
-    A tick is passed over where no pair can have as little to spare as the best so far: distances
-    change by no more than points move, no point of the arm is faster than the joints' rates times their
-    chains of links, and none of a hand faster than its ends.
+    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
+    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
+    capsules = radius_m.shape[0]
     reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
-    transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
-    velocities = np.empty((2, 3))
+    transforms, placed = np.empty((8, 4, 4)), np.empty((capsules, 2, 3))
+    twists, fastest_mps, velocities = np.empty((7, 6)), np.empty(capsules), np.empty((2, 3))
     apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
+    thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
-    near_m = -np.inf  # no pair is nearer, as far as is known
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
         if step > 0:
@@ -156,25 +157,33 @@ def least_separation(
             near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
         if not judged[k] or not present[k].any():
             continue
-        most_m = _most_needed(
-            rates_radps, hands_m, reach_m, reaction_s, stop_s, hand_speed_mps, period_s, k
-        )
-        if near_m - most_m > good_enough + ROUNDING_M:  # never true of a NaN, which must come out
-            continue
+        human_mps = _fastest_hand(hands_m, period_s, k)
+        v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
+        most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
+        per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
+        if near_m - most_human_m > good_enough:
+            faster_mps = _faster(joints_rad, rates_radps, reach_m, looked, k)
+            if near_m - most_human_m - per_speed_s * (arm_mps + faster_mps) > good_enough + ROUNDING_M:
+                continue  # never for a NaN, which must come out
         forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
         place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
-        near_m = np.inf
+        _twists(joint_axes, transforms, rates_radps[k], twists)
+        looked, near_m, arm_mps = k, np.inf, 0.0
+        for capsule in range(capsules):
+            fastest_mps[capsule] = _fastest_end(twists[min(link_index[capsule], 6)], placed[capsule])
+            if not fastest_mps[capsule] <= arm_mps:
+                arm_mps = fastest_mps[capsule]
         for hand in range(present.shape[1]):
             if not present[k, hand]:
                 continue
             for body in range(2):
                 for i in range(3):
                     velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
-            for capsule in range(radius_m.shape[0]):
-                lower = _lower_m(hands_m, placed, k, hand, capsule)
-                lower -= radius_m[capsule] + max(body_radius_m[0], body_radius_m[1])
-                if lower - most_m > good_enough + ROUNDING_M:
-                    near_m = min(near_m, lower)
+            for capsule in range(capsules):
+                most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
+                lower_m = _lower(hands_m, placed, k, hand, capsule) - radius_m[capsule] - thickest_m
+                if lower_m - most_human_m - most_arm_m > good_enough:
+                    near_m = min(near_m, lower_m)
                     continue
                 for body in range(2):
                     start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
@@ -188,19 +197,22 @@ def least_separation(
                         human[i] = velocities[0, i]
                         human[i] += s * (velocities[body, i] - velocities[0, i])
                     axes = sqrt(total)
-                    _velocity(joint_axes, transforms, link_index[capsule], rates_radps[k], robot)
-                    robot_speed = _along(robot, apart, axes)
+                    distance = axes - radius_m[capsule] - body_radius_m[body]
+                    near_m = min(near_m, distance)
                     own_speed = _along(human, apart, -axes)
                     hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
                     hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
+                    human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
+                    if distance - human_m - most_arm_m > good_enough:
+                        continue
+                    _velocity(joint_axes, transforms, link_index[capsule], rates_radps[k], robot)
+                    robot_speed = _along(robot, apart, axes)
                     robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
                     needed = 0.0
                     for length in _lengths(
                         hand_speed, robot_speed, reaction_s[k], stop_s[k], hand_moves, robot_moves
                     ):
                         needed += length
-                    distance = axes - radius_m[capsule] - body_radius_m[body]
-                    near_m = min(near_m, distance)
                     if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
                         least = distance - needed
                         good_enough = min(good_enough, least)
@@ -249,35 +261,78 @@ def _farthest_step(
 
 
 @inlined
-def _most_needed(
-    rates_radps: NDArray[np.float64],
-    hands_m: NDArray[np.float64],
-    reach_m: NDArray[np.float64],
-    reaction_s: NDArray[np.float64],
-    stop_s: NDArray[np.float64],
-    hand_speed_mps: float,
-    period_s: float,
-    k: int,
-) -> float:
-    """S_p [m] of no pair of a tick is larger."""
-    arm_mps, human_mps = 0.0, 0.0
-    for i in range(6):
-        arm_mps += abs(rates_radps[k, i]) * reach_m[i]
+def _fastest_hand(hands_m: NDArray[np.float64], period_s: float, k: int) -> float:
+    """No point of a hand or forearm is faster [m/s] at a tick."""
+    fastest = 0.0
     for hand in range(hands_m.shape[1]):
         for body in range(2):
             total = 0.0
             for i in range(3):
                 total += _speed(hands_m, period_s, k, hand, body, i) ** 2
-            speed = sqrt(total)
-            if not speed <= human_mps:
-                human_mps = speed
-    human_m = (human_mps if np.isnan(hand_speed_mps) else hand_speed_mps) * (reaction_s[k] + stop_s[k])
-    arm_m = arm_mps * (reaction_s[k] + 0.5 * stop_s[k])
-    return max(human_m, 0.0) + max(arm_m, 0.0) + 0.5 * period_s * (human_mps + arm_mps)
+            if not total <= fastest:
+                fastest = total
+    return sqrt(fastest)
 
 
 @inlined
-def _lower_m(
+def _faster(
+    joints_rad: NDArray[np.float64], rates_radps: NDArray[np.float64], reach_m: NDArray[np.float64], a: int, b: int
+) -> float:
+    """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
+
+    Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
+    the chains of links from j, and from the farther out of i and j, to p.
+    """
+    faster = 0.0
+    for j in range(6):
+        faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
+        turned = 0.0
+        for i in range(6):
+            turned += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[max(i, j)]
+        faster += abs(rates_radps[b, j]) * turned
+    return faster
+
+
+@inlined
+def _twists(
+    joint_axes: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    rates_radps: NDArray[np.float64],
+    twists: NDArray[np.float64],  # (7, 6), written
+) -> None:
+    """Of each link: its angular velocity, and the velocity of its point at the base's origin."""
+    twists[0] = 0.0
+    for joint in range(6):
+        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
+        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
+        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
+        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
+        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
+        twists[joint + 1, 0] = twists[joint, 0] + wx
+        twists[joint + 1, 1] = twists[joint, 1] + wy
+        twists[joint + 1, 2] = twists[joint, 2] + wz
+        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
+        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
+        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
+
+
+@inlined
+def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
+    """The speed [m/s] of the faster of two points (2, 3) of a link."""
+    fastest = 0.0
+    for end in range(2):
+        x, y, z = ends[end, 0], ends[end, 1], ends[end, 2]
+        vx = twist[3] + twist[1] * z - twist[2] * y
+        vy = twist[4] + twist[2] * x - twist[0] * z
+        vz = twist[5] + twist[0] * y - twist[1] * x
+        total = vx * vx + vy * vy + vz * vz
+        if not total <= fastest:
+            fastest = total
+    return sqrt(fastest)
+
+
+@inlined
+def _lower(
     hands_m: NDArray[np.float64], placed: NDArray[np.float64], k: int, hand: int, capsule: int
 ) -> float:
     """The axes of a hand's bodies and a capsule are no nearer: no point is farther from a middle than half."""
