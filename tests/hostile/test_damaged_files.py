@@ -139,3 +139,21 @@ def test_what_is_no_file_is_refused(kind: Format, tmp_path: Path) -> None:
     path.symlink_to(path)
     with pytest.raises(InputError):
         kind.read(path)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FORMATS if b"1 m/s" in kind.whole()], ids=lambda k: k.name)
+@pytest.mark.parametrize(
+    "speed", ["nan", "inf", "-inf", "1e308", "-1", "0", "0x10", "1_0", "1e400", "9" * 400, "١"]
+)
+def test_no_hand_has_such_a_speed(kind: Format, speed: str, tmp_path: Path) -> None:
+    refusal = outcome(kind, tmp_path, kind.whole().replace(b"1 m/s", f"{speed} m/s".encode()))
+    assert refusal is not None
+    assert refusal.place.line is not None
+
+
+@pytest.mark.parametrize("cell", ["inf", "-inf", "1e308", "1e400", "0x10", "1_0", "9" * 400, "one", "\x00"])
+def test_no_recording_has_such_a_coordinate(cell: str, tmp_path: Path) -> None:
+    kind = next(kind for kind in FORMATS if kind.name == "recording")
+    refusal = outcome(kind, tmp_path, kind.whole().replace(b"1.0500", cell.encode()))
+    assert refusal is not None
+    assert refusal.place.line == 7
