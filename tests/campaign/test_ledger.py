@@ -32,7 +32,7 @@ def plan(tmp_path: Path) -> Plan:
 def row(episode: int, stratum: int = 0, *, margin: float = 0.1, trace: bytes | None = None) -> Row:
     outcome = Outcome.VIOLATED if margin < 0.0 else Outcome.HOLDS
     judgements = (Judgement(outcome, margin, 0.2, 3), Judgement(Outcome.UNTESTED))
-        return Row(
+    return Row(
         stratum=stratum, episode=episode, seed=11, judgements=judgements, draws=1, cell="a", trace=trace
     )
 
@@ -125,7 +125,7 @@ def test_the_fingerprint_is_that_of_the_results_and_of_nothing_else(tmp_path: Pa
 def test_a_change_since_is_named(tmp_path: Path, plan: Plan) -> None:
     with ledger_in(tmp_path, plan) as ledger:
         ledger.refuse_other(plan.identity)
-                parts = plan.identity.parts
+        parts = plan.identity.parts
         other = Identity(tuple((name, "x" if name == "Python" else value) for name, value in parts))
         with pytest.raises(LedgerError, match="Python changed"):
             ledger.refuse_other(other)
