@@ -22,6 +22,7 @@ check: $(VENV)/tested
 bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/decision.py
+	$(BIN)/python benchmarks/isolation.py
 	$(BIN)/python benchmarks/dataset.py
 	$(BIN)/python benchmarks/spaces.py
 	$(BIN)/python benchmarks/scenario_files.py

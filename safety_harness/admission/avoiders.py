@@ -1,7 +1,7 @@
 """Which avoider a reference means: one of ours by name, a user's own Python file, or a model file.
 
 A Python file is the user's own program and is executed, with everything that it imports, because a
-reference names it and for no other reason.  A model file is only read.
+reference names it and for no other reason, and in a process of its own.  A model file is only read.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safety_harness.admission.python_file import PythonFile
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.isolation.isolated import isolated_avoider
 from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
@@ -64,7 +64,7 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-    return PythonFile(path, place).avoider(file_and_name(reference)[1])
+    return isolated_avoider(path, file_and_name(reference)[1], place)
 
 
 def avoider_sha256(scenario: Scenario) -> str:
