@@ -184,7 +184,7 @@ def approach_between(
     at = np.empty(DEEPEST)
     joints = np.empty(6)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
-    left, t_best, best, lower, last = 0.0, 0.0, np.inf, np.inf, np.nan
+    left, t_best, best, lower, first, last = 0.0, 0.0, np.inf, np.inf, np.nan, np.nan
     depth = 0
     t_next = 0.0
     while True:
@@ -203,10 +203,16 @@ def approach_between(
         if distance < best:
             best, t_best = distance, t_next
         if t_next == 0.0:
-            t_next = 1.0
+            first, t_next = distance, 1.0
             continue
         if t_next == 1.0:
             last = distance
+            # From either end to anywhere in between nothing moves farther than its chord and its bend.
+            chord = _longest_chord(left_placed, sample)
+            chord += max(_length(hand0, hand1), _length(elbow0, elbow1))
+            coarse = 0.5 * (first + last - chord) - bend / 8.0
+            if coarse > not_below_m:
+                return min(coarse, best), t_best, last
         at[depth] = t_next
         depth += 1
         # Pass over every interval whose bound is good enough.
@@ -227,6 +233,19 @@ def approach_between(
         if depth == 0:
             return min(lower, best), t_best, last
         t_next = 0.5 * (left + at[depth - 1])
+
+
+@inlined
+def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> float:
+    """The farthest [m] that any end of a capsule's axis (n, 2, 3) is from where it was."""
+    longest = 0.0
+    for capsule in range(left.shape[0]):
+        for i in range(2):
+            total = 0.0
+            for j in range(3):
+                total += (right[capsule, i, j] - left[capsule, i, j]) ** 2
+            longest = max(longest, total)
+    return sqrt(longest)
 
 
 @compiled
