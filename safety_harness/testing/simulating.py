@@ -15,7 +15,7 @@ from safety_harness.exceptions import FlakyAvoiderError, InputError
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
-from safety_harness.testing.flaky import refuse_flaky
+from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.trace import Trace
 

@@ -1,0 +1,69 @@
+"""What a seeded fault is: a name, the hazard it stands for, and a ladder of magnitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from safety_harness.selftest.system import System
+
+Seeds = Callable[[System, float], System]
+
+
+class Part(Enum):
+    """Where in the system a fault sits."""
+
+    AVOIDER = "avoider"
+    GATE = "gate"
+    PERCEPTION = "perception"
+    SERVOING = "servoing"
+    MOTION = "motion"
+    TIMING = "timing"
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Magnitudes in SI, the gravest first, and how people read them."""
+
+    values: tuple[float, ...]
+    unit: str = ""
+    per_si: float = 1.0
+
+    def words(self, value: float) -> str:
+        """One of them with its unit."""
+        number = f"{value * self.per_si:.4g}"
+        return f"{number} {self.unit}" if self.unit else number
+
+
+ONLY = Ladder((1.0,), "whole")  # a fault that is there or not
+
+
+@dataclass(frozen=True, eq=False)
+class Circumstance:
+    """What the faulty and the sound system have in common beside the scenario."""
+
+    name: str
+    bring_about: Callable[[System], System]
+
+
+AS_IT_IS = Circumstance("as it is", lambda system: system)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fault:
+    """A mistake that somebody could make, and that hurts somebody or ends the task.
+
+    ``seed_into`` a sound system, with a magnitude of the ``ladder``, gives the faulty one.  Both are
+    tried in ``circumstance``.  ``pooled``: it shows only over many runs together, and is judged so as well.
+    ``harmless``: why it cannot matter, said beforehand; whatever is violated with it is a false alarm.
+    """
+
+    name: str
+    part: Part
+    hazard: str
+    seed_into: Seeds
+    ladder: Ladder = ONLY
+    circumstance: Circumstance = AS_IT_IS
+    pooled: bool = False
+    harmless: str = ""
