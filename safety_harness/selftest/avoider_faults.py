@@ -21,7 +21,9 @@ from safety_harness.settings import DEFAULTS, GateKind
 
 Answers = Callable[[Avoider, Vector, Vector, int], Proposal]  # of an avoider, for a hand, a TCP, a seed
 
-PLAIN_GATE = Circumstance("behind a gate that asks for reach alone", lambda s: s.with_gate(kind=GateKind.REACH))
+PLAIN_GATE = Circumstance(
+    "behind a gate that asks for reach alone", lambda s: s.with_gate(kind=GateKind.REACH)
+)
 DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 NOMINAL_HAND = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
 

@@ -55,8 +55,10 @@ class Fault:
     """A mistake that somebody could make, and that hurts somebody or ends the task.
 
     ``seed_into`` a sound system, with a magnitude of the ``ladder``, gives the faulty one.  Both are
-    tried in ``circumstance``.  ``pooled``: it shows only over many runs together, and is judged so as well.
+    tried in ``circumstance``.  ``pooled``: it is one of the spread, judged over many runs together as well,
+    and does not apply to an avoider that states none.
     ``harmless``: why it cannot matter, said beforehand; whatever is violated with it is a false alarm.
+    ``limit``: why nothing here can catch it, said beforehand.
     """
 
     name: str
@@ -67,3 +69,4 @@ class Fault:
     circumstance: Circumstance = AS_IT_IS
     pooled: bool = False
     harmless: str = ""
+    limit: str = ""

@@ -45,7 +45,9 @@ class Erring:
 
 def with_an(name: str, avoider: Erring) -> Circumstance:
     """An avoider that errs in one way, for the sound gate as well."""
-    return Circumstance(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider, timed=False))
+    return Circumstance(
+        f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider, timed=False)
+    )
 
 
 IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))

@@ -28,11 +28,20 @@ class Suite:
     pool: tuple[Admitted, ...]
 
     @classmethod
-    def read(cls, folder: Path, *, first: Sequence[str], avoider: str | None, draws: int, pool: int) -> Suite:
-        """The scenarios of ``folder``, those named ``first`` before the others, then draws of its spaces.
+    def read(
+        cls,
+        folder: Path,
+        *,
+        first: Sequence[str] = (),
+        others: bool = True,
+        avoider: str | None = None,
+        draws: int = 0,
+        pool: int = 0,
+    ) -> Suite:
+        """The scenarios of ``folder``, those named ``first`` before the ``others``, then draws of its spaces.
 
-        ``avoider`` takes the place of what they name.  What only PyBullet can run is left out.  InputError
-        for a file that cannot be used.
+        Without ``others`` only those named are taken, if there are any.  ``avoider`` takes the place of
+        what they name.  What only PyBullet can run is left out.  InputError for a file that cannot be used.
         """
         if not folder.is_dir():
             raise ScenarioError(
@@ -45,14 +54,17 @@ class Suite:
         if gathered.errors:
             raise gathered.errors[0]
         ordered = sorted(gathered.scenarios, key=lambda one: _rank(one, first))
-        episodes = list(_admitted(ordered, avoider))
+        named = [one for one in ordered if one.name in first]
+        episodes = list(_admitted(ordered if others or not named else named, avoider))
         spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
         for number, space in enumerate(spaces):
             if draws:
                 drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), draws).scenarios
                 episodes += _admitted(drawn, avoider)
         nominal = [space for space in spaces if space.name == "nominal"]
-        together = draw_admissible(nominal[0], seed(0, Branch.SELFTEST, 1), pool).scenarios if nominal else ()
+        together: tuple[Scenario, ...] = ()
+        if nominal and pool:
+            together = draw_admissible(nominal[0], seed(0, Branch.SELFTEST, 1), pool).scenarios
         return cls(tuple(episodes), tuple(_admitted(together, avoider)))
 
 

@@ -23,7 +23,7 @@ from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.simulate import simulate
+from safety_harness.simulation.simulate import INTERRUPTED, simulate
 from safety_harness.simulation.world import World
 from safety_harness.trace.trace import Trace
 
@@ -90,7 +90,7 @@ class System:
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
     def run(self, *, in_pybullet: bool = False) -> Trace:
-        """One run; whatever the faults raise passes through."""
+        """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
         admitted = self.admitted
         scenario = admitted.scenario
         never_late = () if self.timed else (False,) * (scenario.ticks + 1)
@@ -101,13 +101,17 @@ class System:
         with ExitStack() as stack:
             world: World
             if in_pybullet:
-                world = stack.enter_context(PyBulletWorld(scenario, admitted.arm, admitted.joint_position_rad))
+                world = stack.enter_context(
+                    PyBulletWorld(scenario, admitted.arm, admitted.joint_position_rad)
+                )
             else:
                 world = KinematicWorld(scenario, admitted.arm, admitted.joint_position_rad)
             for wrap in self.worlds:
                 world = wrap(world)
             with np.errstate(all="ignore"):  # a fault may divide by zero; what comes of it is in the trace
                 trace = simulate(world, controller, scenario)
+        if trace.ended == INTERRUPTED:
+            raise KeyboardInterrupt
         if self.timed:
             return trace
         return replace(trace, decision_latency_s=np.full(len(trace.decisions), np.nan))

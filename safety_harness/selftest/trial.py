@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
@@ -12,7 +11,7 @@ from safety_harness.admission.kinematic import run_many
 from safety_harness.avoidance.avoider import described, spread_threshold_of
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError
-from safety_harness.properties.base import Evaluation
+from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.spread_calibration import SpreadCalibration
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.fault import Fault
@@ -22,7 +21,18 @@ from safety_harness.trace.trace import Trace
 
 SAME_TWICE = "the same question has the same answer"
 RUN_FAILED = "the run can be carried through"
-Kept = TypeVar("Kept")
+# By how much a claim has to hold without the fault, so that its violation is no matter of a hair [SI].
+CLEAR = {
+    Unit.LENGTH: 1e-3,
+    Unit.ANGLE: 1e-3,
+    Unit.SPEED: 1e-3,
+    Unit.ANGULAR_SPEED: 1e-3,
+    Unit.TIME: 0.02,
+    Unit.ACCELERATION: 0.02,
+    Unit.ANGULAR_ACCELERATION: 0.02,
+    Unit.FRACTION: 0.005,
+    Unit.COUNT: 0.0,
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,25 +101,35 @@ class Trials:
         """What is violated in an episode of the suite with the fault, and holds there without it."""
         admitted = self.suite.episodes[number]
         system = fault.circumstance.bring_about(System.of(admitted))
-        sound = self._of_sound(system, fault, number, in_pybullet)
+        sound = self._sound_words(system, fault, number, in_pybullet)
         try:
             found = judged(fault.seed_into(system, magnitude), in_pybullet=in_pybullet)
         except Exception as error:  # what a faulty system raises is what it is tried for
             found = {RUN_FAILED: check(RUN_FAILED, described(error))}
-        return tuple(
-            Alarm(
-                claim=claim,
-                scenario=admitted.scenario.name,
-                margin=evaluation.margin_text() if evaluation.margin is not None else evaluation.reason,
-                before=sound[claim].margin_text(),
-            )
-            for claim, evaluation in found.items()
-            if evaluation.verdict is Verdict.VIOLATED and sound[claim].verdict is Verdict.HOLDS
+        return alarms_between(sound, found, admitted.scenario.name)
+
+    def everywhere(self, fault: Fault) -> Rung:
+        """Every alarm on the whole suite: for a fault of which there should be none."""
+        magnitude = fault.ladder.values[0]
+        found = [self.alarms(fault, magnitude, number) for number in range(len(self.suite.episodes))]
+        return Rung(
+            magnitude=magnitude,
+            words=fault.ladder.words(magnitude),
+            episodes=len(found),
+            alarms=tuple(alarm for alarms in found for alarm in alarms),
         )
 
-    def _of_sound(
+    def confirmed(self, fault: Fault, rung: Rung) -> bool | None:
+        """Is one of the claims that caught it violated in PyBullet as well?  None for those of many runs."""
+        number = rung.episodes - 1
+        if number >= len(self.suite.episodes):
+            return None
+        there = self.alarms(fault, rung.magnitude, number, in_pybullet=True)
+        return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
+
+    def _sound_words(
         self, system: System, fault: Fault, number: int, in_pybullet: bool
-    ) -> dict[str, Evaluation]:
+    ) -> Mapping[str, Evaluation]:
         key = (number, fault.circumstance.name, in_pybullet)
         if key not in self._sound:
             self._sound[key] = judged(system, in_pybullet=in_pybullet)
@@ -122,11 +142,34 @@ class Trials:
             self._sound_pool = prop.evaluate(run_many(pool))
         spoilt = [fault.seed_into(System.of(one), magnitude).admitted for one in pool]
         found = prop.evaluate(run_many(spoilt))
-        if found.verdict is not Verdict.VIOLATED or self._sound_pool.verdict is not Verdict.HOLDS:
+        if found.verdict is not Verdict.VIOLATED or not holds_clearly(self._sound_pool):
             return ()
         before = self._sound_pool.margin_text()
         name = f"{len(pool)} draws of nominal"
         return (Alarm(claim=prop.sentence, scenario=name, margin=found.margin_text(), before=before),)
+
+
+def alarms_between(
+    sound: Mapping[str, Evaluation], faulty: Mapping[str, Evaluation], scenario: str
+) -> tuple[Alarm, ...]:
+    """The sentences that hold clearly of the sound run and are violated in the faulty one."""
+    return tuple(
+        Alarm(
+            claim=claim,
+            scenario=scenario,
+            margin=evaluation.reason if evaluation.margin is None else evaluation.margin_text(),
+            before=sound[claim].margin_text(),
+        )
+        for claim, evaluation in faulty.items()
+        if evaluation.verdict is Verdict.VIOLATED and holds_clearly(sound[claim])
+    )
+
+
+def holds_clearly(evaluation: Evaluation) -> bool:
+    """Does it hold, and by more than a hair?"""
+    if evaluation.verdict is not Verdict.HOLDS:
+        return False
+    return evaluation.margin is None or evaluation.margin >= CLEAR[evaluation.unit]
 
 
 def judged(system: System, *, in_pybullet: bool = False) -> dict[str, Evaluation]:
@@ -152,8 +195,6 @@ def _flaky(admitted: Admitted, trace: Trace) -> str:
 
 def check(sentence: str, wrong: str) -> Evaluation:
     """A check without a margin as an evaluation: it holds if nothing is ``wrong``."""
-    from safety_harness.properties.base import Unit
-
     return Evaluation(
         sentence=sentence,
         verdict=Verdict.VIOLATED if wrong else Verdict.HOLDS,
@@ -163,12 +204,3 @@ def check(sentence: str, wrong: str) -> Evaluation:
         reason=wrong or "nothing wrong",
         exercised=1,
     )
-
-
-def each(rungs: Callable[[float], Rung], fault: Fault) -> Iterator[Rung]:
-    """Down the ladder until one survives: what is slighter still is not tried."""
-    for magnitude in fault.ladder.values:
-        rung = rungs(magnitude)
-        yield rung
-        if not rung.caught:
-            return
