@@ -134,7 +134,7 @@ class _Session:
             (HEAD, [row(o) for o in faults]),
             (HARMLESS_HEAD, [harmless_row(o) for o in harmless]),
         ):
-            for line in lines(head, rows) if rows else ():
+            for line in lines(head, rows):
                 result(line)
             result("")
         result(summary(tally_of(tried)))

@@ -195,7 +195,7 @@ AVOIDER_FAULTS = (
         name="mirrored axis",
         hazard="a left-handed frame: away along two axes, towards along the third",
         seed_into=moved(without_axis),
-        ladder=Ladder((2.0, 3.0, 1.0), "(1, 2, 3: x, y, z)"),
+        ladder=Ladder((2.0, 3.0, 1.0), names=("y", "z", "x")),
     ),
     _avoider(
         name="wrong frame",
@@ -237,7 +237,7 @@ AVOIDER_FAULTS = (
         name="towards the hand in one octant",
         hazard="wrong only for hands from one side, where training had few",
         seed_into=_magnitude_first(_wrong_octant),
-        ladder=Ladder((1.0, 2.0, 3.0), "(1: left; 2: left, above; 3: left, above, behind)"),
+        ladder=Ladder((1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind")),
     ),
     _avoider(
         name="out of reach when unseen",

@@ -62,6 +62,7 @@ def _outcome(one: Outcome) -> dict[str, Any]:
         "state": one.state.value,
         "caught_by": alarm.claim if alarm else None,
         "scenario": alarm.scenario if alarm else None,
+        "after_episodes": smallest.episodes if smallest else None,
         "slightest_caught": smallest.words if smallest else None,
         "survives": survivor.words if survivor else None,
         "confirmed_in_pybullet": one.confirmed,

@@ -24,19 +24,22 @@ class Part(Enum):
 
 @dataclass(frozen=True)
 class Ladder:
-    """Magnitudes in SI, the gravest first, and how people read them."""
+    """Magnitudes in SI, the gravest first, and how people read them: with a unit, or each by its name."""
 
     values: tuple[float, ...]
     unit: str = ""
     per_si: float = 1.0
+    names: tuple[str, ...] = ()
 
     def words(self, value: float) -> str:
-        """One of them with its unit."""
+        """One of them for people."""
+        if self.names:
+            return self.names[self.values.index(value)]
         number = f"{value * self.per_si:.4g}"
         return f"{number} {self.unit}" if self.unit else number
 
 
-ONLY = Ladder((1.0,), "whole")  # a fault that is there or not
+ONLY = Ladder((1.0,), names=("there",))  # a fault that is there or not
 
 
 @dataclass(frozen=True, eq=False)

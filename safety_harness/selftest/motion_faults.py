@@ -16,6 +16,7 @@ from safety_harness.selftest.perception_faults import parameters
 from safety_harness.selftest.system import Change, Records, System
 
 WRIST = 5
+JOINTS = tuple(f"joint {number}" for number in range(1, 7))
 PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))
 
 
@@ -128,19 +129,21 @@ MOTION_FAULTS = (
         name="wrong link",
         hazard="two joints' cables are exchanged: the arm goes anywhere",
         seed_into=told(_wrong_link),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0), "(pair of joints)"),
+        ladder=Ladder(
+            (1.0, 2.0, 3.0, 4.0), names=("joints 1, 2", "joints 2, 3", "joints 3, 4", "joints 5, 6")
+        ),
     ),
     _motion(
         name="joint reversed",
         hazard="a joint turns the wrong way, and control drives it on",
         seed_into=told(_reversed),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "(joint)"),
+        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
     ),
     _motion(
         name="joint stuck",
         hazard="the arm leaves its straight way",
         seed_into=told(_stuck),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "(joint)"),
+        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
     ),
     _motion(
         name="drift",

@@ -15,6 +15,8 @@ from safety_harness.selftest.perception_faults import parameters, seen
 from safety_harness.selftest.system import Change, Records
 from safety_harness.servoing.features import ALPHA, X_N
 
+FEATURES = ("x_n", "y_n", "a_n", "gamma", "delta", "alpha")
+
 
 def _low_gain(records: ControllerRecords, factor: float) -> None:
     records.parameters["gain_far"] *= factor
@@ -120,13 +122,13 @@ SERVOING_FAULTS = (
         name="wrong row of the interaction matrix",
         hazard="one feature is driven the wrong way: the camera turns away",
         seed_into=parameters(_negated_column),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), "(feature)"),
+        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
     ),
     _servoing(
         name="row of the interaction matrix lost",
         hazard="one feature is not servoed on: the arm ends beside its goal",
         seed_into=parameters(_lost_column),
-        ladder=Ladder((1.0, 3.0, 4.0, 6.0), "(feature)"),
+        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
     ),
     _servoing(
         name="direction of the object wrong",

@@ -55,7 +55,9 @@ def summary(tally: Tally) -> str:
 
 
 def lines(head: Sequence[str], rows: Sequence[Sequence[str]], most: int = 60) -> list[str]:
-    """Aligned columns for a terminal; long cells are cut."""
+    """Aligned columns for a terminal; long cells are cut.  None without rows."""
+    if not rows:
+        return []
     cells = [
         [cell if len(cell) <= most else cell[: most - 3] + "..." for cell in one] for one in (head, *rows)
     ]
