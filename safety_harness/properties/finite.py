@@ -7,14 +7,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import Entry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import DECISION, TICK, Outcome
+from safety_harness.trace.records import COLUMNS, DECISION, Outcome, as_numbers
 from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")
-OF_TRACKS = ("predicted_hand_in_base_m",)
+ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
+
+
+def _needs(name: str) -> int:
+    if name in OF_HANDS:
+        return HAND
+    if name in OF_IMAGES:
+        return IMAGE
+    return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
+
+
+# (f, 3): first column, the one after the last, and what has to be there
+FIELDS = np.array([(c.start, c.stop, _needs(name)) for name, c in COLUMNS.items()])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,21 +71,35 @@ class FiniteTrace:
 def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
     """(n,) ticks with something that is no number, or no later than the tick before."""
     bad = np.zeros(len(ticks), np.bool_)
-    bad[1:] = ~(np.diff(ticks["time_s"]) > 0.0)
-    for name in TICK.names or ():
-        if TICK[name].base.kind != "f":
-            continue
-        wrong: NDArray[np.bool_] = ~np.isfinite(ticks[name])
-        if name in OF_HANDS:
-            wrong[~ticks["hand_present"]] = False
-        elif name in OF_IMAGES:
-            wrong[~ticks["object_visible"]] = False
-        elif name in OF_TRACKS:
-            wrong[~ticks["track_valid"]] = False
-        elif name == "predicted_distance_m":
-            wrong[~ticks["track_valid"].any(axis=1)] = False
-        bad |= _rows(wrong)
+    _mark(as_numbers(ticks), FIELDS, ticks["hand_present"], ticks["object_visible"], ticks["track_valid"], bad)
     return bad
+
+
+@compiled
+def _mark(
+    numbers: NDArray[np.float64],  # (n, c)
+    fields: NDArray[np.int64],  # (f, 3) FIELDS
+    present: NDArray[np.bool_],  # (n, hands)
+    visible: NDArray[np.bool_],  # (n,)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    bad: NDArray[np.bool_],  # (n,), written
+) -> None:
+    for k in range(numbers.shape[0]):
+        if k > 0 and not numbers[k, 0] > numbers[k - 1, 0]:
+            bad[k] = True
+        for field in range(fields.shape[0]):
+            start, stop, what = fields[field]
+            if (what == IMAGE and not visible[k]) or (what == ANY_TRACK and not tracked[k].any()):
+                continue
+            for column in range(start, stop):
+                if np.isfinite(numbers[k, column]):
+                    continue
+                at, of = column - start, stop - start
+                if what == HAND and not present[k, at * present.shape[1] // of]:
+                    continue
+                if what == TRACK and not tracked[k, at * tracked.shape[1] // of]:
+                    continue
+                bad[k] = True
 
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:

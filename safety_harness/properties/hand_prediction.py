@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import LENGTH
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class HandPredictions:
         if not trace.scenario.hands:
             return inconclusive(self, "there is no hand in this scenario")
         errors_m = prediction_errors_m(trace)  # (k, tracks)
-        tracked = trace.ticks["track_valid"][: len(errors_m)]
+        tracked = history(trace, "track_valid")[: len(errors_m)]
         if not tracked.any():
             return inconclusive(self, "never exercised: no hand was tracked")
         unknown = tracked & ~np.isfinite(errors_m)

@@ -15,30 +15,29 @@ from numpy.typing import NDArray
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
 from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
 
 
+@once_a_trace
 def left_at(trace: Trace) -> int | None:
     """The tick from which on no true hand is within the critical distance of the TCP, else None."""
-    ticks = trace.ticks
-    tcp = ticks["transform_tcp_to_base"][:, None, :3, 3]  # (n, 1, 3)
-    apart = np.linalg.norm(ticks["hand_position_in_base_m"] - tcp, axis=2)  # (n, hands)
-    near = (ticks["hand_present"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)).any(
-        axis=1
-    )
-    busy = np.flatnonzero(near | (ticks["mode"] == Mode.REPULSING) | (ticks["mode"] == Mode.PROTECTIVE_STOP))
+    near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
+    mode = history(trace, "mode")
+    busy = np.flatnonzero(near | (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP))
     if len(busy) == 0:
         return 0
     first = int(busy[-1]) + 1
-    return first if first < len(ticks) else None
+    return first if first < len(mode) else None
 
 
+@once_a_trace
 def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
@@ -81,7 +80,7 @@ class GainSwitchReached:
         if first is None:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
         servo = trace.scenario.settings.servo
-        sse = trace.ticks["sse"][first:]
+        sse = history(trace, "sse")[first:]
         errors = self._errors(trace)[first:]
         allowed_s = self.within_s
         if allowed_s is None:
@@ -114,9 +113,9 @@ class GainSwitchReached:
 
     def _errors(self, trace: Trace) -> NDArray[np.float64]:
         """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
-        sse = trace.ticks["sse"]
+        sse = history(trace, "sse")
         desired = desired_transform_tcp_to_base(trace.scenario.settings)
-        way = trace.ticks["transform_tcp_to_base"][:, :3, 3] - desired[:3, 3]
+        way = history(trace, "transform_tcp_to_base")[:, :3, 3] - desired[:3, 3]
         return np.where(np.isfinite(sse), sse, np.sum(way**2, axis=1))
 
 

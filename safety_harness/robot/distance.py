@@ -19,6 +19,7 @@ from safety_harness.geometry.segments import (
 )
 from safety_harness.robot.kinematics import forward_kinematics
 
+ROUNDING_M = 1e-9  # by which a bound, computed otherwise, may be off
 DEEPEST = 48  # halvings of an interval: far below any tolerance that float64 can serve
 
 
@@ -264,10 +265,28 @@ def _linear_bound(
             hands[2, i, j] = 0.5 * (hands[0, i, j] + hands[1, i, j])
     middle = np.empty((2, 3))
     bound = np.inf
-    for capsule in range(radius_m.shape[0]):
+    forearm = _length(hands[2, 0], hands[2, 1])
+    thickest = max(hand_radius_m, forearm_radius_m)
+    for capsule in range(radius_m.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+        squared, displacement = 0.0, 0.0
         for i in range(2):
             for j in range(3):
                 middle[i, j] = 0.5 * (left[capsule, i, j] + right[capsule, i, j])
+        for j in range(3):
+            apart = 0.5 * (hands[2, 0, j] + hands[2, 1, j]) - 0.5 * (middle[0, j] + middle[1, j])
+            squared += apart * apart
+        for i in range(2):
+            for k in range(2):
+                total = 0.0
+                for j in range(3):
+                    moved = right[capsule, i, j] - left[capsule, i, j] - (hands[1, k, j] - hands[0, k, j])
+                    total += moved * moved
+                displacement = max(displacement, total)
+        # What ``_linear_pair_bound`` gives of this capsule is no less: no point is farther from a middle
+        # than half the length.
+        halves = 0.5 * (forearm + _length(middle[0], middle[1]) + sqrt(displacement))
+        if sqrt(squared) - halves - thickest - radius_m[capsule] - ROUNDING_M > bound:  # never of a NaN
+            continue
         for points in range(1, 3):  # 1: the hand's sphere, 2: the forearm
             radius = radius_m[capsule] + (hand_radius_m if points == 1 else forearm_radius_m)
             axes = _linear_pair_bound(left[capsule], right[capsule], middle, hands, points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -71,8 +71,27 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 
     @wraps(function)
     def kept(trace: Trace) -> R:
-        if trace not in known:
-            known[trace] = function(trace)
-        return known[trace]
+        try:
+            return known[trace]
+        except KeyError:
+            return known.setdefault(trace, function(trace))
 
     return kept
+
+
+def history(trace: Trace, name: str) -> NDArray[Any]:
+    """A field (n, ...) of the ticks, read-only, with every component's n values side by side in memory.
+
+    What goes over all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
+    """
+    known = _histories(trace)
+    if name not in known:
+        known[name] = np.array(trace.ticks[name], order="F")
+        known[name].setflags(write=False)
+    return known[name]
+
+
+@once_a_trace
+def _histories(_: Trace) -> dict[str, NDArray[Any]]:
+    """Those that somebody has asked for."""
+    return {}
