@@ -94,6 +94,10 @@ class DatasetError(InputError):
     """A data set cannot be made as asked, or a stored one is missing, damaged or of another version."""
 
 
+class StatisticsError(InputError):
+    """A sample that no estimate can be made of, or a plan that cannot show what it is to show."""
+
+
 class RegionError(InputError):
     """A box without an inside, or a shell of which nothing is left."""
 
