@@ -98,6 +98,10 @@ class StatisticsError(InputError):
     """A sample that no estimate can be made of, or a plan that cannot show what it is to show."""
 
 
+class LedgerError(InputError):
+    """A campaign's ledger is missing, damaged, in use, of another version or another plan's."""
+
+
 class RegionError(InputError):
     """A box without an inside, or a shell of which nothing is left."""
 
@@ -116,6 +120,10 @@ class FlakyAvoiderError(AvoiderError):
 
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
+
+
+class CampaignError(SafetyHarnessError):
+    """A campaign cannot go on: its workers cannot be started, or the cluster is gone."""
 
 
 class ArmModelError(SafetyHarnessError):

@@ -43,6 +43,11 @@ class Library:
     _trees: dict[Path, Node] = field(default_factory=dict)
     _bytes: int = 0
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that was read, its symbolic links followed."""
+        return tuple(self._trees)
+
     def tree(self, path: Path, place: Place | None = None) -> Node:
         """The tree of a file as it stands; ScenarioError, at ``place`` if there is no such file."""
         key = path.resolve()
