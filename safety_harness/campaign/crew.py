@@ -75,9 +75,7 @@ class Crew(Protocol):
 class RunsEpisodes(Protocol):
     """What a worker has: ``Bench``, or another in its place."""
 
-    def run(
-        self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True
-    ) -> Iterator[Row]:
+    def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
         """A row for each, in their order."""
         ...
 

@@ -48,7 +48,9 @@ def declare(connection: sqlite3.Connection, plan: Plan) -> None:
         ),
     }
     connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
-    connection.executemany("INSERT INTO file (name, data) VALUES (?, ?)", [(f.name, f.data) for f in plan.files])
+    connection.executemany(
+        "INSERT INTO file (name, data) VALUES (?, ?)", [(f.name, f.data) for f in plan.files]
+    )
     strata = [(k, one.name, one.space.name, one.runs) for k, one in enumerate(plan.strata)]
     connection.executemany("INSERT INTO stratum VALUES (?, ?, ?, ?, NULL)", strata)
     claims = [(k, one.sentence, one.unit.name, one.target, one.hazard) for k, one in enumerate(plan.claims)]
@@ -79,5 +81,7 @@ def read_declared(connection: sqlite3.Connection, path: Path) -> Declared:
         )
     except (KeyError, TypeError, ValueError) as error:
         raise LedgerError(
-            place=Place(file=path), expected="a ledger with its plan", got=f"none that can be read ({error!r})"
+            place=Place(file=path),
+            expected="a ledger with its plan",
+            got=f"none that can be read ({error!r})",
         ) from error

@@ -138,9 +138,7 @@ class Bench:
         claims = self.plan.claims
         if isinstance(run, Exception):
             failure = f"the run failed: {described(run)}"
-            return Row.failed(
-                stratum, drawn.episode, drawn.seed, len(claims), failure, draws=drawn.draws
-            )
+            return Row.failed(stratum, drawn.episode, drawn.seed, len(claims), failure, draws=drawn.draws)
         broken = why_broken(run)
         judgements = tuple(
             judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken) for one in claims
@@ -175,7 +173,9 @@ class Bench:
         scenario = run.scenario
         if scenario.avoider not in self._seen:
             folder = scenario.file.parent if scenario.file else None
-            self._seen[scenario.avoider] = seen_by(scenario.avoider, folder=folder, settings=scenario.settings)
+            self._seen[scenario.avoider] = seen_by(
+                scenario.avoider, folder=folder, settings=scenario.settings
+            )
         cell = cell_of(run, self._seen[scenario.avoider])
         return "" if cell is None else str(cell)
 

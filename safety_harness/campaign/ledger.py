@@ -100,7 +100,9 @@ class Ledger:
     @property
     def files(self) -> tuple[PlanFile, ...]:
         """The files of the plan as they were when it was declared, the plan's own first."""
-        return tuple(PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place"))
+        return tuple(
+            PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
+        )
 
     def record(self, rows: Iterable[Row]) -> None:
         """Note episodes down, all of them or none; LedgerError if one of them is there already."""
@@ -118,13 +120,17 @@ class Ledger:
             found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)  # a NaN becomes NULL
             execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))
         if row.trace is not None:
-            execute("INSERT INTO trace VALUES (?, ?, ?, ?)", (row.stratum, row.episode, row.violates, row.trace))
+            execute(
+                "INSERT INTO trace VALUES (?, ?, ?, ?)", (row.stratum, row.episode, row.violates, row.trace)
+            )
 
     def _cell(self, words: str) -> int:
         """The number of a cell of the coverage; none is remembered that a transaction may take back."""
         found = self._connection.execute("SELECT id FROM cell WHERE words = ?", (words,)).fetchone()
         if found is None:
-            return int(self._connection.execute("INSERT INTO cell (words) VALUES (?)", (words,)).lastrowid or 0)
+            return int(
+                self._connection.execute("INSERT INTO cell (words) VALUES (?)", (words,)).lastrowid or 0
+            )
         return int(found[0])
 
     @contextmanager
@@ -167,8 +173,11 @@ class Ledger:
             self._connection.executemany(delete, ((stratum, episode) for episode in episodes))
 
     def stop(self, stratum: int, after: int) -> None:
-        """The stratum ends after its first ``after`` episodes."""
+        """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
         with self._transaction():
+            for table in ("trace", "judgement", "episode"):
+                delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
+                self._connection.execute(delete, (stratum, after))
             self._connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
 
     def stopped_after(self, stratum: int) -> int | None:

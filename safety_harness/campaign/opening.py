@@ -1,4 +1,4 @@
-"""Connections to a ledger: who may write, what is looked at first, and what SQLite's errors mean to people."""
+"""Connections to a ledger: who may write, what is checked first, what SQLite's errors mean to people."""
 
 from __future__ import annotations
 

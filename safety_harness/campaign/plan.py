@@ -91,8 +91,8 @@ class Plan:
     """Made by ``read_plan``.  ``confidence`` is that of all bounds of the plan together.
 
     ``random_traces`` and ``violations_kept`` are whole traces kept of each stratum; ``search_runs`` is for
-    who looks for counterexamples besides, which no bound is ever made of.  ``avoider`` takes the place of what
-    the spaces name.  ``files`` are all the files that the plan is made of.
+    who looks for counterexamples besides, which no bound is ever made of.  ``avoider`` takes the place of
+    what the spaces name.  ``files`` are all the files that the plan is made of.
     """
 
     title: str
@@ -110,7 +110,7 @@ class Plan:
     file: Path
     files: tuple[PlanFile, ...]
     identity: Identity
-    avoider_place: Place = Place(field="avoider")
+    avoider_place: Place
 
     @property
     def name(self) -> str:
@@ -158,6 +158,11 @@ def read_plan(path: Path) -> Plan:
     world = given.optional("world")
     stop = given.optional("stop early")
     about = given.optional("about")
+    stop_early = stop.choice(YesNo) is YesNo.YES if stop else False
+    if stop and stop_early and any(claim.target is None for claim in claims):
+        raise stop.error(
+            "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
+        )
     planned_world = world.choice(PlannedWorld) if world else PlannedWorld.PYBULLET
     files = files_of_plan(path, library, [stratum.space for stratum in strata], reference)
     return Plan(
@@ -172,7 +177,7 @@ def read_plan(path: Path) -> Plan:
         search_runs=_count(search, "runs", 0),
         random_traces=_count(keep, "random traces", 20),
         violations_kept=_count(keep, "violations", 200),
-        stop_early=stop.choice(YesNo) is YesNo.YES if stop else False,
+        stop_early=stop_early,
         file=path,
         files=files,
         identity=identity_of(files, [s.space for s in strata], reference, planned_world.value),
@@ -209,7 +214,9 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
         space = given.required("space")
         file = folder / space.sentence("the file of a scenario space, relative to the plan")
         if not file.is_file():
-            raise space.error("the file of a scenario space, relative to the plan", got=f"no such file: {file}")
+            raise space.error(
+                "the file of a scenario space, relative to the plan", got=f"no such file: {file}"
+            )
         strata.append(Stratum(name, read_space(file, library), runs))
     return tuple(strata)
 

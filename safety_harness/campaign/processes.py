@@ -12,6 +12,7 @@ import os
 import signal
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
@@ -128,10 +129,8 @@ class Processes:
         return _Worker(process, ours, lifeline, time.monotonic())
 
     def _send(self, worker: _Worker, message: Chunk | None) -> None:
-        try:
+        with suppress(OSError):  # it is gone, which is heard next
             worker.connection.send(message)
-        except OSError:
-            pass  # it is gone, which is heard next
 
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
         """All that a worker has said; its end, when there is nothing more to hear."""
@@ -184,7 +183,9 @@ class Processes:
         if not worker.ready:
             self._false_starts += 1
             if self._false_starts >= _MOST_FALSE_STARTS:
-                raise CampaignError(f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}")
+                raise CampaignError(
+                    f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}"
+                )
         if worker.chunk is not None:
             events.append(Lost(worker.chunk, why))
         self.replaced += 1

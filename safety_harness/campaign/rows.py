@@ -23,8 +23,9 @@ class Row:
     """One episode, run or failed to run.  ``judgements`` are in the order of the plan's claims.
 
     ``seed`` is the root of its draws, ``draws`` how many of them it took until admission let one through.
-    ``cell`` is where it falls in the coverage of the domain.  ``mishap`` says what the avoider did instead of answering, ``failure`` why there is no run at all.
-    ``seconds`` and ``worker`` are of this machine: everything else is the same wherever it runs.
+    ``cell`` is where it falls in the coverage of the domain.  ``mishap`` says what the avoider did instead of
+    answering, ``failure`` why there is no run at all.  ``seconds`` and ``worker`` are of this machine:
+    everything else is the same wherever it runs.
     """
 
     stratum: int  # its place in the plan

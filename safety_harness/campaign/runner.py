@@ -10,9 +10,10 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 
 from safety_harness.campaign.crew import Arrived, Chunk, Crew, Lost
-from safety_harness.campaign.episodes import root_seed
+from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.campaign.rows import Row
@@ -22,7 +23,10 @@ from safety_harness.campaign.tally import Tally
 
 ATTEMPTS = 3
 CHUNK_S = 1.0  # of work, so that what it costs to hand it over and to commit is little beside it
-MOST_IN_CHUNK = {PlannedWorld.PYBULLET: 1000, PlannedWorld.KINEMATIC: 64}  # a chunk's traces are held together
+MOST_IN_CHUNK = {
+    PlannedWorld.PYBULLET: 1000,
+    PlannedWorld.KINEMATIC: 64,
+}  # a chunk's traces are held together
 _WAIT_S = 0.5
 _COMMIT_S = 0.2  # rows that come one by one are committed together
 
@@ -61,7 +65,7 @@ def run_campaign(
     """Run what is missing; whether the campaign is complete.
 
     ``enough`` is asked in between: once it is true, chunks under way are finished and no more begun.
-    ``part`` (k, n) takes only every n-th episode, from the k-th on: for machines that share nothing but the plan.
+    ``part`` (k, n) takes every n-th episode only, from k on: for machines that share nothing but the plan.
     InputError and CampaignError as for ``Crew.take``, OutputError for a ledger that takes no more; every
     episode that was finished before is in it.
     """
@@ -124,15 +128,24 @@ class _Runner:
 
     def commit(self) -> None:
         """Note down what has come; kept for the next time if it cannot be written."""
-        if self._rows:
-            self.ledger.record(self._rows)
-            for row in self._rows:
-                self.tally.strata[row.stratum].add(row)
-                if row.trace is not None and row.violates:
-                    self._kept[row.stratum].append(row.episode)
-            self._rows = []
-        for stratum, after in self._stopping.newly_stopped(self.tally):
-            self.tally.strata[stratum].stopped_after = after
+        rows = [row for row in self._rows if not self._is_beyond(row)]
+        if rows:
+            self.ledger.record(rows)
+        self._rows = []
+        for row in rows:
+            self.tally.strata[row.stratum].add(row)
+            if row.trace is not None and row.violates:
+                self._kept[row.stratum].append(row.episode)
+        self._stopping.add(rows)
+        for stratum, after in self._stopping.decided.items():
+            if self.tally.strata[stratum].stopped_after is None:
+                self.ledger.stop(stratum, after)
+                self.tally = tally_of(self.ledger)
+
+    def _is_beyond(self, row: Row) -> bool:
+        """Did its stratum end before it?"""
+        after = self.tally.strata[row.stratum].stopped_after
+        return after is not None and row.episode >= after
 
     def _arrived(self, event: Arrived) -> None:
         waiting = self._out[event.chunk]
@@ -166,7 +179,7 @@ class _Runner:
         while self._stratum < len(self.plan.strata):
             stratum = self._stratum
             if self.tally.strata[stratum].stopped_after is None:
-                episodes = tuple(e for e, _ in zip(self._episodes[stratum], range(self._length), strict=False))
+                episodes = tuple(islice(self._episodes[stratum], self._length))
                 if episodes:
                     return Chunk(stratum, episodes, self._wants_violations(stratum, episodes[0]))
             self._stratum += 1
@@ -190,9 +203,12 @@ class _Runner:
         return sum(episode < first for episode in self._kept[stratum]) < self.plan.violations_kept
 
     def _drop_surplus(self) -> None:
-        for stratum in range(len(self.plan.strata)):
-            if self.tally.strata[stratum].complete:
-                self.ledger.drop_traces(stratum, self._stopping.surplus(stratum))
+        """Of violations, the traces of the first are kept: later ones may have come before it was known."""
+        for stratum, tally in enumerate(self.tally.strata):
+            surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
+            if tally.complete and surplus:
+                random = random_episodes(self.plan, stratum)
+                self.ledger.drop_traces(stratum, [one for one in surplus if one not in random])
 
     def _progress(self) -> Progress:
         seconds = time.monotonic() - self._begun_s

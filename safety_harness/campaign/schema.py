@@ -19,13 +19,15 @@ CREATE TABLE stratum (
     stopped_after INTEGER  -- episodes; NULL: not stopped early
 );
 CREATE TABLE claim (
-    id INTEGER PRIMARY KEY, sentence TEXT NOT NULL UNIQUE, unit TEXT NOT NULL, target REAL, hazard TEXT NOT NULL
+    id INTEGER PRIMARY KEY, sentence TEXT NOT NULL UNIQUE, unit TEXT NOT NULL,
+    target REAL, hazard TEXT NOT NULL
 );
 CREATE TABLE cell (id INTEGER PRIMARY KEY, words TEXT NOT NULL UNIQUE);
 CREATE TABLE episode (
     stratum INTEGER NOT NULL REFERENCES stratum, episode INTEGER NOT NULL,
     seed INTEGER NOT NULL, draws INTEGER NOT NULL,
-    decisions INTEGER NOT NULL, proposed INTEGER NOT NULL, opposite INTEGER NOT NULL, stopped INTEGER NOT NULL,
+    decisions INTEGER NOT NULL, proposed INTEGER NOT NULL, opposite INTEGER NOT NULL,
+    stopped INTEGER NOT NULL,
     faults INTEGER NOT NULL, late INTEGER NOT NULL,
     cell INTEGER REFERENCES cell, mishap TEXT, failure TEXT,
     seconds REAL NOT NULL, worker TEXT NOT NULL,
@@ -41,7 +43,9 @@ CREATE TABLE trace (
     stratum INTEGER NOT NULL, episode INTEGER NOT NULL, violation INTEGER NOT NULL, data BLOB NOT NULL,
     PRIMARY KEY (stratum, episode)
 );
-CREATE TABLE session (id INTEGER PRIMARY KEY, began TEXT NOT NULL, workers TEXT NOT NULL, machine TEXT NOT NULL);
+CREATE TABLE session (
+    id INTEGER PRIMARY KEY, began TEXT NOT NULL, workers TEXT NOT NULL, machine TEXT NOT NULL
+);
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
         e.faults, e.late, c.words AS cell, e.mishap, e.failure, e.seconds, e.worker

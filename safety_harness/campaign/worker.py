@@ -22,7 +22,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 
 @dataclass(frozen=True)
 class Mistake:
-    """An InputError on its way between processes, which exceptions with keywords do not find by themselves."""
+    """An InputError on its way between processes: exceptions with keywords are not pickled."""
 
     kind: type[InputError]
     place: Place

@@ -93,19 +93,7 @@ class IndependentSample:
         StatisticsError unless they are the episodes 0 to n - 1, once each, all that were planned (fewer only
         if the declaration allows to stop early), and no margin contradicts its outcome.
         """
-        numbers, codes = np.asarray(episodes), np.asarray(outcomes)
-        signed = np.array(margins, np.float64)
-        for name, column in (("episodes", numbers), ("outcomes", codes)):
-            if column.ndim != 1 or (column.size and column.dtype.kind not in "iu"):
-                raise _refusal(name, "whole numbers (n,)", f"{column.dtype} {column.shape}")
-        if not numbers.shape == codes.shape == signed.shape:
-            shapes = f"{numbers.shape}, {codes.shape} and {signed.shape}"
-            raise _refusal("episodes", "as many episodes as outcomes and margins", shapes)
-        _check_complete(declaration, numbers)
-        order = np.argsort(numbers)
-        codes, signed = codes[order].astype(np.int64), signed[order]
-        _check_outcomes(declaration, codes, signed)
-        codes.flags.writeable = signed.flags.writeable = False
+        codes, signed = checked_stream(declaration, episodes, outcomes, margins)
         return cls(declaration=declaration, outcomes=codes, margins=signed, claim=claim, _made_by=_OF_STREAM)
 
     def count(self, outcome: Outcome) -> int:
@@ -156,6 +144,35 @@ def fixed_length(sample: object) -> IndependentSample:
     return known
 
 
+def checked_stream(
+    declaration: Declaration,
+    episodes: ArrayLike,
+    outcomes: ArrayLike,
+    margins: ArrayLike,
+    *,
+    dimensions: int = 1,
+) -> tuple[Ints, Floats]:
+    """Outcomes and margins (n,), or (n, k) in two dimensions, in the order of the episodes (n,), read-only.
+
+    StatisticsError for what is no whole stream; see ``IndependentSample.of_stream``.
+    """
+    numbers, codes = np.asarray(episodes), np.asarray(outcomes)
+    signed = np.array(margins, np.float64)
+    for name, column, ndim in (("episodes", numbers, 1), ("outcomes", codes, dimensions)):
+        if column.ndim != ndim or (column.size and column.dtype.kind not in "iu"):
+            shape = "(n,)" if ndim == 1 else "(n, k)"
+            raise _refusal(name, f"whole numbers {shape}", f"{column.dtype} {column.shape}")
+    if not (numbers.shape[0] == codes.shape[0] and codes.shape == signed.shape):
+        shapes = f"{numbers.shape}, {codes.shape} and {signed.shape}"
+        raise _refusal("episodes", "as many episodes as outcomes and margins", shapes)
+    _check_complete(declaration, numbers)
+    order = np.argsort(numbers)
+    codes, signed = codes[order].astype(np.int64), signed[order]
+    _check_outcomes(declaration, codes, signed)
+    codes.flags.writeable = signed.flags.writeable = False
+    return codes, signed
+
+
 def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
     """Episodes 0 to n - 1, once each, and as many as the declaration says."""
     n, planned = len(numbers), declaration.planned
@@ -186,20 +203,24 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
     where = f"in stratum {declaration.stratum!r}"
     unknown = ~np.isin(codes, [int(outcome) for outcome in Outcome])
     if unknown.any():
-        k = int(np.argmax(unknown))
-        raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k}")
-    if np.isinf(margins).any():
-        k = int(np.argmax(np.isinf(margins)))
-        raise _refusal(
-            "margins", f"finite margins, NaN where there is none, {where}", f"{margins[k]} for episode {k}"
-        )
+        k = _first(unknown)
+        raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
+    endless = np.isinf(margins)
+    if endless.any():
+        k = _first(endless)
+        expected = f"finite margins, NaN where there is none, {where}"
+        raise _refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
     wrong = ((codes == Outcome.HOLDS) & (margins < 0.0)) | ((codes == Outcome.VIOLATED) & (margins > 0.0))
     if wrong.any():
-        k = int(np.argmax(wrong))
-        got = f"{margins[k]:+g} for episode {k}, which {Outcome(int(codes[k])).name.lower()}"
-        raise _refusal(
-            "margins", f"a margin below 0 where the claim is violated and nowhere else {where}", got
-        )
+        k = _first(wrong)
+        got = f"{margins[k]:+g} for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
+        expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
+        raise _refusal("margins", expected, got)
+
+
+def _first(having: Flags) -> tuple[int, ...]:
+    """The index of the first that has it."""
+    return tuple(int(k) for k in np.argwhere(having)[0])
 
 
 def _refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:

@@ -26,9 +26,9 @@ def test_the_bounds_are_scipys(trials: int, chance: float) -> None:
         upper, lower = upper_bound(count, trials, chance), lower_bound(count, trials, chance)
         assert (lower, upper) == pytest.approx((sided["greater"].low, sided["less"].high), rel=1e-6, abs=1e-9)
         if count < trials:
-            assert scipy.stats.binom.cdf(count, trials, upper) == pytest.approx(chance, rel=1e-8)
+            assert scipy.stats.binom.cdf(count, trials, upper) == pytest.approx(chance, rel=1e-6)
         if count > 0:
-            assert scipy.stats.binom.sf(count - 1, trials, lower) == pytest.approx(chance, rel=1e-8)
+            assert scipy.stats.binom.sf(count - 1, trials, lower) == pytest.approx(chance, rel=1e-6)
 
 
 def test_no_violation_in_2995_runs_shows_a_thousandth_and_in_2994_does_not() -> None:
