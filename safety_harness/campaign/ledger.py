@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -86,6 +87,11 @@ class Ledger:
         """Let go of the file."""
         self._connection.close()
 
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """For questions of one's own."""
+        return self._connection
+
     def refuse_other(self, identity: Identity) -> None:
         """LedgerError that names what has changed since the ledger's plan was declared."""
         changes = self.declared.identity.changes(identity)
@@ -106,7 +112,7 @@ class Ledger:
 
     def record(self, rows: Iterable[Row]) -> None:
         """Note episodes down, all of them or none; LedgerError if one of them is there already."""
-        with self._transaction():
+        with self.transaction():
             for row in rows:
                 self._insert(row)
 
@@ -134,7 +140,8 @@ class Ledger:
         return int(found[0])
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
+    def transaction(self) -> Iterator[None]:
+        """All of what is written within, or none of it."""
         with explained(self.path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
@@ -147,7 +154,7 @@ class Ledger:
 
     def begin_session(self, began: str, workers: str, machine: str) -> None:
         """Note down who works on it, for people: nothing depends on it."""
-        with self._transaction():
+        with self.transaction():
             insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
             self._connection.execute(insert, (began, workers, machine))
 
@@ -168,13 +175,13 @@ class Ledger:
 
     def drop_traces(self, stratum: int, episodes: Iterable[int]) -> None:
         """Remove stored traces: of violations beyond those that the plan keeps."""
-        with self._transaction():
+        with self.transaction():
             delete = "DELETE FROM trace WHERE stratum = ? AND episode = ?"
             self._connection.executemany(delete, ((stratum, episode) for episode in episodes))
 
     def stop(self, stratum: int, after: int) -> None:
         """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
-        with self._transaction():
+        with self.transaction():
             for table in ("trace", "judgement", "episode"):
                 delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
                 self._connection.execute(delete, (stratum, after))
@@ -223,6 +230,19 @@ class Ledger:
         )
         rows = episodes[:first], outcomes[:first], margins[:first]
         return IndependentSample.of_stream(declaration, *rows, claim=claim)
+
+    def execute(self, statement: str) -> None:
+        """One statement in SQL, within a transaction."""
+        self._connection.execute(statement)
+
+    @contextmanager
+    def attached(self, path: Path, name: str) -> Iterator[None]:
+        """Another ledger, to be read under a name in SQL."""
+        self._connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
+        try:
+            yield
+        finally:
+            self._connection.execute(f"DETACH {name}")
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
         """The rows of the answer to a question in SQL."""

@@ -41,6 +41,9 @@ class Limits:
     episodes: int = 20_000
 
 
+LIMITS = Limits()
+
+
 @dataclass(eq=False)
 class _Worker:
     process: ForkServerProcess
@@ -66,7 +69,7 @@ class Processes:
 
     make: MakesBench
     size: int
-    limits: Limits = Limits()
+    limits: Limits = LIMITS
     replaced: int = 0
     _workers: list[_Worker] = field(default_factory=list)
     _false_starts: int = 0
