@@ -154,10 +154,9 @@ def _credibility(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
         words = f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ"
         found.append(make(Kind.SOLUTION, words, "agreement", state))
-    if known.step_size is not None:
-        step = known.step_size
-        words = f"Finer physics steps: {step.changed} of {step.verdicts} verdicts change"
-        found.append(make(Kind.SOLUTION, words, "step-size", DOUBT if step.changed else DONE))
+    for rerun in known.reruns:
+        words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
+        found.append(make(Kind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE))
     if known.oracles:
         found.append(make(Kind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles"))
     return tuple(found)

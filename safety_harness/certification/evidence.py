@@ -180,16 +180,16 @@ class SeparationCase:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """How often the avoider's own intervals held their target in the declared random runs."""
+    """How often the avoider's own intervals held their target in a stratum's declared random runs.
 
+    ``decided`` is holds, violated or inconclusive.
+    """
+
+    stratum: str
     sentence: str
-    decided: str  # holds, violated or inconclusive
+    decided: str
     why: str
     decisions: int
-    covered: int
-    lower: float | None
-    upper: float | None
-    declared: float  # what the intervals promise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,8 +267,7 @@ class Evidence:
     assumptions: tuple[str, ...]
     exclusions: tuple[str, ...]
     separation: tuple[SeparationCase, ...]
-    calibration: Calibration | None
-    calibration_absent: str
+    calibration: tuple[Calibration, ...]
     coverage: Coverage
     counterexamples: tuple[CounterexampleEvidence, ...]
     search: SearchEvidence | None

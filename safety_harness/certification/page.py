@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,10 +19,12 @@ from safety_harness.certification.evidence import (
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, seconds, start_s
+from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import Table
 from safety_harness.certification.verdicts import percent
+from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import asset, templates
+from safety_harness.report.page_parts import render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.text_file import write_whole
 from safety_harness.report.timeline import timeline
@@ -78,36 +78,25 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     """
     top = argument_of(evidence)
     views = [_counterexample(one, runs.get(one.number)) for one in evidence.counterexamples]
-    viewer = asset("three.js") if any(view.replay for view in views) else ""
-    script = asset("report.js") + asset("evidence.js") + (asset("replay.js") if viewer else "")
-    return (
-        templates()
-        .get_template("evidence.html.j2")
-        .render(
-            evidence=evidence,
-            standing_words=evidence.standing.value,
-            state=STATE,
-            counts=_counts(evidence),
-            meanings=MEANINGS,
-            tables=tables,
-            claims=[_claim(claim) for claim in evidence.claims],
-            counterexamples=views,
-            top=top,
-            kind_words=KIND_WORDS,
-            argument=Markup(argument_svg(top, prefix="argument-")),
-            separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
-            coverage_map=Markup(""),
-            percent=percent,
-            style=Markup(asset("report.css") + asset("evidence.css")),
-            script=Markup(script),
-            viewer=Markup(viewer),
-            hashes=[_hash(one) for one in (script, viewer) if one],
-        )
+    scripts = ("evidence.js", "three.js", "replay.js") if any(v.replay for v in views) else ("evidence.js",)
+    return render_page(
+        "evidence.html.j2",
+        style="evidence.css",
+        scripts=scripts,
+        evidence=evidence,
+        state=STATE,
+        counts=_counts(evidence),
+        meanings=MEANINGS,
+        tables=tables,
+        claims=[_claim(claim) for claim in evidence.claims],
+        counterexamples=views,
+        top=top,
+        kind_words=KIND_WORDS,
+        argument=Markup(argument_svg(top, prefix="argument-")),
+        separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
+        coverage_map=_coverage_map(evidence),
+        percent=percent,
     )
-
-
-def _hash(script: str) -> str:
-    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
@@ -166,3 +155,14 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> Count
 def leaves(element: Element) -> list[Element]:
     """Every element of an argument that nothing supports."""
     return [element] if not element.below else [leaf for one in element.below for leaf in leaves(one)]
+
+
+def _coverage_map(evidence: Evidence) -> Markup:
+    if not evidence.coverage.cells:
+        return Markup("")
+    cells, violating = cells_of(evidence.coverage)
+    return Markup(
+        coverage_map(
+            cells, violating, prefix="coverage-map-", title="Coverage of the domain by the declared runs"
+        )
+    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from safety_harness.certification.argument import STATE
 from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome, Standing
+from safety_harness.certification.tools import Rerun
 from safety_harness.certification.verdicts import percent
 from safety_harness.report.words import count_words, with_minus
 
@@ -237,6 +238,25 @@ def _mm(length_m: float) -> Cell:
     return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)
 
 
+def calibration(evidence: Evidence) -> Table:
+    """How often the avoider's intervals held what they promise, by stratum."""
+    return Table(
+        caption="The first answered decision of each declared random run whose trace is stored; a verdict "
+        "takes a hundred of them.",
+        head=("Stratum", "Verdict", "Decisions", "Claim", "Why"),
+        rows=tuple(
+            (
+                words(one.stratum),
+                Cell(text=one.decided, state=one.decided),
+                count(one.decisions),
+                words(one.sentence),
+                words(one.why),
+            )
+            for one in evidence.calibration
+        ),
+    )
+
+
 def coverage(evidence: Evidence) -> tuple[Table, ...]:
     """Runs for each word of each axis of the coverage map."""
     tables = []
@@ -286,15 +306,12 @@ def agreement(evidence: Evidence) -> Table | None:
     )
 
 
-def step_size(evidence: Evidence) -> Table | None:
-    """What smaller physics steps change."""
-    known = evidence.credibility.step_size
-    if known is None:
-        return None
+def rerun(known: Rerun) -> Table:
+    """What changes when declared random runs are made again with something else."""
     return Table(
-        caption=f"{count_words(known.runs, 'declared random run', 'declared random runs')} again with "
-        f"{known.finer_substeps} physics steps a control tick in place of {known.substeps}: {known.changed} "
-        f"of {known.verdicts} verdicts change.",
+        caption=f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
+        f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
+        f"{known.optimistic} of them from holds to violated.",
         head=("Claim", "Largest change of the margin"),
         rows=tuple((words(sentence), number(largest)) for sentence, largest in known.largest),
     )
@@ -328,7 +345,7 @@ def kills(evidence: Evidence) -> Table | None:
                 words(fault.part),
                 words(fault.hazard),
                 Cell(text=fault.caught_by) if fault.caught_by else Cell(text="survived", state="violated"),
-                words(fault.smallest or DASH),
+                words(fault.smallest or DASH, note=fault.known_limit),
             )
             for fault in test.faults
         ),

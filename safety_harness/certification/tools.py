@@ -23,17 +23,20 @@ class Agreement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StepSize:
-    """Declared random runs of this plan made again with smaller physics steps.
+class Rerun:
+    """Declared random runs of this plan made again with something else: smaller physics steps, another world.
 
-    ``changed`` counts verdicts that differ; ``largest`` are (claim, the largest change of its margin).
+    ``changed`` counts verdicts that differ; ``optimistic`` those of them in which the rerun sees a claim
+    violated that the plan's own run sees hold.  ``largest`` are (claim, the largest change of its margin).
     """
 
+    place: str
+    title: str
+    how: str
     runs: int
-    substeps: int
-    finer_substeps: int
     verdicts: int
     changed: int
+    optimistic: int
     largest: tuple[tuple[str, str], ...]
 
 
@@ -51,7 +54,7 @@ class Credibility:
     """Why a number from the simulator may be believed; ``absent`` says what was not measured, and why."""
 
     agreement: Agreement | None
-    step_size: StepSize | None
+    reruns: tuple[Rerun, ...]
     oracles: tuple[Oracle, ...]
     oracles_measured_with: str
     absent: tuple[str, ...]
@@ -59,13 +62,17 @@ class Credibility:
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """One seeded fault, and what caught it; ``caught_by`` is empty for one that survived."""
+    """One seeded fault, and what caught it; ``caught_by`` is empty for one that survived.
+
+    ``known_limit`` is why it survives, where that was said beforehand.
+    """
 
     name: str
     part: str
     hazard: str
     caught_by: str
     smallest: str
+    known_limit: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +93,7 @@ class SelfTest:
 
 @dataclass(frozen=True, kw_only=True)
 class CellCount:
-    """Runs in one cell of the coverage map."""
+    """Runs in one cell of the coverage map; ``violating`` ones violate a claim."""
 
     direction: str
     speed: str
@@ -94,11 +101,12 @@ class CellCount:
     seen: str
     outcome: str
     runs: int
+    violating: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Where the declared random runs were, by approach, speed, distance, seen or unseen, outcome."""
+    """Where the declared runs were, by approach, speed, distance, seen or unseen, outcome."""
 
     runs: int
     without_hand: int

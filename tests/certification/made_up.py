@@ -31,8 +31,8 @@ from safety_harness.certification.tools import (
     Credibility,
     Fault,
     Oracle,
+    Rerun,
     SelfTest,
-    StepSize,
 )
 
 HOSTILE = "<script>alert(1)</script><b>bold</b> & \"quoted\" 'single'"
@@ -187,17 +187,16 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             )
             for name in STRATA
         ),
-        calibration=Calibration(
-            sentence="95 % intervals hold the target in at least 90 % of decisions",
-            decided="holds",
-            why="190 of 200 hold eq. 13 with candidates drawn afresh: 95.0 %, between 91.0 % and 97.6 %",
-            decisions=200,
-            covered=190,
-            lower=0.91,
-            upper=0.976,
-            declared=0.95,
+        calibration=tuple(
+            Calibration(
+                stratum=name,
+                sentence="95 % intervals hold the target in at least 90 % of decisions",
+                decided=decided,
+                why="190 of 200 hold eq. 13 with candidates drawn afresh: 95.0 %, between 91.0 % and 97.6 %",
+                decisions=200,
+            )
+            for name, decided in zip(STRATA, ("holds", "violated", "inconclusive"), strict=True)
         ),
-        calibration_absent="",
         coverage=Coverage(
             runs=60,
             without_hand=0,
@@ -209,6 +208,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                     seen="seen",
                     outcome="proposed position",
                     runs=41,
+                    violating=0,
                 ),
                 CellCount(
                     direction="above",
@@ -217,6 +217,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                     seen="hand unseen",
                     outcome="protective stop",
                     runs=19,
+                    violating=4,
                 ),
             ),
             about="The declared random runs whose traces are stored.",
@@ -248,13 +249,17 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                 source_hash="0123456789abcdef",
                 present=False,
             ),
-            step_size=StepSize(
-                runs=10,
-                substeps=4,
-                finer_substeps=8,
-                verdicts=60,
-                changed=0,
-                largest=(("hand distance never below 50 mm", "0.02 mm"),),
+            reruns=(
+                Rerun(
+                    place="step-size",
+                    title="Finer physics steps",
+                    how="with 8 physics steps a control tick in place of 4",
+                    runs=10,
+                    verdicts=60,
+                    changed=0,
+                    optimistic=0,
+                    largest=(("hand distance never below 50 mm", "0.02 mm"),),
+                ),
             ),
             oracles=(Oracle(part="kinematics", against="PyBullet", largest="2e-15 m"),),
             oracles_measured_with="this very source",
