@@ -20,7 +20,6 @@ from safety_harness.certification.stored import judged_run, trace_from
 from safety_harness.exceptions import InputError, TraceError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import margin_words
-from safety_harness.scenario.model import Verdict
 from safety_harness.search.explain import circumstances
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
@@ -29,6 +28,7 @@ FOLDER, SEARCH = "counterexamples", "search"
 MOST = 16  # on the page: each has drawings and a replay of some 0.3 MB
 MOST_OF_A_CLAIM = 4
 MOST_LINES = 14
+TO = "A counterexample to:"
 
 _VIOLATIONS = (
     "SELECT e.stratum, e.episode, c.words, j.margin FROM judgement j "
@@ -115,11 +115,7 @@ def searched_counterexamples(plan: Plan, folder: Path) -> Iterator[tuple[Counter
                 run = judged_run(load_trace(trace), file=trace)
             except TraceError:
                 continue
-            claims = run.trace.scenario.claims
-            worst = run.worst_claim()
-            violated = [k for k, e in enumerate(run.evaluations) if e.verdict is Verdict.VIOLATED]
-            place = worst if worst in violated else (violated[0] if violated else None)
-            sentence = "the avoider or the run fails" if place is None else claims[place].sentence
+            sentence, lines = _told(file)
             yield _evidence(
                 run,
                 sentences.index(sentence) if sentence in sentences else None,
@@ -129,7 +125,7 @@ def searched_counterexamples(plan: Plan, folder: Path) -> Iterator[tuple[Counter
                 like_it=1,
                 folder=folder,
                 scenario=file.relative_to(folder).as_posix() if file.is_file() else "",
-                lines=_explanation(file)[:MOST_LINES],
+                lines=lines[:MOST_LINES],
             )
 
 
@@ -176,14 +172,15 @@ def numbered(
     return examples, runs
 
 
-def _explanation(file: Path) -> list[str]:
-    """The comments of a counterexample's file below its first empty one: why it is one."""
+def _told(file: Path) -> tuple[str, list[str]]:
+    """What a counterexample's file says in its comments: to what it is one, and below the gap why."""
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
-        return []
+        lines = []
     head = [line[1:].strip() for line in lines if line.startswith("#")]
-    return [line for line in head[head.index("") + 1 :] if line] if "" in head else []
+    told = next((line.removeprefix(TO).strip() for line in head if line.startswith(TO)), "something")
+    return told, [line for line in head[head.index("") + 1 :] if line] if "" in head else []
 
 
 def search_results(plan: Plan, folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:

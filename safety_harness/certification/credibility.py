@@ -36,7 +36,7 @@ def credibility_of(
         absent.append("No measured agreement of the two worlds comes with this version.")
     if not oracles:
         absent.append(
-            "Disagreements with other software (kinematics, distances, filter, networks, formulas) are no part "
+            "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
             "of this report: the package's own tests measure them."
         )
     return Credibility(

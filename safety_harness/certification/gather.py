@@ -37,6 +37,7 @@ from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import Credibility, Oracle, SelfTest
 from safety_harness.certification.verdicts import gravest
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance
 
 NO_SELFTEST = (
@@ -138,8 +139,8 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
             f"safety-harness verify {folder.name}",
             f"safety-harness campaign status {folder.name}/{ledger.path.name}",
         ),
-        began_at=str(sessions[0][0]) if sessions else "",
-        ended_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        began_at=in_words(datetime.fromisoformat(sessions[0][0])) if sessions else "",
+        ended_at=in_words(datetime.now(UTC)),
         run_seconds_s=float(spent),
         changes=(),
     )

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from safety_harness.admission.claims import property_of
+from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedClaim
 from safety_harness.certification.evidence import Bound, ClaimEvidence, Outcome, Quantile, Stratum
@@ -199,7 +200,8 @@ def strata_of(plan: Plan, ledger: Ledger) -> tuple[Stratum, ...]:
 def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> Stratum:
     stratum = plan.strata[place]
     ((made, again, proposed, opposite, stopped, faults, failed),) = ledger.all(_SUMS, place)
-    stored = [violation for where, _, violation in ledger.traces() if where == place]
+    stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
+    random = random_episodes(plan, place) & stored.keys()
     file = stratum.space.file
     name = "" if file is None else next((one for one in hashes if one.endswith(f"/{file.name}")), file.name)
     decisions = (
@@ -218,6 +220,6 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         failed=int(failed),
         refused_draws=int(again),
         decisions=tuple((what, many) for what, many in decisions if many),
-        random_traces=sum(not violation for violation in stored),
-        violation_traces=sum(stored),
+        random_traces=len(random),
+        violation_traces=sum(stored.values()),
     )

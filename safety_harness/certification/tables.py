@@ -9,6 +9,7 @@ from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outco
 from safety_harness.certification.tools import Rerun
 from safety_harness.certification.verdicts import percent
 from safety_harness.report.words import count_words, with_minus
+from safety_harness.search.coverage import AXES
 
 DASH = "\u2013"
 
@@ -258,13 +259,12 @@ def calibration(evidence: Evidence) -> Table:
 
 
 def coverage(evidence: Evidence) -> tuple[Table, ...]:
-    """Runs for each word of each axis of the coverage map."""
+    """Runs for each word of each axis of the coverage map, none left out."""
     tables = []
-    for axis in ("direction", "speed", "distance", "seen", "outcome"):
-        counts: dict[str, int] = {}
+    for axis, known in AXES.items():
+        counts = dict.fromkeys(known, 0)
         for cell in evidence.coverage.cells:
-            word = getattr(cell, axis)
-            counts[word] = counts.get(word, 0) + cell.runs
+            counts[getattr(cell, axis)] = counts.get(getattr(cell, axis), 0) + cell.runs
         rows = tuple((words(word), count(runs)) for word, runs in counts.items())
         tables.append(Table(caption=f"By {axis}", head=(axis.capitalize(), "Runs"), rows=rows))
     return tuple(tables)

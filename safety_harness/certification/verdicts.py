@@ -32,7 +32,7 @@ def standing_of(
         return Standing.UNTESTED, f"none of {runs} runs put it to the test"
     if bound is None:
         return Standing.INCOMPLETE, "there is no bound"
-    counted = f"{violated} of {tested} runs that put it to the test violated it"
+    counted = f"{violated} of {tested} tested runs violate it"
     if without_verdict:
         counted += f", {without_verdict} had no verdict"
     if target is None:
@@ -43,13 +43,13 @@ def standing_of(
     if bound.upper > target:
         return (
             Standing.NOT_SHOWN,
-            f"{counted}: it may happen in up to {percent(bound.upper)}, and {limit} was the target",
+            f"{counted}: it may be up to {percent(bound.upper)} of them, and {limit} was the target",
         )
     if without_verdict:
         return Standing.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if model_only:
         return Standing.DOUBTED, f"{counted}: model only, the kinematic world"
-    return Standing.SHOWN, f"{counted}: at most {percent(bound.upper)}, and {limit} was the target"
+    return Standing.SHOWN, f"{counted}: at most {percent(bound.upper)} of them do, and {limit} was the target"
 
 
 def gravest(standings: Iterable[Standing]) -> Standing:
@@ -63,8 +63,10 @@ def overall(outcomes: Sequence[Outcome]) -> tuple[Standing, str]:
     if not outcomes:
         return standing, "the plan has no stratum"
     worst = [outcome for outcome in outcomes if outcome.standing is standing]
+    worst.sort(key=lambda outcome: -outcome.bound.upper if outcome.bound else 0.0)
     where = "" if len(outcomes) == 1 else f"{worst[0].stratum}: "
-    more = f" (and {len(worst) - 1} more)" if len(worst) > 1 else ""
+    others = len(worst) - 1
+    more = f" ({others} more {'stratum' if others == 1 else 'strata'} likewise)" if others else ""
     return standing, f"{where}{worst[0].why}{more}"
 
 

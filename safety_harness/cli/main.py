@@ -387,10 +387,10 @@ def certify(
         Path | None, typer.Option(help="selftest.json of safety-harness selftest, to be part of the report.")
     ] = None,
 ) -> None:
-    """Run a declared plan and write its evidence: one page, the same as JSON, JUnit XML, and all to re-run it.
+    """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
 
-    Bounds are made of the plan's own independent runs only; what its search finds is shown and estimates
-    nothing. A line a claim goes to standard output. Ctrl-C keeps every finished run; the same command goes on.
+    Bounds are made of the plan's own independent runs; what its search finds is shown and estimates nothing.
+    A line a claim goes to standard output. Ctrl-C keeps every finished run; the same command goes on.
     It is no certificate, and says so.
     Exit code 0: every claim is shown; 1: any is not; 2: bad input, or a target that the plan's runs cannot
     meet; 130: interrupted.
