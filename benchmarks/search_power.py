@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.search.search import search
+from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
 from tests.search.planted import BUGS, BY_LOT, CUBE, GOALS, SPACE, Bug, share_violated, world
 
@@ -31,7 +31,7 @@ from tests.search.planted import BUGS, BY_LOT, CUBE, GOALS, SPACE, Bug, share_vi
 def episodes_needed(make: MakesSearcher, bug: Bug, seed: int, budget: int, batch: int) -> int:
     """Episodes up to the first violation of the spoilt claim; budget + 1 for a run without one."""
     searcher = make(CUBE, claims=len(GOALS), seed=seed)
-    findings = search(
+    findings = find_violations(
         CUBE,
         GOALS,
         world(bug),

@@ -7,7 +7,6 @@ its judgement import, so that a change of a page or of a search does not make it
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -80,12 +79,14 @@ def to_json(agreement: Agreement) -> str:
 def from_json(text: str) -> Agreement:
     """What ``to_json`` wrote.  ValueError for anything else."""
     try:
-        read: Mapping[str, Any] = json.loads(text)
+        read: dict[str, Any] = json.loads(text)
         if read["format"] != FORMAT:
             raise ValueError(f"expected {FORMAT!r}, got {read['format']!r}")
-        fields = {name: tuple(one) if isinstance(one, list) else one for name, one in read.items()}
-        fields["differences"] = tuple(Difference(**one) for one in read["differences"])
-        del fields["format"]
+        del read["format"]
+        read["differences"] = [Difference(**one) for one in read["differences"]]
+        fields: dict[str, Any] = {
+            name: tuple(one) if isinstance(one, list) else one for name, one in read.items()
+        }
         return Agreement(**fields)
     except (KeyError, TypeError) as error:
         raise ValueError(f"not an agreement of two worlds: {error}") from error

@@ -153,8 +153,8 @@ class Processes:
                     rows.append(message)
                 elif isinstance(message, Done) and worker.chunk is not None:
                     events.append(Arrived(worker.chunk, tuple(rows), last=True))
-                    rows = []
                     self._finish_chunk(worker, message)
+                    return  # it has nothing more to say, and may be another by now
         except (EOFError, OSError):
             if rows and worker.chunk is not None:
                 events.append(Arrived(worker.chunk, tuple(rows), last=False))

@@ -98,8 +98,9 @@ def query(
             refuse_writing(connection)
             try:
                 rows = connection.execute(question, values)
-                names = [column for column, *_ in rows.description or ()]
-                result(_csv_line(names))
+                if rows.description is None:
+                    raise sqlite3.ProgrammingError("no question")
+                result(_csv_line([column for column, *_ in rows.description]))
                 for row in rows:
                     result(_csv_line(row))
             except (sqlite3.Error, sqlite3.Warning) as error:

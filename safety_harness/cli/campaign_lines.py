@@ -99,11 +99,14 @@ def rounded_up(share: float) -> str:
 
 def difference_line(one: Comparison, confidence: float) -> str:
     """One claim in one stratum: second campaign minus first."""
+    how = f"from {one.low:+.3%} to {one.high:+.3%}, all together at {confidence:g}; p {one.p_value:.3g}"
+    counts = (
+        f"both {one.both}, only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
+    )
+    model = ", model only" if one.model_only else ""
     return (
-        f"{one.stratum}: {one.claim}: violated {one.seen:+.3%} more often (from {one.low:+.3%} to {one.high:+.3%}, "
-        f"all together at {confidence:g}; p {one.p_value:.3g}); of {one.episodes} in both {one.both}, "
-        f"only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
-        + (", model only" if one.model_only else "")
+        f"{one.stratum}: {one.claim}: violated {one.seen:+.3%} more often ({how}); of {one.episodes}: "
+        f"{counts}{model}"
     )
 
 

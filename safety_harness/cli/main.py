@@ -213,7 +213,7 @@ def fuzz(
     avoider: OfAvoider = None,
     budget: Annotated[int, typer.Option(help="Runs to search with; shrinking has its own.")] = 1000,
     seed: Seed = 0,
-    out: Annotated[Path, typer.Option(help="Folder for counterexamples and findings.json.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
         "reports/fuzz"
     ),
     searcher: Annotated[
@@ -226,10 +226,14 @@ def fuzz(
         list[str] | None,
         typer.Option(help="Search for violations of this, in place of the space's claims; may be repeated."),
     ] = None,
+    baseline: Annotated[
+        bool, typer.Option("--baseline", help="Sample the space uniformly as well, with the same budget.")
+    ] = False,
 ) -> None:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
-    Counterexamples are shrunk, confirmed in PyBullet and explained; Ctrl-C keeps what was found so far.
+    Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
+    a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     Exit code 0: nothing found, which is no evidence of safety; 1: violations, or an avoider that gave no
     answer; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
@@ -244,6 +248,7 @@ def fuzz(
             seed=seed,
             searcher=searcher,
             claims=claim or (),
+            baseline=baseline,
         )
     )
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
 from safety_harness.scenario.units import ACCELERATION, ANGULAR_ACCELERATION
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 MOVES_RADPS, MOVES_MPS = 1e-3, 1e-3
 
@@ -35,7 +36,7 @@ class JointAccelerations:
         problem = unreadable(trace, ("joint_velocity_radps",))
         if problem is not None:
             return inconclusive(self, problem)
-        velocity = trace.ticks["joint_velocity_radps"]
+        velocity = history(trace, "joint_velocity_radps")
         if len(velocity) < 2:
             return inconclusive(self, "one tick alone has no acceleration")
         size = np.abs(np.diff(velocity, axis=0)) / trace.scenario.settings.clock.control_period_s  # (n-1, 6)
@@ -95,8 +96,8 @@ def tcp_velocity_in_base_mps(trace: Trace) -> NDArray[np.float64]:
         arm.joint_origins,
         arm.joint_axes,
         arm.flange,
-        np.ascontiguousarray(trace.ticks["joint_position_rad"]),
-        np.ascontiguousarray(trace.ticks["joint_velocity_radps"]),
+        true_motion(trace).joints_rad,
+        true_motion(trace).rates_radps,
         found,
     )
     return found

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, begins_at, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, count
-from safety_harness.trace.records import Mode
+from safety_harness.properties.reaction import gives_way
 from safety_harness.trace.trace import Trace
 
 
@@ -49,10 +49,7 @@ class GivesWayAtMost:
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
     """The ticks at which the arm leaves its task to give way; every run begins with its task."""
-    mode = trace.ticks["mode"]
-    busy = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
-    found: NDArray[np.int64] = np.flatnonzero(busy & ~np.concatenate([[False], busy[:-1]]))
-    return found
+    return np.flatnonzero(begins_at(gives_way(trace)))
 
 
 GIVES_WAY_AT_MOST = Entry(

@@ -17,9 +17,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.records import COLUMNS
+from safety_harness.trace.trace import Trace, history, numbers, once_a_trace
 
 HORIZON_M = 1e3
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
@@ -122,18 +124,66 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     if wrong is not None:
         return f"the trace contradicts itself: {wrong}"
     for name in fields:
-        bad = ~(np.abs(trace.ticks[name]) < ENDLESS)  # of a NaN too
-        if name in OF_HANDS:
-            bad = bad.reshape(*trace.ticks["hand_present"].shape, -1) & trace.ticks["hand_present"][..., None]
-        rows = bad.any(axis=tuple(range(1, bad.ndim)))
-        if rows.any():
-            return f"{name} is not finite from {trace.time_s[int(np.argmax(rows))]:.3f} s"
+        row = first_unreal(trace, name)
+        if row >= 0:
+            return f"{name} is not finite from {trace.time_s[row]:.3f} s"
     return None
+
+
+def first_unreal(trace: Trace, name: str) -> int:
+    """The first tick at which a floating-point field is not finite, of a hand that is there; -1 if none."""
+    known = _first_unreal(trace)
+    if name not in known:
+        columns, present = numbers(trace)[COLUMNS[name]], history(trace, "hand_present")
+        width = len(columns) // present.shape[1] if name in OF_HANDS else 0
+        known[name] = _first_row(columns, width, present)
+    return known[name]
+
+
+@once_a_trace
+def _first_unreal(_: Trace) -> dict[str, int]:
+    """By field, those that somebody has asked for."""
+    return {}
+
+
+@compiled
+def _first_row(
+    columns: NDArray[np.float64],  # (c, n)
+    width: int,  # of each hand's own; 0 for a field that is not of hands
+    present: NDArray[np.bool_],  # (n, hands)
+) -> int:
+    """The first of n with one in any column that is not below ENDLESS, or -1."""
+    n = columns.shape[1]
+    first = n
+    for column in range(columns.shape[0]):
+        beyond = 0
+        for k in range(n):
+            beyond += not abs(columns[column, k]) < ENDLESS
+        if beyond == 0:
+            continue
+        for k in range(first):
+            there = width == 0 or present[k, column // width]
+            if there and not abs(columns[column, k]) < ENDLESS:
+                first = k
+                break
+    return first if first < n else -1
 
 
 def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
     """Is a position (3,) of a decision one at all: finite, and on this side of the horizon?"""
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
+
+
+def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) does a state (n,) begin?  One that is there at the first tick begins then."""
+    begins = state.copy()
+    begins[1:] &= ~state[:-1]
+    return begins
+
+
+def times_begun(state: NDArray[np.bool_]) -> int:
+    """How often a state (n,) begins."""
+    return int(np.count_nonzero(begins_at(state)))
 
 
 def judged(

@@ -7,14 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, begins_at, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.reaction import gives_way
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.trace.records import Limit
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,19 +71,10 @@ class NoFalseAlarms:
         return settings.avoidance.critical_distance_m + REACHING_MPS * horizon_s
 
 
-def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) distance of the nearest true hand's centre from the TCP; infinite without one."""
-    ticks = trace.ticks
-    tcp_in_base = ticks["transform_tcp_to_base"][:, None, :3, 3]
-    hands = np.where(ticks["hand_present"][..., None], ticks["hand_position_in_base_m"], np.inf)
-    nearest: NDArray[np.float64] = np.linalg.norm(hands - tcp_in_base, axis=2).min(axis=1)
-    return nearest
-
-
 def beginnings(trace: Trace) -> NDArray[np.int64]:
     """The ticks (k,) at which the arm begins to give way or decides to, stops at a singularity apart."""
-    begins = np.diff(gives_way(trace).astype(int), prepend=0) == 1
-    begins &= trace.ticks["limits"] & Limit.SINGULARITY == 0
+    begins = begins_at(gives_way(trace))
+    begins &= history(trace, "limits") & Limit.SINGULARITY == 0
     begins[trace.decisions["tick"]] = True
     return np.flatnonzero(begins)
 

@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.true_motion import true_motion
+from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import (
+    DEEPEST,
+    approach_between,
     chain_lengths,
-    closest_approach_between,
     hand_distance,
     place_capsules,
 )
@@ -24,7 +26,7 @@ from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -70,16 +72,16 @@ class HandDistance:
         if paths is None:
             return inconclusive(self, why)
         distance_m, time_s, hand = closest_approach(trace, paths)
-        near = trace.ticks["hand_distance_m"].min(axis=1) < self.near_m
+        near = true_motion(trace).nearest_m < self.near_m
         name = trace.scenario.hands[hand].name
-        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
+        part = capsule_name(trace, int(np.argmin(history(trace, "hand_distance_m")[:, hand])), hand)
         return judged(
             self,
             trace,
             margin=distance_m - self.minimum_m,
             worst_time_s=time_s,
             reason=f"{name}: {_words(distance_m)} {part}",
-            exercised=int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1)),
+            exercised=times_begun(near),
         )
 
 
@@ -87,7 +89,7 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
     """The ways of the hands, or why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
         return None, "there is no hand in this scenario"
-    if np.abs(trace.ticks["joint_position_rad"]).max() > TURNED_RAD:
+    if np.abs(history(trace, "joint_position_rad")).max() > TURNED_RAD:
         return None, "a joint has turned further than any arm can"
     paths = hand_paths(trace)
     stray = first_stray(trace, paths)
@@ -147,26 +149,24 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
     inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].
     """
-    ticks = trace.ticks
-    own = paths.corner_hand == hand
-    corner_at = paths.corner_at[own]
-    after = np.searchsorted(np.arange(len(ticks)), corner_at, side="right")
-    at = np.insert(np.arange(len(ticks), dtype=np.float64), after, corner_at)
-    joints_rad = ticks["joint_position_rad"].copy()
-    if len(corner_at):
-        joints_rad = np.column_stack(
-            [np.interp(at, np.arange(len(ticks)), column) for column in joints_rad.T]
-        )
-    corners = paths.corners_in_base_m[own]
-    hand_m = np.insert(ticks["hand_position_in_base_m"][:, hand], after, corners[:, 0], axis=0)
-    elbow_m = np.insert(ticks["elbow_position_in_base_m"][:, hand], after, corners[:, 1], axis=0)
+    true = true_motion(trace)
+    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
+    distance_m = history(trace, "hand_distance_m")[:, hand]
     slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
+    ticks = np.arange(len(joints_rad), dtype=np.float64)
+    own = paths.corner_hand == hand
+    if not own.any():
+        return ticks, joints_rad, hand_m.copy(), elbow_m.copy(), distance_m.copy(), slack_m
+    corner_at = paths.corner_at[own]
+    after = np.searchsorted(ticks, corner_at, side="right")
+    at = np.insert(ticks, after, corner_at)
+    corners = paths.corners_in_base_m[own]
     return (
         at,
-        joints_rad,
-        hand_m,
-        elbow_m,
-        np.insert(ticks["hand_distance_m"][:, hand], after, np.inf),
+        np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
+        np.insert(hand_m, after, corners[:, 0], axis=0),
+        np.insert(elbow_m, after, corners[:, 1], axis=0),
+        np.insert(distance_m, after, np.inf),
         np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
     )
 
@@ -178,7 +178,7 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
-    change = np.abs(np.diff(trace.ticks["joint_velocity_radps"], axis=0))
+    change = np.abs(np.diff(true_motion(trace).rates_radps, axis=0))
     period_s = trace.scenario.settings.clock.control_period_s
     bend: NDArray[np.float64] = change @ joint_reach_m(trace) * period_s / 4.0
     return bend
@@ -186,12 +186,13 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
 
 def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
     """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    return _joint_reach_m(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings).copy()
+    arm = load_arm(trace.scenario.robot.arm_name)
+    return _joint_reach_m(arm, cell_capsules(load_capsules(arm.name), trace.scenario.settings)).copy()
 
 
 @lru_cache(maxsize=16)
-def _joint_reach_m(arm: ArmModel, settings: Settings) -> NDArray[np.float64]:
-    _, link_index, start_in_link, end_in_link, _ = capsules_of(arm, settings)
+def _joint_reach_m(arm: ArmModel, capsules: CapsuleSet) -> NDArray[np.float64]:
+    link_index, start_in_link, end_in_link = capsules.link_index, capsules.start_in_link, capsules.end_in_link
     offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
     ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
     ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
@@ -249,12 +250,16 @@ def _closest_in_trace(
             best, index, fraction = distance_m[k], k, 0.0
     reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
-    k = 0
+    room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
+    k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
-        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
-        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
-        left_m, _ = hand_distance(placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m)
-        first = k
+        if not known:
+            forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
+            place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+            left_m, _ = hand_distance(
+                placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
+            )
+        first, known = k, False
         while k < distance_m.shape[0] - 1:
             left_m -= _displacement(joints_rad, hands_m, elbows_m, reach_m, k)
             if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
@@ -262,7 +267,7 @@ def _closest_in_trace(
             k += 1
         if k > first:
             continue
-        bound, where = closest_approach_between(
+        bound, where, left_m = approach_between(
             joint_origins,
             joint_axes,
             flange,
@@ -270,6 +275,8 @@ def _closest_in_trace(
             start_in_link,
             end_in_link,
             radius_m,
+            reach_m,
+            room,
             joints_rad[k],
             joints_rad[k + 1],
             hands_m[k],
@@ -281,7 +288,7 @@ def _closest_in_trace(
             tolerance_m,
             best + slack_m[k],
         )
-        bound -= slack_m[k]
+        bound, known = bound - slack_m[k], True
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.model import RecordedHand
 from safety_harness.simulation.hand_motion import advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 
@@ -52,7 +53,7 @@ def hand_paths(trace: Trace) -> HandPaths:
         hands.state,
         hands.moves,
         hands.samples,
-        np.ascontiguousarray(trace.ticks["transform_tcp_to_base"][:, :3, 3]),
+        true_motion(trace).tcp_m,
         scenario.settings.clock.control_period_s,
         positions,
         moving,
@@ -65,12 +66,8 @@ def hand_paths(trace: Trace) -> HandPaths:
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
     """The first tick at which a hand or elbow of the trace is not where its scenario moves it."""
-    hands = len(trace.scenario.hands)
-    names = ("hand_position_in_base_m", "elbow_position_in_base_m")
-    stored = np.stack([trace.ticks[name][:, :hands] for name in names], axis=2)
-    near = np.isclose(stored, paths.positions_in_base_m, rtol=0.0, atol=SAME_M, equal_nan=True)
-    strays = np.flatnonzero(~near.all(axis=(1, 2, 3)))
-    return int(strays[0]) if len(strays) else None
+    stray = _first_stray(true_motion(trace).hands_m, paths.positions_in_base_m)
+    return stray if stray >= 0 else None
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
@@ -95,13 +92,30 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
         hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
     towards = np.array(trajectory.elbow_towards_in_base_m)
-    away = np.linalg.norm(trace.ticks["hand_position_in_base_m"][:, hand] - towards, axis=1)
+    away = np.linalg.norm(history(trace, "hand_position_in_base_m")[:, hand] - towards, axis=1)
     nearest = np.maximum(np.minimum(away[:-1], away[1:]) - fastest * period_s, 1e-9)
     length = scenario.settings.hand.forearm_length_m
     elbow = hardest * (1.0 + length / nearest) + length * np.sqrt(4.0 / 3.0) * (fastest / nearest) ** 2
     # an elbow is never farther from where it was than the hand's way and twice the forearm
     bend = np.minimum(elbow * period_s**2 / 8.0, fastest * period_s + 2.0 * length)
     return np.where(paths.moving[:, hand], bend, 0.0)
+
+
+@compiled
+def _first_stray(
+    stored_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
+    moved_m: NDArray[np.float64],  # (n, hands, 2, 3)
+) -> int:
+    """The first row in which two positions are not the same, NaN or not, or -1."""
+    for k in range(moved_m.shape[0]):
+        for hand in range(moved_m.shape[1]):
+            for body in range(2):
+                for i in range(3):
+                    a, b = stored_m[k, hand, body, i], moved_m[k, hand, body, i]
+                    same = a == b or abs(a - b) <= SAME_M or (np.isnan(a) and np.isnan(b))
+                    if not same:
+                        return k
+    return -1
 
 
 @compiled
@@ -119,6 +133,7 @@ def _follow(
 ) -> int:
     """Positions at the ticks and corners between them; returns the number of corners."""
     found = 0
+    before = hands.copy()
     for k in range(positions.shape[0]):
         for i in range(positions.shape[1]):
             for j in range(3):
@@ -145,7 +160,8 @@ def _follow(
                         corners[found, 1, j] = there[0].elbow_in_base_m[j]
                     found += 1
                 row += 1
-        before = hands.copy()
+        for i in range(positions.shape[1]):
+            before[i] = hands[i]
         advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
         for i in range(positions.shape[1]):
             one = hands[i].leader if hands[i].leader >= 0 else i

@@ -10,7 +10,7 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, judge
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import SPEED
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class JointLimits:
         if problem is not None:
             return inconclusive(self, problem)
         arm = load_arm(trace.scenario.robot.arm_name)
-        q = trace.ticks["joint_position_rad"]  # (n, 6)
+        q = history(trace, "joint_position_rad")  # (n, 6)
         left = np.minimum(q - arm.position_lower_rad, arm.position_upper_rad - q)
         tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)
         return judged(
@@ -55,9 +55,9 @@ class JointSpeedLimits:
         if problem is not None:
             return inconclusive(self, problem)
         arm = load_arm(trace.scenario.robot.arm_name)
-        speed = np.abs(trace.ticks["joint_velocity_radps"])  # (n, 6)
+        speed = np.abs(history(trace, "joint_velocity_radps"))  # (n, 6)
         if len(trace.ticks) > 1:
-            mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
+            mean = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0)) / np.diff(trace.time_s)[:, None]
             speed[:-1] = np.maximum(speed[:-1], mean)
         left = arm.velocity_limit_radps - speed
         tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)
@@ -91,9 +91,9 @@ class TcpSpeedLimit:
         problem = unreadable(trace, ("tcp_speed_mps", "transform_tcp_to_base"))
         if problem is not None:
             return inconclusive(self, problem)
-        speed = trace.ticks["tcp_speed_mps"].copy()
+        speed = history(trace, "tcp_speed_mps").copy()
         if len(trace.ticks) > 1:
-            steps = np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0)
+            steps = np.diff(history(trace, "transform_tcp_to_base")[:, :3, 3], axis=0)
             mean = np.linalg.norm(steps, axis=1) / np.diff(trace.time_s)
             speed[:-1] = np.maximum(speed[:-1], mean)
         tick = int(np.argmax(speed))

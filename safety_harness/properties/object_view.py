@@ -9,7 +9,7 @@ import numpy as np
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 MOVES_MPS = 1e-3
 
@@ -35,7 +35,7 @@ class ObjectInView:
         problem = unreadable(trace, ("tcp_speed_mps",))
         if problem is not None:
             return inconclusive(self, problem)
-        lost = ~trace.ticks["object_visible"]
+        lost = ~history(trace, "object_visible")
         change = np.diff(np.concatenate([[False], lost, [False]]).astype(np.int64))
         begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
         times_s = trace.time_s
@@ -43,7 +43,7 @@ class ObjectInView:
         worst = int(np.argmax(lasted_s)) if len(begins) else 0
         longest_s = float(lasted_s[worst]) if len(begins) else 0.0
         begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
-        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
+        exercised = int(np.count_nonzero(lost | (history(trace, "tcp_speed_mps") > MOVES_MPS)))
         if bool(lost[-1]) and longest_s <= self.within_s:
             left_s = float(times_s[-1] - times_s[begins[-1]])
             return inconclusive(

@@ -8,16 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.controller.stack import STANDSTILL_RADPS
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.separation import Separation, least_separation, separation_terms
+from safety_harness.properties.separation import Separation, farthest_steps, least_separation, separation_terms
+from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
+from safety_harness.robot.distance import chain_lengths
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.records import Limit
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
 GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
@@ -75,23 +77,21 @@ class ProtectiveSeparation:
         worst = self.worst(trace)
         if worst is None:
             return inconclusive(self, "never exercised: the arm did not move while a hand was there")
-        distance = trace.ticks["hand_distance_m"].min(axis=1)
-        near = moving(trace) & (distance < self.largest_m(trace.scenario.settings))
+        near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
         return judged(
             self,
             trace,
             margin=worst.margin_m,
             worst_time_s=float(trace.time_s[worst.tick]),
             reason=described(trace, worst),
-            exercised=int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1)),
+            exercised=times_begun(near),
         )
 
     def worst(self, trace: Trace) -> Separation | None:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
-        ticks, settings = trace.ticks, trace.scenario.settings
+        settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
         arm = load_arm(trace.scenario.robot.arm_name)
         capsules = cell_capsules(load_capsules(arm.name), settings)
-        hands_m = np.stack([ticks["hand_position_in_base_m"], ticks["elbow_position_in_base_m"]], axis=2)
         reaction_s, stop_s = times_left_s(trace)
         which, what = least_separation(
             arm.joint_origins,
@@ -101,17 +101,18 @@ class ProtectiveSeparation:
             capsules.start_in_link,
             capsules.end_in_link,
             capsules.radius_m,
-            moving(trace),
-            np.ascontiguousarray(ticks["joint_position_rad"]),
-            np.ascontiguousarray(ticks["joint_velocity_radps"]),
-            np.ascontiguousarray(ticks["hand_present"]),
-            hands_m,
-            _velocities_mps(hands_m, settings.clock.control_period_s),
+            turns,
+            true.joints_rad,
+            true.rates_radps,
+            true.present,
+            true.hands_m,
             reaction_s,
             stop_s,
             np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
             np.nan if self.own_speeds else self.assumed_mps,
-            0.5 * settings.clock.control_period_s,
+            settings.clock.control_period_s,
+            *_steps_m(trace),
+            int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
         tick, hand, capsule, body = (int(value) for value in which)
         if tick < 0:
@@ -150,12 +151,27 @@ class ProtectiveSeparation:
         return sum(term.length_m for term in terms)
 
 
+@once_a_trace
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``, and (6,) the lengths of the arm's chains of links."""
+    arm, true = load_arm(trace.scenario.robot.arm_name), true_motion(trace)
+    capsules = cell_capsules(load_capsules(arm.name), trace.scenario.settings)
+    reach_m = chain_lengths(
+        arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
+    )
+    steps_m = np.empty((2, len(trace.ticks)))
+    farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m, steps_m[0], steps_m[1])
+    return steps_m[0], steps_m[1], reach_m
+
+
+@once_a_trace
 def moving(trace: Trace) -> NDArray[np.bool_]:
     """(n,) does any joint turn, by the controller's own bound for a standstill?"""
-    turns: NDArray[np.bool_] = np.abs(trace.ticks["joint_velocity_radps"]).max(axis=1) >= STANDSTILL_RADPS
+    turns: NDArray[np.bool_] = np.abs(history(trace, "joint_velocity_radps")).max(axis=1) >= STANDSTILL_RADPS
     return turns
 
 
+@once_a_trace
 def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
 
@@ -163,10 +179,10 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     arm that still moves when its ramp has been over for two ticks again all of both.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
-    speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
+    speed_mps, time_s = history(trace, "tcp_speed_mps"), history(trace, "time_s")
     reaction_s = np.full(len(time_s), braking.reaction_time_s)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
-    stopping = (trace.ticks["limits"] & Limit.BRAKING != 0).astype(int)
+    stopping = (history(trace, "limits") & Limit.BRAKING != 0).astype(int)
     edges = np.diff(stopping, prepend=0, append=0)
     whole_s = stop_s.copy()
     for first, after in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
@@ -191,14 +207,6 @@ def described(trace: Trace, found: Separation) -> str:
         f"{whose} {found.distance_m * 1e3:.1f} mm from {part}; needed are {found.required_m * 1e3:.1f} mm = "
         f"{terms} (arm {found.robot_speed_mps * 1e3:.0f} mm/s towards it, v_h {found.hand_speed_mps:.2f} m/s)"
     )
-
-
-def _velocities_mps(hands_m: NDArray[np.float64], period_s: float) -> NDArray[np.float64]:
-    """(n, hands, 2, 3) mean velocity over the tick that follows; at the last one over that before it."""
-    if len(hands_m) < 2:
-        return np.zeros_like(hands_m)
-    steps = np.diff(hands_m, axis=0) / period_s
-    return np.concatenate([steps, steps[-1:]])
 
 
 def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> Entry:

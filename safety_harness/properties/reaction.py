@@ -7,29 +7,42 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import HORIZON_M, Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import (
+    HORIZON_M,
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    times_begun,
+    unreadable,
+)
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.records import MAX_TRACKS, Mode
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 EPS_S = 1e-9  # times are multiples of the control period, to rounding
 
 
+@once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is the controller repulsing, or stopped for protection?"""
-    return np.isin(trace.ticks["mode"], (int(Mode.REPULSING), int(Mode.PROTECTIVE_STOP)))
+    mode = history(trace, "mode")
+    given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
+    return given
 
 
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    ticks = trace.ticks
-    valid, tcp_in_base = ticks["track_valid"], ticks["transform_tcp_to_base"][:, None, :3, 3]
-    hands = np.where(valid[..., None], ticks["predicted_hand_in_base_m"], np.inf)
-    apart = np.linalg.norm(hands - tcp_in_base, axis=2)
-    near = valid & (apart < trace.scenario.settings.avoidance.critical_distance_m)
-    found: NDArray[np.bool_] = near.any(axis=1)
-    return found
+    near = np.zeros(len(trace.ticks), np.bool_)
+    tcp_in_base = history(trace, "transform_tcp_to_base")[:, :3, 3]
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    for track in range(MAX_TRACKS):
+        valid = history(trace, "track_valid")[:, track]
+        if valid.any():
+            hand = np.where(valid[:, None], history(trace, "predicted_hand_in_base_m")[:, track], np.inf)
+            near |= valid & (np.linalg.norm(hand - tcp_in_base, axis=1) < critical_m)
+    return near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,14 +71,13 @@ class GivesWay:
         problem = unreadable(trace, ("transform_tcp_to_base",))
         if problem is not None:
             return inconclusive(self, problem)
-        ticks = trace.ticks
-        known = (np.abs(ticks["predicted_hand_in_base_m"]) < HORIZON_M).all(axis=2)
-        unknown = ticks["track_valid"] & ~known
+        known = (np.abs(history(trace, "predicted_hand_in_base_m")) < HORIZON_M).all(axis=2)
+        unknown = (history(trace, "track_valid") & ~known).any(axis=1)
         if unknown.any():
-            at_s = trace.time_s[int(np.argmax(unknown.any(axis=1)))]
+            at_s = trace.time_s[int(np.argmax(unknown))]
             return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
         near, reacting = predicted_near(trace), gives_way(trace)
-        occasions = int(np.count_nonzero(np.diff(near.astype(int), prepend=0) == 1))
+        occasions = times_begun(near)
         if occasions == 0:
             return inconclusive(self, "never exercised: no predicted hand came within the critical distance")
         longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
@@ -75,7 +87,7 @@ class GivesWay:
             if len(inside) == 0:
                 continue
             begun_s = float(trace.time_s[first + inside[0]])
-            ended = end < len(ticks)
+            ended = end < len(near)
             took_s = float(trace.time_s[end if ended else -1]) - begun_s
             if not ended and took_s <= self.within_s + EPS_S:
                 open_ones += 1

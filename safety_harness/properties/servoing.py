@@ -15,41 +15,61 @@ from numpy.typing import NDArray
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
 from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
 
 
+@once_a_trace
 def left_at(trace: Trace) -> int | None:
     """The tick from which on no true hand is within the critical distance of the TCP, else None."""
-    ticks = trace.ticks
-    tcp = ticks["transform_tcp_to_base"][:, None, :3, 3]  # (n, 1, 3)
-    apart = np.linalg.norm(ticks["hand_position_in_base_m"] - tcp, axis=2)  # (n, hands)
-    near = (ticks["hand_present"] & (apart < trace.scenario.settings.avoidance.critical_distance_m)).any(
-        axis=1
-    )
-    busy = np.flatnonzero(near | (ticks["mode"] == Mode.REPULSING) | (ticks["mode"] == Mode.PROTECTIVE_STOP))
+    near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
+    mode = history(trace, "mode")
+    busy = np.flatnonzero(near | (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP))
     if len(busy) == 0:
         return 0
     first = int(busy[-1]) + 1
-    return first if first < len(ticks) else None
+    return first if first < len(mode) else None
 
 
+@once_a_trace
 def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
+    return position_errors_m(trace), angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"])
+
+
+@once_a_trace
+def position_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) distance of the TCP from the desired position at each tick."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    poses = trace.ticks["transform_tcp_to_base"]
-    position = np.linalg.norm(poses[:, :3, 3] - desired[:3, 3], axis=1)
+    way = history(trace, "transform_tcp_to_base")[:, :3, 3] - desired[:3, 3]
+    distance: NDArray[np.float64] = np.linalg.norm(way, axis=1)
+    return distance
+
+
+def angle_errors_rad(trace: Trace, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) angle from the desired pose of each of ``poses`` (n, 4, 4)."""
+    desired = desired_transform_tcp_to_base(trace.scenario.settings)
     turns = desired[:3, :3].T @ poses[:, :3, :3]
     axis = np.stack(
         [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
     )
-    angle = np.arctan2(np.linalg.norm(axis, axis=0), np.trace(turns, axis1=1, axis2=2) - 1.0)
-    return position, angle
+    angle: NDArray[np.float64] = np.arctan2(
+        np.linalg.norm(axis, axis=0), np.trace(turns, axis1=1, axis2=2) - 1.0
+    )
+    return angle
+
+
+def was_off(trace: Trace) -> bool:
+    """Was the TCP ever farther from the desired pose than one that has converged?"""
+    if np.any(position_errors_m(trace) > CONVERGED_POSITION_M):
+        return True
+    return bool(np.any(pose_errors(trace)[1] > CONVERGED_ANGLE_RAD))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +101,7 @@ class GainSwitchReached:
         if first is None:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
         servo = trace.scenario.settings.servo
-        sse = trace.ticks["sse"][first:]
+        sse = history(trace, "sse")[first:]
         errors = self._errors(trace)[first:]
         allowed_s = self.within_s
         if allowed_s is None:
@@ -114,9 +134,9 @@ class GainSwitchReached:
 
     def _errors(self, trace: Trace) -> NDArray[np.float64]:
         """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
-        sse = trace.ticks["sse"]
+        sse = history(trace, "sse")
         desired = desired_transform_tcp_to_base(trace.scenario.settings)
-        way = trace.ticks["transform_tcp_to_base"][:, :3, 3] - desired[:3, 3]
+        way = history(trace, "transform_tcp_to_base")[:, :3, 3] - desired[:3, 3]
         return np.where(np.isfinite(sse), sse, np.sum(way**2, axis=1))
 
 
@@ -143,11 +163,12 @@ class Converged:
         first = left_at(trace)
         if first is None:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
-        position, angle = pose_errors(trace)
+        position = position_errors_m(trace)
+        angle_rad = float(angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"][-1:])[0])
         needed_s = self._needed_s(trace, float(position[first]))
         had_s = float(trace.time_s[-1] - trace.time_s[first])
         margin = CONVERGED_POSITION_M - float(position[-1])
-        excess_rad = float(angle[-1]) - CONVERGED_ANGLE_RAD
+        excess_rad = angle_rad - CONVERGED_ANGLE_RAD
         if excess_rad > 0.0:
             settings = trace.scenario.settings
             desired_m = settings.cell.desired_tcp_position_in_base_m
@@ -160,8 +181,8 @@ class Converged:
             trace,
             margin=margin,
             worst_time_s=float(trace.time_s[-1]),
-            reason=f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle[-1]):.3f} deg off",
-            exercised=int(np.any((position > CONVERGED_POSITION_M) | (angle > CONVERGED_ANGLE_RAD))),
+            reason=f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off",
+            exercised=int(was_off(trace)),
         )
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:

@@ -13,7 +13,7 @@ from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
 LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
@@ -71,7 +71,7 @@ def lost_time_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     period_s = settings.clock.control_period_s
     _lose(
         error,
-        trace.ticks["mode"] == Mode.SERVOING,
+        history(trace, "mode") == Mode.SERVOING,
         done_below,
         LEAST_SHARE * settings.servo.gain_far * period_s,
         period_s,

@@ -97,6 +97,7 @@ class Trials:
     avoider: str | None = None
     sentences: tuple[str, ...] = ()
     coverage: Coverage = field(default_factory=Coverage)
+    violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
     _avoiders: dict[str, Avoider] = field(default_factory=dict)
     _seen: dict[str, Seen] = field(default_factory=dict)
 
@@ -147,6 +148,7 @@ class Trials:
             cells[k] = cell = cell_of(trace, self._seen_of(trace))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
         self.coverage.add(cells[k] for k in admitted)
+        self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
 
     def _admit(self, scenario: Scenario) -> Admitted:

@@ -12,12 +12,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr, stdtrit
+from scipy.special import bdtr
 
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import IndependentSample, Ints, Outcome, fixed_length
+from safety_harness.statistics.sample import Floats, IndependentSample, Ints, Outcome, fixed_length
+
+BOOTSTRAP_DRAWS = 2000
+_EQUAL = 1e-12  # relative: what is no difference but rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +52,14 @@ class Comparison:
 class MarginComparison:
     """First minus second, SI, over the ``pairs`` of episodes in which both have a margin.
 
-    ``mean`` lies in an interval by Student's t, whose confidence is approximate; ``median`` in one by order
-    statistics, which assumes nothing and is exact.  ``left_out`` episodes lack a margin.
+    ``mean`` lies in an interval that is exact if the differences' ``limit`` was given; otherwise it is the
+    bootstrap's t, whose confidence is approximate, and infinite where too few differences differ.  ``median``
+    lies in one by order statistics, which assumes nothing and is exact.  ``left_out`` episodes lack a margin.
     """
 
     pairs: int
     left_out: int
+    limit: float | None
     mean: float
     mean_low: float
     mean_high: float
@@ -97,9 +103,18 @@ def compare(first: IndependentSample, second: IndependentSample, confidence: flo
 
 
 def compare_margins(
-    first: IndependentSample, second: IndependentSample, confidence: float = 0.95
+    first: IndependentSample,
+    second: IndependentSample,
+    confidence: float = 0.95,
+    *,
+    limit: float | None = None,
 ) -> MarginComparison:
-    """Mean and median of the paired differences of margins; StatisticsError for fewer than two pairs."""
+    """Mean and median of the paired differences of margins.
+
+    ``limit`` (SI), if there is one, says that no difference can be greater or less than minus that: then the
+    mean has the exact interval of Maurer and Pontil (2009).  StatisticsError for fewer than two pairs, or a
+    difference beyond the limit.
+    """
     _check_pair(first, second)
     chance = chance_of_each(confidence, 2)
     both = np.isfinite(first.margins) & np.isfinite(second.margins)
@@ -108,16 +123,19 @@ def compare_margins(
     if n < 2:
         place = Place(field="margins")
         raise StatisticsError(place=place, expected="two episodes with margins of both", got=str(n))
-    half = float(stdtrit(n - 1, 1.0 - chance)) * float(differences.std(ddof=1)) / math.sqrt(n)
-    mean = float(differences.mean())
+    if limit is None:
+        low, high = _bootstrap_t(differences, chance, generator(first.declaration.seed, Branch.STATISTICS, 3))
+    else:
+        low, high = _bounded(differences, chance, limit)
     rank = _median_rank(n, chance)
     ends = (differences[rank - 1], differences[n - rank]) if rank else (-math.inf, math.inf)
     return MarginComparison(
         pairs=n,
         left_out=len(both) - n,
-        mean=mean,
-        mean_low=mean - half,
-        mean_high=mean + half,
+        limit=limit,
+        mean=float(differences.mean()),
+        mean_low=low,
+        mean_high=high,
         median=float(np.median(differences)),
         median_low=float(ends[0]),
         median_high=float(ends[1]),
@@ -169,6 +187,39 @@ def _mcnemar(worst: Ints, best: Ints) -> float:
         if more <= fewer:
             return 1.0
     return min(1.0, 2.0 * float(bdtr(fewer, more + fewer, 0.5)))
+
+
+def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, float]:
+    """The empirical Bernstein bound: sqrt(2 V l / n) + 7 R l / 3 (n - 1) with l = log(2 / a), R the range."""
+    n, logarithm = len(differences), math.log(2.0 / chance)
+    largest = float(np.abs(differences).max())
+    if not largest <= limit:
+        got = f"{largest:g}"
+        raise StatisticsError(
+            place=Place(field="limit"), expected=f"differences of at most {limit:g}", got=got
+        )
+    variance = float(differences.var(ddof=1))
+    half = math.sqrt(2.0 * variance * logarithm / n) + 14.0 * limit * logarithm / (3.0 * (n - 1))
+    mean = float(differences.mean())
+    return max(mean - half, -limit), min(mean + half, limit)
+
+
+def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The mean by the redrawn t's quantiles (Efron, 1981); infinite of a redrawn sample without spread."""
+    n, mean, deviation = len(differences), float(differences.mean()), float(differences.std(ddof=1))
+    if deviation <= abs(mean) * _EQUAL:
+        return -math.inf, math.inf
+    redrawn, several = [], max(1, 500_000 // n)
+    for first in range(0, BOOTSTRAP_DRAWS, several):
+        rows = rng.integers(0, n, (min(several, BOOTSTRAP_DRAWS - first), n))
+        again = differences[rows]
+        spread = again.std(axis=1, ddof=1)
+        apart = spread > deviation * _EQUAL
+        redrawn.append(np.where(apart, (again.mean(axis=1) - mean) / np.where(apart, spread, 1.0), np.inf))
+    t = np.concatenate(redrawn)
+    least = float(np.quantile(np.where(np.isinf(t), -np.inf, t), chance, method="lower"))
+    most = float(np.quantile(t, 1.0 - chance, method="higher"))
+    return mean - most * deviation, mean - least * deviation
 
 
 def _median_rank(n: int, chance: float) -> int:

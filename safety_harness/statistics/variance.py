@@ -116,8 +116,8 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
 
     With the mean squares between, B, and within, W: s2 = (B - W) / k and w2 = W, and
     (B / W) / (1 + k s2 / w2) has an F distribution with m - 1 and m (k - 1) degrees of freedom.
-    The bootstrap redraws scenarios and takes percentiles of the share.  StatisticsError where a margin is
-    missing or none differs.
+    The bootstrap redraws scenarios and takes quantiles of the studentised log(B / W).  StatisticsError where
+    a margin is missing or none differs.
     """
     margins = _nested(sample).margins
     m, k = margins.shape
@@ -133,7 +133,7 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
     degrees = (m - 1, m * (k - 1))
     ratio = between / within if within > 0.0 else math.inf
     low, high = (_share(ratio / fdtri(*degrees, level), k) for level in (1.0 - chance, chance))
-    ends = np.quantile(_redrawn_shares(margins, sample.declaration.seed), [chance, 1.0 - chance])
+    ends = _studentised(margins, chance, generator(sample.declaration.seed, Branch.STATISTICS, 1))
     return VarianceSplit(
         scenarios=m,
         draws=k,
@@ -142,8 +142,8 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
         share=_share(ratio, k),
         low=low,
         high=high,
-        bootstrap_low=float(ends[0]),
-        bootstrap_high=float(ends[1]),
+        bootstrap_low=_share(ends[0], k),
+        bootstrap_high=_share(ends[1], k),
         confidence=confidence,
     )
 
@@ -196,17 +196,32 @@ def _share(ratio: float, draws: int) -> float:
     if math.isinf(ratio):
         return 1.0
     scenarios = max(ratio - 1.0, 0.0) / draws
-    return scenarios / (1.0 + scenarios)
+    return float(scenarios / (1.0 + scenarios))
 
 
-def _redrawn_shares(margins: Floats, seed: int) -> Floats:
-    """The share (BOOTSTRAP_DRAWS,) in samples of scenarios redrawn with replacement."""
-    m, k = margins.shape
-    rng = generator(seed, Branch.STATISTICS, 1)
+def _studentised(margins: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
+    """Both ends of B / W: the bootstrap's t of its logarithm, scenarios redrawn with replacement."""
     means, squares = margins.mean(axis=1), margins.var(axis=1, ddof=1)
+    m, k = margins.shape
     rows = rng.integers(0, m, (BOOTSTRAP_DRAWS, m))
-    between, within = k * means[rows].var(axis=1, ddof=1), squares[rows].mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        scenarios = np.maximum(between / within - 1.0, 0.0) / k
-        shares = np.where(within > 0.0, scenarios / (1.0 + scenarios), np.where(between > 0.0, 1.0, 0.0))
-    return np.asarray(shares)
+        seen, error = _log_ratio(means, squares, k)
+        redrawn, errors = _log_ratio(means[rows], squares[rows], k)
+        t = (redrawn - seen) / errors
+    if not (np.isfinite(seen) and error > 0.0):
+        return 0.0, math.inf
+    t = np.where(np.isnan(t), np.inf, t)
+    least = float(np.quantile(np.where(np.isinf(t), -np.inf, t), chance, method="lower"))
+    most = float(np.quantile(t, 1.0 - chance, method="higher"))
+    return float(np.exp(seen - most * error)), float(np.exp(seen - least * error))
+
+
+def _log_ratio(means: Floats, squares: Floats, draws: int) -> tuple[Floats, Floats]:
+    """log(B / W) and its standard error, of the scenarios' means and variances (..., m): their influences."""
+    m = means.shape[-1]
+    between, within = means.var(axis=-1, ddof=1), squares.mean(axis=-1)
+    apart = (means - means.mean(axis=-1, keepdims=True)) ** 2
+    influence = apart / between[..., None] - squares / within[..., None]
+    influence = influence - influence.mean(axis=-1, keepdims=True)
+    error = np.sqrt((influence**2).sum(axis=-1) / (m * (m - 1)))
+    return np.asarray(np.log(draws * between / within)), np.asarray(error)

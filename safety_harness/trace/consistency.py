@@ -16,13 +16,17 @@ from operator import or_
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.scenario.fault_table import TIME_EPS_S
-from safety_harness.scenario.faults import AvoiderFault
-from safety_harness.scenario.model import MAX_HANDS
+from safety_harness.scenario.faults import AvoiderFault, Fault
+from safety_harness.scenario.model import Scenario
 from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
+MODES = tuple(int(mode) for mode in Mode)
+LIMITS = reduce(or_, (int(limit) for limit in Limit))  # every flag
+CHECKS = 11  # of the ticks
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 
@@ -73,31 +77,95 @@ def _length(trace: Trace) -> Iterator[Inconsistency]:
 
 
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
-    ticks, count = trace.ticks, len(trace.ticks)
-    time_s = np.arange(count) * trace.scenario.settings.clock.control_period_s
-    yield from at_first(ticks["time_s"] != time_s, "time_s", "tick", "tick times the period", ticks["time_s"])
-    for name in BOOLEANS:
-        raw = np.ascontiguousarray(ticks[name]).view(np.uint8)
-        yield from at_first(raw > 1, name, "tick", "0 or 1", raw)
-    present = np.broadcast_to(np.arange(MAX_HANDS) < len(trace.scenario.hands), ticks["hand_present"].shape)
-    hands = f"the {len(trace.scenario.hands)} hands of the scenario"
-    yield from at_first(
-        ticks["hand_present"] != present, "hand_present", "tick", hands, ticks["hand_present"]
+    scenario, ticks = trace.scenario, trace.ticks
+    raw = {name: np.ascontiguousarray(ticks[name]).view(np.uint8) for name in BOOLEANS}
+    hands = f"the {len(scenario.hands)} hands of the scenario"
+    checks = (  # in the order of ``_first_wrong``
+        ("time_s", "tick times the period", ticks["time_s"]),
+        *((name, "0 or 1", values) for name, values in raw.items()),
+        ("hand_present", hands, ticks["hand_present"]),
+        ("hand_distance_capsule", "a part for each hand, else -1", ticks["hand_distance_capsule"]),
+        ("sse", "a sum of squares", ticks["sse"]),
+        ("mode", f"one of {list(MODES)}", ticks["mode"]),
+        ("limits", f"flags within {LIMITS}", ticks["limits"]),
+        ("faults", "faults of that time", ticks["faults"]),
+        ("decision", "the number of the decision made then, else -1", ticks["decision"]),
     )
-    capsule = ticks["hand_distance_capsule"]
-    yield from at_first(
-        (capsule < 0) == present, "hand_distance_capsule", "tick", "a part for each hand, else -1", capsule
+    first = _first_wrong(
+        history(trace, "time_s"),
+        raw["hand_present"],
+        raw["object_visible"],
+        raw["track_valid"],
+        history(trace, "hand_distance_capsule"),
+        history(trace, "sse"),
+        history(trace, "mode"),
+        history(trace, "limits"),
+        history(trace, "faults"),
+        history(trace, "decision"),
+        trace.decisions["tick"],
+        scenario.settings.clock.control_period_s,
+        len(scenario.hands),
+        np.array([_times_s(scenario, fault) for fault in scenario.faults]).reshape(-1, 2),
     )
-    yield from at_first(ticks["sse"] < 0.0, "sse", "tick", "a sum of squares", ticks["sse"])
-    yield from _enumerated(ticks["mode"], "mode", "tick", Mode)
-    yield from _flags(ticks["limits"], "limits", "tick", Limit)
-    yield from _faults(trace)
-    made = np.full(count, -1)
-    known = (trace.decisions["tick"] >= 0) & (trace.decisions["tick"] < count)
-    made[trace.decisions["tick"][known]] = np.flatnonzero(known)
-    number = ticks["decision"]
-    expected = "the number of the decision made then, else -1"
-    yield from at_first(number != made, "decision", "tick", expected, number)
+    for (field, expected, values), index in zip(checks, first.tolist(), strict=True):
+        if index < len(ticks):
+            yield Inconsistency(field, "tick", index, expected, " ".join(str(values[index]).split()))
+
+
+def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
+    """When a fault may act; a late avoider keeps the controller waiting until the deadline."""
+    settings = scenario.settings
+    wait_s = settings.avoidance.decision_deadline_s + settings.clock.control_period_s
+    return fault.from_s - TIME_EPS_S, fault.end_s + wait_s * isinstance(fault, AvoiderFault)
+
+
+@compiled
+def _first_wrong(
+    time_s: NDArray[np.float64],  # (n,), as all that follows; fields of the ticks
+    present: NDArray[np.uint8],  # (n, hands)
+    visible: NDArray[np.uint8],
+    tracked: NDArray[np.uint8],  # (n, tracks)
+    capsule: NDArray[np.int64],  # (n, hands)
+    sse: NDArray[np.float64],
+    mode: NDArray[np.int64],
+    limits: NDArray[np.int64],
+    faults: NDArray[np.int64],
+    decision: NDArray[np.int64],
+    decided: NDArray[np.int64],  # (m,) ticks of the decisions
+    period_s: float,
+    hands: int,
+    fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
+) -> NDArray[np.int64]:
+    """(11,) the first tick that fails each check, n if none does."""
+    n = time_s.shape[0]
+    first = np.full(CHECKS, n)
+    made = np.full(n, -1)
+    for number in range(decided.shape[0]):
+        if 0 <= decided[number] < n:
+            made[decided[number]] = number
+    for k in range(n - 1, -1, -1):
+        possible = 0
+        for fault in range(fault_times_s.shape[0]):
+            acts = (time_s[k] >= fault_times_s[fault, 0]) & (time_s[k] < fault_times_s[fault, 1])
+            possible |= int(acts) << fault
+        wrong = int(time_s[k] != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
+        for hand in range(present.shape[1]):
+            there = hand < hands
+            wrong |= int(present[k, hand] > 1) << 1
+            wrong |= int((present[k, hand] != 0) != there) << 4
+            wrong |= int((capsule[k, hand] < 0) == there) << 5
+        for track in range(tracked.shape[1]):
+            wrong |= int(tracked[k, track] > 1) << 3
+        wrong |= int(sse[k] < 0.0) << 6
+        wrong |= int(mode[k] not in MODES) << 7
+        wrong |= int(limits[k] & ~LIMITS != 0) << 8
+        wrong |= int(faults[k] & ~possible != 0) << 9
+        wrong |= int(decision[k] != made[k]) << 10
+        if wrong != 0:
+            for check in range(CHECKS):
+                if (wrong >> check) & 1:
+                    first[check] = k
+    return first
 
 
 def _decisions(trace: Trace) -> Iterator[Inconsistency]:
@@ -122,19 +190,6 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
         low, high = SURROGATES
         no_text = (letters > LARGEST_CHARACTER) | ((letters >= low) & (letters <= high))
         yield from at_first(no_text, name, "decision", "text", np.full(len(decisions), "no characters"))
-
-
-def _faults(trace: Trace) -> Iterator[Inconsistency]:
-    """A fault acts within its time; a late avoider keeps the controller waiting until the deadline."""
-    scenario, faults = trace.scenario, trace.ticks["faults"]
-    time_s, wait_s = trace.ticks["time_s"], scenario.settings.avoidance.decision_deadline_s
-    possible = np.zeros(len(faults), np.int64)
-    for k, fault in enumerate(scenario.faults):
-        end_s = fault.end_s + (wait_s + scenario.settings.clock.control_period_s) * isinstance(
-            fault, AvoiderFault
-        )
-        possible[(time_s >= fault.from_s - TIME_EPS_S) & (time_s < end_s)] |= 1 << k
-    yield from at_first((faults & ~possible) != 0, "faults", "tick", "faults of that time", faults)
 
 
 def _enumerated(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.scenario.model import MAX_HANDS
 
@@ -108,6 +109,19 @@ TICK_COMPILED = np.dtype(
     ],
     align=True,
 )
+
+# Where the floating-point fields of a tick are, counted in float64 from its beginning.
+COLUMNS = {
+    name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
+    for name, field in (TICK.fields or {}).items()
+    if field[0].base == np.float64
+}
+
+
+def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
+    """(n,) TICK as (n, c) float64 of the same bytes; only ``COLUMNS`` of them are numbers."""
+    return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), TICK.itemsize // 8)
+
 
 DECISION = np.dtype(
     [

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
+from safety_harness.trace.records import TICK, as_numbers
 
 R = TypeVar("R")
 
@@ -71,8 +72,38 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 
     @wraps(function)
     def kept(trace: Trace) -> R:
-        if trace not in known:
-            known[trace] = function(trace)
-        return known[trace]
+        try:
+            return known[trace]
+        except KeyError:
+            return known.setdefault(trace, function(trace))
 
     return kept
+
+
+def history(trace: Trace, name: str) -> NDArray[Any]:
+    """A field (n, ...) of the ticks, read-only, with every component's n values side by side in memory.
+
+    What goes over all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
+    """
+    known = _histories(trace)
+    if name not in known:
+        kind, offset = (TICK.fields or {})[name][:2]
+        if kind.base == np.bool_:
+            known[name] = np.array(trace.ticks[name], order="F")
+        else:
+            rows = numbers(trace)[offset // 8 : (offset + kind.itemsize) // 8].view(kind.base)
+            known[name] = np.moveaxis(rows.reshape(*kind.shape, len(trace.ticks)), -1, 0)
+        known[name].setflags(write=False)
+    return known[name]
+
+
+@once_a_trace
+def numbers(trace: Trace) -> NDArray[np.float64]:
+    """(c, n) the bytes of all ticks as float64, a row for each column of ``as_numbers``."""
+    return as_numbers(trace.ticks).T.copy()
+
+
+@once_a_trace
+def _histories(_: Trace) -> dict[str, NDArray[Any]]:
+    """Those that somebody has asked for."""
+    return {}

@@ -186,9 +186,12 @@ def test_other_draws_of_an_avoider_without_any_are_the_same_and_of_a_network_are
 
 
 def test_an_explanation_says_what_takes_the_violation_away() -> None:
-    lines = ingredients(fast_run().scenario, complaint(), in_pybullet)
-    assert any(line.startswith("without the right hand: inconclusive") for line in lines)
-    assert any(line.startswith("without the start's offset: violated") for line in lines)
+    found = {one.step: one for one in ingredients(fast_run().scenario, complaint(), in_pybullet)}
+    hand, offset = found["without the right hand"], found["without the start's offset"]
+    assert str(hand).startswith("without the right hand: inconclusive")
+    assert hand.matters
+    assert str(offset).startswith("without the start's offset: violated")
+    assert not offset.matters
 
 
 def test_circumstances_say_where_it_was_and_what_was_decided() -> None:

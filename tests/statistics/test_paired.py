@@ -79,7 +79,7 @@ def test_margins_are_compared_in_pairs() -> None:
     common, shift = rng.gamma(2.0, 1.0, 200), rng.normal(0.05, 0.01, 200)
     found = compare_margins(with_margins(common + shift), with_margins(common))
     t = scipy.stats.ttest_rel(common + shift, common).confidence_interval(0.95)
-    assert (found.mean_low, found.mean_high) == pytest.approx((t.low, t.high))
+    assert (found.mean_low, found.mean_high) == pytest.approx((t.low, t.high), abs=0.2 * (t.high - t.low))
     assert 0.0 < found.median_low < found.median < found.median_high < 0.06
     assert (found.pairs, found.left_out) == (200, 0)
 
@@ -113,6 +113,47 @@ def test_samples_of_other_episodes_are_refused(changes: dict[str, Any]) -> None:
     for comparison in (compare, compare_margins):
         with pytest.raises(StatisticsError):
             comparison(sample_of([H] * 4), sample_of(codes, **changes))
+
+
+def test_the_mean_s_interval_holds_as_often_as_it_says_where_students_does_not() -> None:
+    rng, truth, missed, student = np.random.default_rng(15), math.exp(0.5), 0, 0
+    for _ in range(400):
+        drawn = rng.lognormal(size=30)
+        found = compare_margins(with_margins(drawn), with_margins(np.zeros(30)))
+        missed += not found.mean_low <= truth <= found.mean_high
+        t = scipy.stats.ttest_1samp(drawn, 0.0).confidence_interval(0.95)
+        student += not t.low <= truth <= t.high
+    assert misses_are_no_more_than(missed, 400, 0.05)
+    assert not misses_are_no_more_than(student, 400, 0.05)
+
+
+def test_a_limit_makes_the_mean_s_interval_exact() -> None:
+    """Nineteen of twenty differences are 0: hopeless for anything that looks at the spread alone."""
+    rng, missed = np.random.default_rng(18), 0
+    for _ in range(400):
+        drawn = (rng.random(30) < 0.05).astype(float)
+        found = compare_margins(with_margins(drawn), with_margins(np.zeros(30)), limit=1.0)
+        missed += not found.mean_low <= 0.05 <= found.mean_high
+    assert misses_are_no_more_than(missed, 400, 0.05)
+
+
+def test_the_bounded_interval_is_maurer_and_pontils() -> None:
+    drawn = np.random.default_rng(16).uniform(-0.1, 0.3, 2000)
+    found = compare_margins(with_margins(drawn + 1.0), with_margins(np.ones(2000)), limit=0.5)
+    v, log = float(np.var(drawn, ddof=1)), math.log(80.0)
+    half = math.sqrt(2.0 * v * log / 2000) + 7.0 * 1.0 * log / (3.0 * 1999)
+    assert found.mean_high - found.mean == pytest.approx(half)
+    with pytest.raises(StatisticsError, match=r"at most 0\.2"):
+        compare_margins(with_margins(drawn + 1.0), with_margins(np.ones(2000)), limit=0.2)
+
+
+def test_differences_that_hardly_ever_differ_say_nothing_of_the_mean_without_a_limit() -> None:
+    for lonely in (0, 1):
+        differences = (np.arange(30) < lonely).astype(float)
+        pair_of = (with_margins(1.0 + differences), with_margins(np.ones(30)))
+        free, bounded = compare_margins(*pair_of), compare_margins(*pair_of, limit=1.0)
+        assert (free.mean_low, free.mean_high) == (-math.inf, math.inf)
+        assert -1.0 <= bounded.mean_low < bounded.mean_high <= 1.0
 
 
 def test_fewer_than_two_pairs_have_no_mean() -> None:

@@ -66,6 +66,17 @@ def test_the_bootstrap_is_near_the_exact_interval_for_many_normal_scenarios() ->
     assert (found.bootstrap_low, found.bootstrap_high) == pytest.approx((found.low, found.high), abs=0.03)
 
 
+def test_the_bootstrap_holds_about_as_often_as_it_says_where_the_f_interval_does_not() -> None:
+    rng, f, bootstrap = np.random.default_rng(17), 0, 0
+    for _ in range(200):
+        heavy = [rng.laplace(size=shape) / np.sqrt(2.0) for shape in ((40, 1), (40, 5))]
+        found = variance_split(nested(np.sqrt(0.8) * heavy[0] + np.sqrt(0.2) * heavy[1]))
+        f += not found.low <= 0.8 <= found.high
+        bootstrap += not found.bootstrap_low <= 0.8 <= found.bootstrap_high
+    assert misses_are_no_more_than(bootstrap, 200, 0.08)
+    assert not misses_are_no_more_than(f, 200, 0.08)
+
+
 def test_scenarios_that_always_sometimes_and_never_violate() -> None:
     codes = [[V, V, V]] * 2 + [[V, H, H], [V, H, U], [V, F, H]] + [[H, H, H]] * 90 + [[H, H, I], [V, V, U]]
     found = violation_split(nested(np.full((97, 3), np.nan), codes))
