@@ -563,6 +563,31 @@ def campaign_merge(
 
     _end(merge_campaigns(into, ledgers))
 
+def selftest(
+    profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: an hour or so.")] = "quick",
+    avoider: OfAvoider = None,
+    scenarios: Annotated[
+        Path, typer.Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+    ] = Path("scenarios"),
+    fault: Annotated[str | None, typer.Option(help="Only faults with these words in their name.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for selftest.html and selftest.json.")] = Path(
+        "reports/selftest"
+    ),
+    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
+) -> None:
+    """Put the harness itself on trial: seed faults into a sound system, and tell what caught each.
+
+    A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
+    table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
+    the faults are seeded into yours. Harmless changes are tried as well, and must raise no alarm.
+    Ctrl-C keeps what was tried.
+    Exit code 0; 1: a fault survives that is no stated limit, or a harmless change raises an alarm; 2: bad
+    input; 130: interrupted.
+    """
+    from safety_harness.cli.selftest import selftest as try_harness
+
+    _end(try_harness(scenarios=scenarios, profile=profile, avoider=avoider, fault=fault, out=out, jobs=jobs))
+
 
 def _end(code: int) -> NoReturn:
     raise typer.Exit(code)
