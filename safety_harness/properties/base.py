@@ -157,9 +157,7 @@ def _first_row(
     """The first row with one in columns ``start`` to ``stop`` that is not below ENDLESS, or -1."""
     for k in range(numbers.shape[0]):
         for column in range(start, stop):
-            if abs(numbers[k, column]) < ENDLESS or (
-                width > 0 and not present[k, (column - start) // width]
-            ):
+            if abs(numbers[k, column]) < ENDLESS or (width > 0 and not present[k, (column - start) // width]):
                 continue
             return k
     return -1

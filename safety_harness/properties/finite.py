@@ -71,7 +71,9 @@ class FiniteTrace:
 def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
     """(n,) ticks with something that is no number, or no later than the tick before."""
     bad = np.zeros(len(ticks), np.bool_)
-    _mark(as_numbers(ticks), FIELDS, ticks["hand_present"], ticks["object_visible"], ticks["track_valid"], bad)
+    _mark(
+        as_numbers(ticks), FIELDS, ticks["hand_present"], ticks["object_visible"], ticks["track_valid"], bad
+    )
     return bad
 
 

@@ -34,7 +34,10 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
 
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    valid, tcp_in_base = history(trace, "track_valid"), history(trace, "transform_tcp_to_base")[:, None, :3, 3]
+    valid, tcp_in_base = (
+        history(trace, "track_valid"),
+        history(trace, "transform_tcp_to_base")[:, None, :3, 3],
+    )
     hands = np.where(valid[..., None], history(trace, "predicted_hand_in_base_m"), np.inf)
     apart = np.linalg.norm(hands - tcp_in_base, axis=2)
     near = valid & (apart < trace.scenario.settings.avoidance.critical_distance_m)

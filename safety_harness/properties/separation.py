@@ -225,9 +225,7 @@ def least_separation(
 
 
 @inlined
-def _speed(
-    hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int
-) -> float:
+def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
     """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before."""
     n = hands_m.shape[0]
     if n < 2:
@@ -276,7 +274,11 @@ def _fastest_hand(hands_m: NDArray[np.float64], period_s: float, k: int) -> floa
 
 @inlined
 def _faster(
-    joints_rad: NDArray[np.float64], rates_radps: NDArray[np.float64], reach_m: NDArray[np.float64], a: int, b: int
+    joints_rad: NDArray[np.float64],
+    rates_radps: NDArray[np.float64],
+    reach_m: NDArray[np.float64],
+    a: int,
+    b: int,
 ) -> float:
     """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
 
