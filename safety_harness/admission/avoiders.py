@@ -21,6 +21,7 @@ from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
+from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
@@ -95,7 +96,7 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     if reference in SHIPPED:
         return shipped_model(reference)
     file, _ = file_and_name(reference)
-    return ((folder or Path()) / Path(file).expanduser()).resolve() if file else None
+    return resolved((folder or Path()) / os.path.expanduser(file)) if file else None
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
@@ -108,8 +109,8 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     place = place or Place(field="--avoider")
     file, name = file_and_name(reference)
     if file:
-        path = Path(file).expanduser().resolve()
-        reference = os.path.relpath(path, (_folder_of(scenario) or Path()).resolve())
+        path = resolved(Path(os.path.expanduser(file)))
+        reference = os.path.relpath(path, resolved(_folder_of(scenario) or Path()))
         reference += f":{name}" if name else ""
     if not is_sentence(reference):
         raise InadmissibleError(
@@ -120,10 +121,11 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
     """Imported only here: a run with another avoider need not wait for it."""
-    from safety_harness.avoidance.model_file import refuse_foreign_seen_space
+    from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
 
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
     except OSError:
         digest = ""  # loading says what is wrong
     avoider = _learned(path, digest)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, as_numbers
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.records import COLUMNS
+from safety_harness.trace.trace import Trace, history, numbers, once_a_trace
 
 HORIZON_M = 1e3
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
@@ -134,9 +134,9 @@ def first_unreal(trace: Trace, name: str) -> int:
     """The first tick at which a floating-point field is not finite, of a hand that is there; -1 if none."""
     known = _first_unreal(trace)
     if name not in known:
-        columns, hands = COLUMNS[name], trace.ticks["hand_present"]
-        width = (columns.stop - columns.start) // hands.shape[1] if name in OF_HANDS else 0
-        known[name] = _first_row(as_numbers(trace.ticks), columns.start, columns.stop, width, hands)
+        columns, present = numbers(trace)[COLUMNS[name]], history(trace, "hand_present")
+        width = len(columns) // present.shape[1] if name in OF_HANDS else 0
+        known[name] = _first_row(columns, width, present)
     return known[name]
 
 
@@ -148,19 +148,25 @@ def _first_unreal(_: Trace) -> dict[str, int]:
 
 @compiled
 def _first_row(
-    numbers: NDArray[np.float64],  # (n, c)
-    start: int,
-    stop: int,
+    columns: NDArray[np.float64],  # (c, n)
     width: int,  # of each hand's own; 0 for a field that is not of hands
     present: NDArray[np.bool_],  # (n, hands)
 ) -> int:
-    """The first row with one in columns ``start`` to ``stop`` that is not below ENDLESS, or -1."""
-    for k in range(numbers.shape[0]):
-        for column in range(start, stop):
-            if abs(numbers[k, column]) < ENDLESS or (width > 0 and not present[k, (column - start) // width]):
-                continue
-            return k
-    return -1
+    """The first of n with one in any column that is not below ENDLESS, or -1."""
+    n = columns.shape[1]
+    first = n
+    for column in range(columns.shape[0]):
+        beyond = 0
+        for k in range(n):
+            beyond += not abs(columns[column, k]) < ENDLESS
+        if beyond == 0:
+            continue
+        for k in range(first):
+            there = width == 0 or present[k, column // width]
+            if there and not abs(columns[column, k]) < ENDLESS:
+                first = k
+                break
+    return first if first < n else -1
 
 
 def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:

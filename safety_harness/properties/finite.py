@@ -11,8 +11,8 @@ from safety_harness.compiled import compiled
 from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import Entry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, DECISION, Outcome, as_numbers
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.records import COLUMNS, DECISION, Outcome
+from safety_harness.trace.trace import Trace, history, numbers
 
 OF_IMAGES = ("features", "feature_error", "sse")
 ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
@@ -47,7 +47,7 @@ class FiniteTrace:
         ticks, decisions = trace.ticks, trace.decisions
         if len(ticks) == 0:
             return inconclusive(self, "the trace is empty")
-        wrong = bad_ticks(ticks)
+        wrong = bad_ticks(trace)
         wrong_decisions = bad_decisions(trace)
         total = int(np.count_nonzero(wrong) + np.count_nonzero(wrong_decisions))
         if total == 0:
@@ -68,40 +68,50 @@ class FiniteTrace:
         )
 
 
-def bad_ticks(ticks: NDArray[np.void]) -> NDArray[np.bool_]:
+def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     """(n,) ticks with something that is no number, or no later than the tick before."""
-    bad = np.zeros(len(ticks), np.bool_)
+    bad = np.zeros(len(trace.ticks), np.bool_)
+    bad[1:] = ~(np.diff(history(trace, "time_s")) > 0.0)
     _mark(
-        as_numbers(ticks), FIELDS, ticks["hand_present"], ticks["object_visible"], ticks["track_valid"], bad
+        numbers(trace),
+        FIELDS,
+        history(trace, "hand_present"),
+        history(trace, "object_visible"),
+        history(trace, "track_valid"),
+        bad,
     )
     return bad
 
 
 @compiled
 def _mark(
-    numbers: NDArray[np.float64],  # (n, c)
+    columns: NDArray[np.float64],  # (c, n)
     fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
     visible: NDArray[np.bool_],  # (n,)
     tracked: NDArray[np.bool_],  # (n, tracks)
     bad: NDArray[np.bool_],  # (n,), written
 ) -> None:
-    for k in range(numbers.shape[0]):
-        if k > 0 and not numbers[k, 0] > numbers[k - 1, 0]:
-            bad[k] = True
-        for field in range(fields.shape[0]):
-            start, stop, what = fields[field]
-            if (what == IMAGE and not visible[k]) or (what == ANY_TRACK and not tracked[k].any()):
+    n = columns.shape[1]
+    for field in range(fields.shape[0]):
+        start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
+        for column in range(start, stop):
+            wrong = 0
+            for k in range(n):
+                wrong += not abs(columns[column, k]) < np.inf
+            if wrong == 0:
                 continue
-            for column in range(start, stop):
-                if np.isfinite(numbers[k, column]):
-                    continue
-                at, of = column - start, stop - start
-                if what == HAND and not present[k, at * present.shape[1] // of]:
-                    continue
-                if what == TRACK and not tracked[k, at * tracked.shape[1] // of]:
-                    continue
-                bad[k] = True
+            hand = (column - start) * present.shape[1] // (stop - start)
+            track = (column - start) * tracked.shape[1] // (stop - start)
+            for k in range(n):
+                there = (
+                    what == ALWAYS
+                    or (what == HAND and present[k, hand])
+                    or (what == IMAGE and visible[k])
+                    or (what == TRACK and tracked[k, track])
+                    or (what == ANY_TRACK and tracked[k].any())
+                )
+                bad[k] |= there and not abs(columns[column, k]) < np.inf
 
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -16,8 +16,9 @@ from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import (
+    DEEPEST,
+    approach_between,
     chain_lengths,
-    closest_approach_between,
     hand_distance,
     place_capsules,
 )
@@ -249,12 +250,16 @@ def _closest_in_trace(
             best, index, fraction = distance_m[k], k, 0.0
     reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
-    k = 0
+    room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
+    k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
-        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
-        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
-        left_m, _ = hand_distance(placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m)
-        first = k
+        if not known:
+            forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
+            place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+            left_m, _ = hand_distance(
+                placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
+            )
+        first, known = k, False
         while k < distance_m.shape[0] - 1:
             left_m -= _displacement(joints_rad, hands_m, elbows_m, reach_m, k)
             if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
@@ -262,7 +267,7 @@ def _closest_in_trace(
             k += 1
         if k > first:
             continue
-        bound, where = closest_approach_between(
+        bound, where, left_m = approach_between(
             joint_origins,
             joint_axes,
             flange,
@@ -270,6 +275,8 @@ def _closest_in_trace(
             start_in_link,
             end_in_link,
             radius_m,
+            reach_m,
+            room,
             joints_rad[k],
             joints_rad[k + 1],
             hands_m[k],
@@ -281,7 +288,7 @@ def _closest_in_trace(
             tolerance_m,
             best + slack_m[k],
         )
-        bound -= slack_m[k]
+        bound, known = bound - slack_m[k], True
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.records import MAX_TRACKS
 from safety_harness.trace.trace import Trace, history
 
 
@@ -65,19 +69,41 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks
     nothing.
     """
-    settings, hands = trace.scenario.settings, len(trace.scenario.hands)
+    settings = trace.scenario.settings
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
     at = np.arange(len(trace.ticks)) + ahead
     at = at[at <= len(trace.ticks) - 1]
-    before = np.floor(at).astype(np.int64)
-    after = np.minimum(before + 1, len(trace.ticks) - 1)
-    part = (at - before)[:, None, None]
-    places = trace.ticks["hand_position_in_base_m"][:, :hands]
-    true = places[before] * (1.0 - part) + places[after] * part  # (k, hands, 3)
-    predicted = trace.ticks["predicted_hand_in_base_m"][: len(at)]  # (k, tracks, 3)
-    apart: NDArray[np.float64] = np.linalg.norm(predicted[:, :, None] - true[:, None], axis=3)
-    nearest: NDArray[np.float64] = apart.min(axis=2)
-    return nearest
+    errors_m = np.empty((len(at), MAX_TRACKS))
+    predicted_m = np.ascontiguousarray(trace.ticks["predicted_hand_in_base_m"][: len(at)])
+    _errors(predicted_m, true_motion(trace).hands_m, len(trace.scenario.hands), at, errors_m)
+    return errors_m
+
+
+@compiled
+def _errors(
+    predicted_m: NDArray[np.float64],  # (k, tracks, 3)
+    hands_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
+    hands: int,
+    at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
+    errors_m: NDArray[np.float64],  # (k, tracks), written
+) -> None:
+    last = hands_m.shape[0] - 1
+    for k in range(at.shape[0]):
+        before = int(at[k])
+        after, part = min(before + 1, last), at[k] - before
+        for track in range(errors_m.shape[1]):
+            nearest = np.inf
+            for hand in range(hands):
+                total = 0.0
+                for i in range(3):
+                    true = hands_m[before, hand, 0, i] * (1.0 - part) + hands_m[after, hand, 0, i] * part
+                    total += (predicted_m[k, track, i] - true) ** 2
+                apart = sqrt(total)
+                if not apart >= nearest:
+                    nearest = apart
+                if np.isnan(apart):
+                    break
+            errors_m[k, track] = nearest
 
 
 HAND_PREDICTIONS = Entry(

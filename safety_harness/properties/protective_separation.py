@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.separation import Separation, least_separation, separation_terms
+from safety_harness.properties.separation import Separation, farthest_steps, least_separation, separation_terms
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
+from safety_harness.robot.distance import chain_lengths
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
 from safety_harness.simulation.truth import cell_capsules
@@ -110,6 +111,7 @@ class ProtectiveSeparation:
             np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
             np.nan if self.own_speeds else self.assumed_mps,
             settings.clock.control_period_s,
+            *_steps_m(trace),
             int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
         tick, hand, capsule, body = (int(value) for value in which)
@@ -147,6 +149,19 @@ class ProtectiveSeparation:
             stop_time_s=braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps,
         )
         return sum(term.length_m for term in terms)
+
+
+@once_a_trace
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``, and (6,) the lengths of the arm's chains of links."""
+    arm, true = load_arm(trace.scenario.robot.arm_name), true_motion(trace)
+    capsules = cell_capsules(load_capsules(arm.name), trace.scenario.settings)
+    reach_m = chain_lengths(
+        arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
+    )
+    steps_m = np.empty((2, len(trace.ticks)))
+    farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m, steps_m[0], steps_m[1])
+    return steps_m[0], steps_m[1], reach_m
 
 
 @once_a_trace

@@ -18,7 +18,7 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import Mode
+from safety_harness.trace.records import MAX_TRACKS, Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 EPS_S = 1e-9  # times are multiples of the control period, to rounding
@@ -34,15 +34,15 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
 
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    valid, tcp_in_base = (
-        history(trace, "track_valid"),
-        history(trace, "transform_tcp_to_base")[:, None, :3, 3],
-    )
-    hands = np.where(valid[..., None], history(trace, "predicted_hand_in_base_m"), np.inf)
-    apart = np.linalg.norm(hands - tcp_in_base, axis=2)
-    near = valid & (apart < trace.scenario.settings.avoidance.critical_distance_m)
-    found: NDArray[np.bool_] = near.any(axis=1)
-    return found
+    near = np.zeros(len(trace.ticks), np.bool_)
+    tcp_in_base = history(trace, "transform_tcp_to_base")[:, :3, 3]
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    for track in range(MAX_TRACKS):
+        valid = history(trace, "track_valid")[:, track]
+        if valid.any():
+            hand = np.where(valid[:, None], history(trace, "predicted_hand_in_base_m")[:, track], np.inf)
+            near |= valid & (np.linalg.norm(hand - tcp_in_base, axis=1) < critical_m)
+    return near
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,9 +72,9 @@ class GivesWay:
         if problem is not None:
             return inconclusive(self, problem)
         known = (np.abs(history(trace, "predicted_hand_in_base_m")) < HORIZON_M).all(axis=2)
-        unknown = history(trace, "track_valid") & ~known
+        unknown = (history(trace, "track_valid") & ~known).any(axis=1)
         if unknown.any():
-            at_s = trace.time_s[int(np.argmax(unknown.any(axis=1)))]
+            at_s = trace.time_s[int(np.argmax(unknown))]
             return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
         near, reacting = predicted_near(trace), gives_way(trace)
         occasions = times_begun(near)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.segments import nearest_of_segments
-from safety_harness.robot.distance import chain_lengths, place_capsules
+from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 
 ASSUMED = (
@@ -130,6 +130,9 @@ def least_separation(
     body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
     hand_speed_mps: float,  # constant, or NaN for each hand's own
     period_s: float,
+    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
+    hand_step_m: NDArray[np.float64],  # (n,)
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The pair with the least margin, the first of equals.
@@ -142,7 +145,6 @@ def least_separation(
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
     capsules = radius_m.shape[0]
-    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     transforms, placed = np.empty((8, 4, 4)), np.empty((capsules, 2, 3))
     twists, fastest_mps, velocities = np.empty((7, 6)), np.empty(capsules), np.empty((2, 3))
     apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
@@ -152,12 +154,12 @@ def least_separation(
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
         if step > 0:
-            near_m -= _farthest_step(joints_rad, hands_m, present, reach_m, k)
+            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
         elif step == 0:
             near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
         if not judged[k] or not present[k].any():
             continue
-        human_mps = _fastest_hand(hands_m, period_s, k)
+        human_mps = hand_step_m[k] / period_s
         v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
         most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
         per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
@@ -224,8 +226,43 @@ def least_separation(
     return which, what
 
 
+@compiled
+def farthest_steps(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
+    present: NDArray[np.bool_],  # (n, hands)
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
+    arm_step_m: NDArray[np.float64],  # (n,), written
+    hand_step_m: NDArray[np.float64],  # (n,), written
+) -> None:
+    """How far, at most, any point of the arm and of a hand goes from each tick to the next.
+
+    Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
+    """
+    n = joints_rad.shape[0]
+    arm_step_m[n - 1] = hand_step_m[n - 1] = 0.0
+    for k in range(n - 1):
+        arm, farthest = 0.0, 0.0
+        for i in range(6):
+            arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+        for hand in range(hands_m.shape[1]):
+            if present[k, hand] != present[k + 1, hand]:
+                farthest = np.inf
+            for body in range(2):
+                total = 0.0
+                for i in range(3):
+                    total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
+                if not total <= farthest:
+                    farthest = total
+        arm_step_m[k], hand_step_m[k] = arm, sqrt(farthest)
+    if n > 1:
+        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
+
+
 @inlined
-def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
+def _speed(
+    hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int
+) -> float:
     """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before."""
     n = hands_m.shape[0]
     if n < 2:
@@ -235,50 +272,8 @@ def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, bod
 
 
 @inlined
-def _farthest_step(
-    joints_rad: NDArray[np.float64],
-    hands_m: NDArray[np.float64],
-    present: NDArray[np.bool_],
-    reach_m: NDArray[np.float64],
-    k: int,
-) -> float:
-    """By how much [m] the least distance can have changed since the tick before, at most."""
-    arm, farthest = 0.0, 0.0
-    for i in range(6):
-        arm += abs(joints_rad[k, i] - joints_rad[k - 1, i]) * reach_m[i]
-    for hand in range(hands_m.shape[1]):
-        if present[k, hand] != present[k - 1, hand]:
-            return np.inf
-        for body in range(2):
-            total = 0.0
-            for i in range(3):
-                total += (hands_m[k, hand, body, i] - hands_m[k - 1, hand, body, i]) ** 2
-            if not total <= farthest:
-                farthest = total
-    return arm + sqrt(farthest)
-
-
-@inlined
-def _fastest_hand(hands_m: NDArray[np.float64], period_s: float, k: int) -> float:
-    """No point of a hand or forearm is faster [m/s] at a tick."""
-    fastest = 0.0
-    for hand in range(hands_m.shape[1]):
-        for body in range(2):
-            total = 0.0
-            for i in range(3):
-                total += _speed(hands_m, period_s, k, hand, body, i) ** 2
-            if not total <= fastest:
-                fastest = total
-    return sqrt(fastest)
-
-
-@inlined
 def _faster(
-    joints_rad: NDArray[np.float64],
-    rates_radps: NDArray[np.float64],
-    reach_m: NDArray[np.float64],
-    a: int,
-    b: int,
+    joints_rad: NDArray[np.float64], rates_radps: NDArray[np.float64], reach_m: NDArray[np.float64], a: int, b: int
 ) -> float:
     """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
 

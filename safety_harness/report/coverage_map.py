@@ -101,8 +101,7 @@ def _draw_cell(
     parent: ElementTree.Element, cell: Cell, count: int, violated: int, where: tuple[int, int]
 ) -> None:
     group = ElementTree.SubElement(parent, "g")
-    runs = f"{count:,} {'run' if count == 1 else 'runs'}"
-    words = f"{cell}: {runs}" + (f", {violated:,} with a violation" if violated else "")
+    words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
     ElementTree.SubElement(group, "title").text = words
     _draw_square(group, SIZES_PX[size_class(count)], where, violated=bool(violated))
 
@@ -131,7 +130,7 @@ def _name_rows(
     for direction, runs in coverage.along("direction").items():
         top = y[direction, SPEEDS[0]]
         _text(root, 0, top + 20, direction, weight="600", size=12.5)
-        _text(root, 0, top + 34, f"{runs:,} runs", ink=Ink.MUTED)
+        _text(root, 0, top + 34, _runs(runs), ink=Ink.MUTED)
         for speed in SPEEDS:
             _text(root, LEFT_PX - 8, y[direction, speed] + 10, speed, anchor="end", ink=Ink.MUTED, size=10)
             if speeds[direction][speed]:
@@ -145,7 +144,8 @@ def _name_columns(
     for distance, runs in coverage.along("distance").items():
         left = x[distance, SEEN[0], OUTCOMES[0]]
         _text(root, left, 14, distance, weight="600", size=12.5)
-        _text(root, left + 70, 14, f"{runs:,} runs", ink=Ink.MUTED)
+        right = x[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
+        _text(root, right, 14, _runs(runs), anchor="end", ink=Ink.MUTED)
         for seen in SEEN:
             for line, word in enumerate(seen.split()):
                 _text(root, x[distance, seen, OUTCOMES[0]], 34 + 12 * line, word, ink=Ink.MUTED, size=10)
@@ -197,6 +197,10 @@ def _text(
     optional = {"text-anchor": anchor if anchor != "start" else "", "font-weight": weight, "transform": turn}
     attributes |= {name: value for name, value in optional.items() if value}
     ElementTree.SubElement(parent, "text", attributes).text = words
+
+
+def _runs(count: int) -> str:
+    return f"{count:,} {'run' if count == 1 else 'runs'}"
 
 
 def _colour(ink: Ink) -> str:

@@ -30,12 +30,12 @@ def asset(name: str) -> str:
     return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
 
-def render_page(template: str, *, style: str = "", **values: object) -> str:
+def render_page(template: str, *, style: str = "", scripts: tuple[str, ...] = (), **values: object) -> str:
     """A page that asks nothing of the network: the template with the shared style sheet and script.
 
-    ``style`` names a style sheet of its own that follows the shared one.
+    ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise.
     """
-    script = asset("report.js")
+    script = "".join(map(asset, ("report.js", *scripts)))
     return (
         templates()
         .get_template(template)

@@ -118,7 +118,11 @@ def render(evidence: SearchEvidence) -> str:
         ],
         progress=Markup(progress_figure(searches, prefix="progress-")),
         sections=[_section(shown, number) for number, shown in enumerate(evidence.shown, start=1)],
-        groups=[_group_row(findings, group) for group in findings.groups[:MOST_GROUPS]],
+        groups=[
+            _group_row(findings, group)
+            for claim in (*range(len(findings.goals)), None)
+            for group in findings.of_claim(claim)
+        ][:MOST_GROUPS],
         unconfirmed=[_group_row(findings, group) for group in evidence.unconfirmed],
         map=Markup(
             coverage_map(
@@ -130,6 +134,7 @@ def render(evidence: SearchEvidence) -> str:
         ),
         refused=findings.refused.most_common(),
         share=share_words,
+        minus=with_minus,
         draws=DRAWS,
     )
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
-INKS = (Ink.TCP, Ink.HAND_1)  # the search, the baseline
+INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 
 
 def progress_figure(searches: list[Findings], *, prefix: str) -> str:

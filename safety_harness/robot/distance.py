@@ -129,17 +129,62 @@ def closest_approach_between(
 
     Branch and bound, from left to right: an interval is halved until its bound is good enough.
     """
+    bound, t_best, _ = approach_between(
+        joint_origins,
+        joint_axes,
+        flange,
+        link_index,
+        start_in_link,
+        end_in_link,
+        radius_m,
+        chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link),
+        np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3)),
+        q0,
+        q1,
+        hand0,
+        hand1,
+        elbow0,
+        elbow1,
+        hand_radius_m,
+        forearm_radius_m,
+        tolerance_m,
+        not_below_m,
+    )
+    return bound, t_best
+
+
+@compiled
+def approach_between(
+    joint_origins: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],
+    flange: NDArray[np.float64],
+    link_index: NDArray[np.int64],
+    start_in_link: NDArray[np.float64],
+    end_in_link: NDArray[np.float64],
+    radius_m: NDArray[np.float64],
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
+    room: NDArray[np.float64],  # (DEEPEST + 1, n, 2, 3), overwritten
+    q0: NDArray[np.float64],
+    q1: NDArray[np.float64],
+    hand0: NDArray[np.float64],
+    hand1: NDArray[np.float64],
+    elbow0: NDArray[np.float64],
+    elbow1: NDArray[np.float64],
+    hand_radius_m: float,
+    forearm_radius_m: float,
+    tolerance_m: float,
+    not_below_m: float,
+) -> tuple[float, float, float]:
+    """``closest_approach_between`` for many intervals of one arm; also the distance [m] at t = 1."""
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
-    bend = _bend(joint_origins, flange, link_index, start_in_link, end_in_link, q0, q1)
-    n = radius_m.shape[0]
+    bend = _bend(reach_m, q0, q1)
     transforms = np.empty((8, 4, 4))
-    left_placed = np.empty((n, 2, 3))
-    placed = np.empty((DEEPEST, n, 2, 3))  # capsules at the right ends still to be reached
+    left_placed, placed = room[DEEPEST], room[:DEEPEST]  # capsules at the right ends still to be reached
     at = np.empty(DEEPEST)
     joints = np.empty(6)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
-    left, t_best, best, lower = 0.0, 0.0, np.inf, np.inf
+    left, t_best, best, lower, first, last = 0.0, 0.0, np.inf, np.inf, np.nan, np.nan
     depth = 0
     t_next = 0.0
     while True:
@@ -154,12 +199,20 @@ def closest_approach_between(
             sample, radius_m, hands[2, 0], hands[2, 1], hand_radius_m, forearm_radius_m
         )
         if not isfinite(distance):
-            return nan, t_next
+            return nan, t_next, nan
         if distance < best:
             best, t_best = distance, t_next
         if t_next == 0.0:
-            t_next = 1.0
+            first, t_next = distance, 1.0
             continue
+        if t_next == 1.0:
+            last = distance
+            # From either end to anywhere in between nothing moves farther than its chord and its bend.
+            chord = _longest_chord(left_placed, sample)
+            chord += max(_length(hand0, hand1), _length(elbow0, elbow1))
+            coarse = 0.5 * (first + last - chord) - bend / 8.0
+            if coarse > not_below_m:
+                return min(coarse, best), t_best, last
         at[depth] = t_next
         depth += 1
         # Pass over every interval whose bound is good enough.
@@ -178,8 +231,21 @@ def closest_approach_between(
             left_placed[:] = placed[depth - 1]
             depth -= 1
         if depth == 0:
-            return min(lower, best), t_best
+            return min(lower, best), t_best, last
         t_next = 0.5 * (left + at[depth - 1])
+
+
+@inlined
+def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> float:
+    """The farthest [m] that any end of a capsule's axis (n, 2, 3) is from where it was."""
+    longest = 0.0
+    for capsule in range(left.shape[0]):
+        for i in range(2):
+            total = 0.0
+            for j in range(3):
+                total += (right[capsule, i, j] - left[capsule, i, j]) ** 2
+            longest = max(longest, total)
+    return sqrt(longest)
 
 
 @compiled
@@ -197,26 +263,17 @@ def _hand_at(
 
 
 @compiled
-def _bend(
-    joint_origins: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    q0: NDArray[np.float64],
-    q1: NDArray[np.float64],
-) -> float:
+def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.float64]) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
     For i <= j, d^2 p / dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|, which no joint
     position can make longer than the chain of links from joint j to p.  A point that bends by
     no more than b leaves the chord of an interval of length h by at most b h^2 / 8.
     """
-    longest = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     bend = 0.0
     for i in range(6):
         for j in range(6):
-            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * longest[max(i, j)]
+            bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * reach_m[max(i, j)]
     return bend
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -39,10 +40,9 @@ def _no_file(path: Path) -> str:
         return f"{path}: {reason.strerror}"
 
 
-def printable(text: str, most: int = 500) -> str:
-    """A stranger's text on one line, cut, for a message."""
-    shown = "".join(c if c.isprintable() else "?" for c in text[:most])
-    return shown if len(text) <= most else shown + "..."
+def resolved(path: Path) -> Path:
+    """The absolute path without links; of links that lead to each other what can be said of it."""
+    return Path(os.path.realpath(path))
 
 
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:

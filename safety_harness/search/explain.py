@@ -49,7 +49,8 @@ def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
     if complaint.claim is None or isinstance(run, Exception):
         return mishap(run) or "nothing goes wrong"
     evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
-    return f"{evaluation.verdict.value}, {evaluation.margin_text()}"
+    margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
+    return evaluation.verdict.value + margin
 
 
 def seen_of(scenario: Scenario) -> Seen:

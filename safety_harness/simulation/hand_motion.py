@@ -104,8 +104,11 @@ def advance_hands(
             left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
         brake(hands, k, left_s)
         for i in range(3):
-            angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
-            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + hand.tremor_m * np.sin(angle)
+            off_m = 0.0
+            if hand.tremor_m != 0.0:
+                angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
+                off_m = hand.tremor_m * np.sin(angle)
+            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + off_m
         point_forearm(hands, k)
 
 

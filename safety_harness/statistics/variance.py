@@ -196,7 +196,7 @@ def _share(ratio: float, draws: int) -> float:
     if math.isinf(ratio):
         return 1.0
     scenarios = max(ratio - 1.0, 0.0) / draws
-    return scenarios / (1.0 + scenarios)
+    return float(scenarios / (1.0 + scenarios))
 
 
 def _studentised(margins: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:

@@ -21,11 +21,12 @@ from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
 MODES = tuple(int(mode) for mode in Mode)
 LIMITS = reduce(or_, (int(limit) for limit in Limit))  # every flag
+CHECKS = 11  # of the ticks
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 
@@ -91,16 +92,16 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         ("decision", "the number of the decision made then, else -1", ticks["decision"]),
     )
     first = _first_wrong(
-        ticks["time_s"],
+        history(trace, "time_s"),
         raw["hand_present"],
         raw["object_visible"],
         raw["track_valid"],
-        ticks["hand_distance_capsule"],
-        ticks["sse"],
-        ticks["mode"],
-        ticks["limits"],
-        ticks["faults"],
-        ticks["decision"],
+        history(trace, "hand_distance_capsule"),
+        history(trace, "sse"),
+        history(trace, "mode"),
+        history(trace, "limits"),
+        history(trace, "faults"),
+        history(trace, "decision"),
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
@@ -137,40 +138,33 @@ def _first_wrong(
 ) -> NDArray[np.int64]:
     """(11,) the first tick that fails each check, n if none does."""
     n = time_s.shape[0]
-    first = np.full(11, n)
+    first = np.full(CHECKS, n)
     made = np.full(n, -1)
     for number in range(decided.shape[0]):
         if 0 <= decided[number] < n:
             made[decided[number]] = number
     for k in range(n - 1, -1, -1):
-        if time_s[k] != k * period_s:
-            first[0] = k
-        if (present[k] > 1).any():
-            first[1] = k
-        if visible[k] > 1:
-            first[2] = k
-        if (tracked[k] > 1).any():
-            first[3] = k
-        for hand in range(present.shape[1]):
-            there = hand < hands
-            if (present[k, hand] != 0) != there:
-                first[4] = k
-            if (capsule[k, hand] < 0) == there:
-                first[5] = k
-        if sse[k] < 0.0:
-            first[6] = k
-        if mode[k] not in MODES:
-            first[7] = k
-        if limits[k] & ~LIMITS != 0:
-            first[8] = k
         possible = 0
         for fault in range(fault_times_s.shape[0]):
-            if fault_times_s[fault, 0] <= time_s[k] < fault_times_s[fault, 1]:
-                possible |= 1 << fault
-        if faults[k] & ~possible != 0:
-            first[9] = k
-        if decision[k] != made[k]:
-            first[10] = k
+            acts = (time_s[k] >= fault_times_s[fault, 0]) & (time_s[k] < fault_times_s[fault, 1])
+            possible |= int(acts) << fault
+        wrong = int(time_s[k] != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
+        for hand in range(present.shape[1]):
+            there = hand < hands
+            wrong |= int(present[k, hand] > 1) << 1
+            wrong |= int((present[k, hand] != 0) != there) << 4
+            wrong |= int((capsule[k, hand] < 0) == there) << 5
+        for track in range(tracked.shape[1]):
+            wrong |= int(tracked[k, track] > 1) << 3
+        wrong |= int(sse[k] < 0.0) << 6
+        wrong |= int(mode[k] not in MODES) << 7
+        wrong |= int(limits[k] & ~LIMITS != 0) << 8
+        wrong |= int(faults[k] & ~possible != 0) << 9
+        wrong |= int(decision[k] != made[k]) << 10
+        if wrong != 0:
+            for check in range(CHECKS):
+                if (wrong >> check) & 1:
+                    first[check] = k
     return first
 
 

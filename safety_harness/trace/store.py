@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError, Place, TraceError
-from safety_harness.scenario.files import printable, refuse_no_file
+from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording_table import MAX_BYTES
@@ -152,8 +152,7 @@ class _Reader:
         return trace
 
     def _error(self, expected: str, got: str, field: str | None = None) -> TraceError:
-        place = Place(file=self._path, field=None if field is None else printable(field))
-        return TraceError(place=place, expected=expected, got=printable(got))
+        return TraceError(place=Place(file=self._path, field=field), expected=expected, got=got)
 
     def _refuse_no_directory(self, file: IO[bytes]) -> None:
         """A zip's end tells how long its directory is; a long one would fill the memory before it is read."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
+from safety_harness.trace.records import TICK, as_numbers
 
 R = TypeVar("R")
 
@@ -86,9 +87,20 @@ def history(trace: Trace, name: str) -> NDArray[Any]:
     """
     known = _histories(trace)
     if name not in known:
-        known[name] = np.array(trace.ticks[name], order="F")
+        kind, offset = (TICK.fields or {})[name][:2]
+        if kind.base == np.bool_:
+            known[name] = np.array(trace.ticks[name], order="F")
+        else:
+            rows = numbers(trace)[offset // 8 : (offset + kind.itemsize) // 8].view(kind.base)
+            known[name] = np.moveaxis(rows.reshape(*kind.shape, len(trace.ticks)), -1, 0)
         known[name].setflags(write=False)
     return known[name]
+
+
+@once_a_trace
+def numbers(trace: Trace) -> NDArray[np.float64]:
+    """(c, n) the bytes of all ticks as float64, a row for each column of ``as_numbers``."""
+    return as_numbers(trace.ticks).T.copy()
 
 
 @once_a_trace

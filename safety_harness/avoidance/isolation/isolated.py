@@ -23,7 +23,9 @@ from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.host import GRACE_S, LONGEST_S, Host, Made, RefusedError, host_of
 from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place, SimulationError
+from safety_harness.scenario.files import read_bytes
 
+MOST_SOURCE = 10_000_000
 ATTEMPTS = 3  # to make it anew, one after another
 
 
@@ -32,10 +34,11 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     InadmissibleError at ``place`` if there is none, or the process does not live to say so.
     """
-    try:
-        host = host_of(path, path.read_bytes())
-    except OSError as error:
-        raise InadmissibleError(place=place, expected="a file that can be read", got=str(error)) from error
+    source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
+    if len(source) > MOST_SOURCE:
+        expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
+        raise InadmissibleError(place=place, expected=expected, got="a larger one")
+    host = host_of(path, source)
     number = host.number()
     try:
         with host.lock:

@@ -1,4 +1,4 @@
-"""Do the intervals of the statistics hold as often as they say?  Run: python benchmarks/coverage.py.
+"""Do the intervals of the statistics hold as often as they say?  Run: python benchmarks/interval_coverage.py.
 
 Prints nominal against measured coverage of every interval: exactly, by enumeration of every count, where
 that can be done, otherwise over simulated samples; and of some broken intervals, which the measure must see.
@@ -166,7 +166,7 @@ def rare(times: int) -> Iterator[Row]:
     known.append(("4 sigma, both tails", lambda u: 4.0 - np.abs(tail(u)), 2, 2.0 * float(stats.norm.sf(4))))
     known.append(("outside r = 8, 30-d", lambda u: 8.0 - radius(u), 30, float(stats.chi2.sf(64, 30))))
     for name, margins, dimensions, truth in known:
-        found = [split(margins, dimensions, seed=k) for k in range(runs)]
+        found = [split(margins, dimensions, seed=k, how=Splitting(particles=200)) for k in range(runs)]
         held = sum(one.low <= truth <= one.high for one in found) / runs
         values = np.array([one.value for one in found]) / truth
         spent = np.mean([one.evaluations for one in found])
@@ -174,7 +174,7 @@ def rare(times: int) -> Iterator[Row]:
             f"{name}, p = {truth:.2g}; mean {values.mean():.3f} p, deviation {values.std():.3f} p, "
             f"{spent:,.0f} points"
         )
-        yield Row("splitting, 20 replications", where, 0.95, held, runs, exact=False)
+        yield Row("splitting, 20 of 200 particles, 10 steps", where, 0.95, held, runs, exact=False)
     few = Splitting(particles=100, steps=3, replications=8)
     found = [split(known[2][1], 2, seed=k, how=few) for k in range(runs)]
     held = sum(one.low <= known[2][3] <= one.high for one in found) / runs
