@@ -121,7 +121,7 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
 
         def kill() -> None:
             nonlocal killed
-            while killed < moments and not over.wait(rng.uniform(0.0, 0.2)):
+            while killed < moments and not over.wait(rng.uniform(0.0, 1.0)):
                 os.kill(rng.choice(crew.processes), signal.SIGKILL)
                 killed += 1
 
@@ -223,9 +223,8 @@ def main() -> None:
         begun_s = time.monotonic()
         with tempfile.TemporaryDirectory() as folder:
             told = KINDS[kind](given.moments, random.Random(given.seed), Path(folder))
-        print(
-            f"{kind}: {told}: every planned episode once, results as undisturbed; {time.monotonic() - begun_s:.0f} s"
-        )
+        seconds = time.monotonic() - begun_s
+        print(f"{kind}: {told}: every planned episode once, results as undisturbed; {seconds:.0f} s")
 
 
 if __name__ == "__main__":
