@@ -563,6 +563,8 @@ def campaign_merge(
 
     _end(merge_campaigns(into, ledgers))
 
+
+@app.command()
 def selftest(
     profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: an hour or so.")] = "quick",
     avoider: OfAvoider = None,
