@@ -34,7 +34,7 @@ def run_trial(
     """
     late = recorded_late(recorded)
     if not by_the_clock and recorded is None:
-        late = [False] * (admitted.scenario.ticks + 1)  # there is at most one decision a tick
+        late = [""] * (admitted.scenario.ticks + 1)  # there is at most one decision a tick
     with PyBulletWorld(
         admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
     ) as world:

@@ -187,7 +187,7 @@ def why_broken(trace: Trace) -> str:
     odd = first_inconsistency(trace)
     if odd is not None:
         return f"the trace contradicts itself: {odd}"
-    if bad_ticks(trace.ticks).any() or bad_decisions(trace).any():
+    if bad_ticks(trace).any() or bad_decisions(trace).any():
         return "the trace has numbers that are none"
     return ""
 

@@ -32,7 +32,8 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.fuzz import FINDINGS, fuzz
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.fuzz_page import FINDINGS
 from safety_harness.exceptions import InputError, SafetyHarnessError
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.avoidance.asking_many import takes_many
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.batches import takes_many
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.cycle import ControllerRecords
@@ -93,7 +93,7 @@ class System:
         """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
         admitted = self.admitted
         scenario = admitted.scenario
-        never_late = () if self.timed else (False,) * (scenario.ticks + 1)
+        never_late = () if self.timed else ("",) * (scenario.ticks + 1)
         pilot = admitted.controller(never_late)
         for edit in self.edits:
             edit(pilot)
