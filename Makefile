@@ -22,11 +22,14 @@ check: $(VENV)/tested
 bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/decision.py
+	$(BIN)/python benchmarks/isolation.py
 	$(BIN)/python benchmarks/dataset.py
 	$(BIN)/python benchmarks/spaces.py
 	$(BIN)/python benchmarks/scenario_files.py
 	$(BIN)/python benchmarks/formulas.py
 	$(BIN)/python benchmarks/search_power.py
+	$(BIN)/python benchmarks/flat_bugs.py
+	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py
 

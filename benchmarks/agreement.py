@@ -1,9 +1,11 @@
-"""Do the two worlds agree?  Run: python benchmarks/agreement.py [--random N] [--seed S].
+"""Do the two worlds agree?  Run: python benchmarks/agreement.py [--random N] [--seed S] [--write].
 
 Every shipped scenario, and N random ones of the shipped spaces, in both worlds, judged by their own claims
 and by the whole catalogue.  A verdict counts as outside the limit where either world's margin is more than
 5 mm from zero, or is no length.  Every disagreement is listed; *optimistic* ones, where only PyBullet sees
-a violation, are the ones that matter for a search in the kinematic world.
+a violation, are the ones that matter for a search in the kinematic world.  Answers count however long they
+take in both: it is the worlds that are compared, and no clocks.  --write keeps the outcome in the
+package, where reports find it.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.agreement import AGREEMENT_FILE, Agreement, Difference, present_source, to_json
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import admit_points
@@ -52,7 +55,8 @@ class Tally:
     near_agreed: int = 0
     disagreements: list[str] = field(default_factory=list)
     optimistic: list[str] = field(default_factory=list)
-    largest: dict[str, tuple[float, str]] = field(default_factory=dict)
+    largest: dict[str, Difference] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
 
     def take(self, admitted: Admitted, engine: Trace, kinematic: Trace) -> None:
         """Both worlds' traces of one scenario."""
@@ -61,8 +65,8 @@ class Tally:
         for prop in properties_of(admitted):
             self._compare(name, prop.evaluate(engine), prop.evaluate(kinematic))
         for what, difference in differences(engine, kinematic).items():
-            if difference > self.largest.get(what, (-1.0, ""))[0]:
-                self.largest[what] = (difference, name)
+            if what not in self.largest or difference > self.largest[what].largest:
+                self.largest[what] = Difference(what, difference, name)
 
     def _compare(self, name: str, engine: Evaluation, kinematic: Evaluation) -> None:
         same = engine.verdict is kinematic.verdict
@@ -138,11 +142,31 @@ def compare(scenarios: Iterator[Admitted], tally: Tally) -> None:
         try:
             (kinematic,) = run_many([admitted])
         except InadmissibleError as error:
-            print(f"  left out: {admitted.scenario.name}: {error.place.field}: {error.got}")
+            tally.left_out.append(f"{admitted.scenario.name}: {error.place.field}: {error.got}")
+            print(f"  left out: {tally.left_out[-1]}")
             continue
-        tally.take(admitted, run_trial(admitted), kinematic)
+        tally.take(admitted, run_trial(admitted, by_the_clock=False), kinematic)
         if tally.runs % 25 == 0:
             print(f"  {tally.runs} compared", file=sys.stderr, flush=True)
+
+
+def agreement_of(tally: Tally, shipped: int, seed: int) -> Agreement:
+    """What is kept of it."""
+    return Agreement(
+        source=present_source(),
+        shipped=shipped,
+        random=tally.runs - shipped,
+        seed=seed,
+        near_m=NEAR_M,
+        compared=tally.compared.total(),
+        agreed=tally.agreed.total(),
+        compared_near=tally.near,
+        agreed_near=tally.near_agreed,
+        optimistic=tuple(tally.optimistic),
+        disagreements=tuple(tally.disagreements),
+        differences=tuple(tally.largest.values()),
+        left_out=tuple(tally.left_out),
+    )
 
 
 def main() -> None:
@@ -152,26 +176,30 @@ def main() -> None:
     )
     parser.add_argument("--random", type=int, default=500, help="how many random scenarios")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--write", action="store_true", help=f"write {AGREEMENT_FILE.name} into the package")
     given = parser.parse_args()
+    present_source()  # of what runs, whatever is edited meanwhile
     tally, begun_s = Tally(), time.perf_counter()
     compare(shipped(), tally)
-    print(f"{tally.runs} shipped scenarios", flush=True)
+    from_files = tally.runs
+    print(f"{from_files} shipped scenarios", flush=True)
     compare(random_ones(given.random, given.seed), tally)
-    compared, agreed = tally.compared.total(), tally.agreed.total()
+    found = agreement_of(tally, from_files, given.seed)
     print(f"{tally.runs} scenarios in both worlds, {time.perf_counter() - begun_s:.0f} s")
-    share = agreed / compared
     print(
-        f"verdicts outside {NEAR_M * 1e3:g} mm of a limit: {agreed} of {compared} agree, {share:.2%} "
-        f"(aim {AIMED:.0%}: {'met' if share >= AIMED else 'NOT MET'})"
+        f"verdicts outside {NEAR_M * 1e3:g} mm of a limit: {found.agreed} of {found.compared} agree, "
+        f"{found.share:.2%} (aim {AIMED:.0%}: {'met' if found.share >= AIMED else 'NOT MET'})"
     )
-    print(f"verdicts within it: {tally.near_agreed} of {tally.near} agree")
-    for title, lines in (("optimistic", tally.optimistic), ("all", tally.disagreements)):
+    print(f"verdicts within it: {found.agreed_near} of {found.compared_near} agree")
+    for title, lines in (("optimistic", found.optimistic), ("all", found.disagreements)):
         print(f"{title} disagreements: {len(lines)}")
         for line in lines:
             print(f"  {line}")
     print("largest differences")
-    for what, (difference, name) in tally.largest.items():
-        print(f"  {what:24}{difference:10.3g}  {name}")
+    for one in found.differences:
+        print(f"  {one.what:24}{one.largest:10.3g}  {one.scenario}")
+    if given.write:
+        AGREEMENT_FILE.write_text(to_json(found))
 
 
 if __name__ == "__main__":

@@ -14,9 +14,13 @@ from safety_harness.scenario.reference import markdown, markdown_of_moves
 from safety_harness.scenario.reference_hands import MOVES
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema
+from safety_harness.selftest.table import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
+KILLS = DOCS / "selftest-results.json"
+KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
+KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 
 
@@ -26,7 +30,26 @@ def with_tables(text: str) -> str:
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims(CATALOGUE)
     tables["signals"] = markdown_of_signals()
+    tables["kills"], tables["harmless"] = markdown_of_kills()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
+
+
+def markdown_of_kills() -> tuple[str, str]:
+    """What the last self-test came to, as ``selftest-results.json`` has it."""
+    found = json.loads(KILLS.read_text("utf-8"))["faults"]
+    faults = [one for one in found if not one["harmless"]]
+    rows = [[_cell(one[name]) for name in KILL_FIELDS] for one in faults]
+    changes = [
+        [one["fault"], one["harmless"], str(one["rungs"][0]["episodes"])] for one in found if one["harmless"]
+    ]
+    return (
+        "\n".join(table_of(KILL_HEAD, rows)) + "\n",
+        "\n".join(table_of(("change", "why it cannot matter", "episodes without an alarm"), changes)) + "\n",
+    )
+
+
+def _cell(value: object) -> str:
+    return "-" if value is None else str(value)
 
 
 def schema_text() -> str:

@@ -71,6 +71,11 @@ def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozens
     return frozenset(found)
 
 
+def source_hash_of(*files: Path) -> str:
+    """The hash over files of the package and every other that they import, directly or not."""
+    return _hash(frozenset().union(*map(sources_of, files)))
+
+
 def cache_root() -> Path:
     """Where machine code is kept: below ``$SAFETY_HARNESS_CACHE``, else the user's cache folder."""
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")

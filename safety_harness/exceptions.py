@@ -17,6 +17,14 @@ class SafetyHarnessError(Exception):
     """The root of every error that this package raises on purpose."""
 
 
+MOST_CHARACTERS = 1_500  # of what came, in a message
+
+
+def on_one_line(text: str) -> str:
+    """A text that may be a stranger's, without what would break a line or command a terminal."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+
+
 @dataclass(frozen=True)
 class Place:
     """Where in the user's input something stands; unknown parts are ``None``.
@@ -30,27 +38,28 @@ class Place:
 
     def __str__(self) -> str:
         if self.file is None and self.line is None and self.field:
-            return self.field
+            return on_one_line(self.field)
         where = str(self.file) if self.file is not None else "<input>"
         if self.line is not None:
             where += f":{self.line}"
-        return where + (f": {self.field}" if self.field else "")
+        return on_one_line(where + (f": {self.field}" if self.field else ""))
 
 
 class InputError(SafetyHarnessError):
     """The user's input cannot be used as it stands.
 
     Parameters: ``expected`` and ``got`` complete the sentences "expected ..." and "got ...";
-    ``hint`` is one more line of help (a near-miss suggestion, the list of what is allowed).
+    ``hint`` is one more line of help (a near-miss suggestion, the list of what is allowed).  Each is
+    put on one line, and ``got`` is cut where it is longer than anybody reads.
     """
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
         self.place = place
-        self.expected = expected
-        self.got = got
-        self.hint = hint
-        text = f"{place}: expected {expected}; got {got}"
-        super().__init__(text + (f" ({hint})" if hint else ""))
+        self.expected = on_one_line(expected)
+        self.got = on_one_line(got if len(got) <= MOST_CHARACTERS else got[:MOST_CHARACTERS] + "...")
+        self.hint = on_one_line(hint)
+        text = f"{place}: expected {self.expected}; got {self.got}"
+        super().__init__(text + (f" ({self.hint})" if self.hint else ""))
 
 
 class ScenarioError(InputError):
@@ -94,6 +103,14 @@ class DatasetError(InputError):
     """A data set cannot be made as asked, or a stored one is missing, damaged or of another version."""
 
 
+class StatisticsError(InputError):
+    """A sample that no estimate can be made of, or a plan that cannot show what it is to show."""
+
+
+class LedgerError(InputError):
+    """A campaign's ledger is missing, damaged, in use, of another version or another plan's."""
+
+
 class RegionError(InputError):
     """A box without an inside, or a shell of which nothing is left."""
 
@@ -112,6 +129,10 @@ class FlakyAvoiderError(AvoiderError):
 
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
+
+
+class CampaignError(SafetyHarnessError):
+    """A campaign cannot go on: its workers cannot be started, or the cluster is gone."""
 
 
 class ArmModelError(SafetyHarnessError):

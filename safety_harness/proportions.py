@@ -1,12 +1,12 @@
-"""A share of independent trials, with its exact interval."""
+"""A share of independent trials, with its exact interval and its exact one-sided bounds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import betainccinv, betaincinv
 
 LEVEL = 0.95
 
@@ -31,9 +31,7 @@ class Proportion:
         if not trials:
             raise ValueError("a share takes at least one trial")
         tail = (1.0 - LEVEL) / 2.0
-        low = 0.0 if count == 0 else 1.0 - _share(trials - count, trials, tail)
-        high = 1.0 if count == trials else _share(count, trials, tail)
-        return cls(count, trials, low, high)
+        return cls(count, trials, lower_bound(count, trials, tail), upper_bound(count, trials, tail))
 
     @property
     def share(self) -> float:
@@ -41,21 +39,14 @@ class Proportion:
         return self.count / self.trials
 
 
-def _share(most: int, trials: int, chance: float) -> float:
-    """The share p under which at most ``most`` < ``trials`` successes have this chance, by bisection."""
-    at_most = _cumulative(most, trials)
-    low, high = 0.0, 1.0  # the chance falls from 1 to 0 in between
-    while low < (middle := (low + high) / 2.0) < high:
-        low, high = (middle, high) if at_most(middle) > chance else (low, middle)
-    return middle
+def upper_bound(count: int, trials: int, chance: float) -> float:
+    """The share under which at most ``count`` of ``trials`` successes have this chance; 1 if all are.
+
+    Clopper and Pearson's upper end: whatever the true share is, it is above with this chance at most.
+    """
+    return 1.0 if count >= trials else float(betainccinv(count + 1.0, trials - count, chance))
 
 
-def _cumulative(most: int, trials: int) -> Callable[[float], float]:
-    """P(at most ``most`` of ``trials``) as a function of the share; terms by their logarithms."""
-    k = np.arange(most + 1)
-    choices = np.append(0.0, np.cumsum(np.log((trials - k[1:] + 1) / k[1:])))  # log (n choose k)
-
-    def chance(share: float) -> float:
-        return float(np.exp(choices + k * np.log(share) + (trials - k) * np.log1p(-share)).sum())
-
-    return chance
+def lower_bound(count: int, trials: int, chance: float) -> float:
+    """The share under which at least ``count`` of ``trials`` successes have this chance; 0 if none are."""
+    return 0.0 if count <= 0 else float(betaincinv(count, trials - count + 1.0, chance))

@@ -57,4 +57,7 @@ def test_branches_keep_their_numbers() -> None:
         "SPACE_DRAW": 3,
         "HAND_MOTION": 4,
         "SEARCH": 5,
+        "CAMPAIGN": 6,
+        "STATISTICS": 7,
+        "SELFTEST": 8,
     }

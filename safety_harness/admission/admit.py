@@ -50,7 +50,7 @@ class Admitted:
     properties: tuple[Property, ...]  # in the order of the scenario's claims
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
 
-    def controller(self, recorded_late: Sequence[bool] = ()) -> AvoidingServo:
+    def controller(self, recorded_late: Sequence[str] = ()) -> AvoidingServo:
         """A fresh controller for one run; ``recorded_late`` as in ``AvoidingServo``."""
         settings = self.scenario.settings
         gate = Gate.of(settings, kinematics(self.arm.name))

@@ -1,7 +1,7 @@
 """Which avoider a reference means: one of ours by name, a user's own Python file, or a model file.
 
 A Python file is the user's own program and is executed, with everything that it imports, because a
-reference names it and for no other reason.  A model file is only read.
+reference names it and for no other reason, and in a process of its own.  A model file is only read.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safety_harness.admission.python_file import PythonFile
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.isolation.isolated import isolated_avoider
 from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
+from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
@@ -64,7 +65,7 @@ def resolve_avoider(
         return _from_model_file(path, scenario.settings)
     if path.suffix == ONNX_SUFFIX:
         return _from_onnx_file(path, scenario.settings)
-    return PythonFile(path, place).avoider(file_and_name(reference)[1])
+    return isolated_avoider(path, file_and_name(reference)[1], place)
 
 
 def avoider_sha256(scenario: Scenario) -> str:
@@ -81,6 +82,11 @@ def command_line_reference(scenario: Scenario) -> str:
     return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
 
 
+def never_late(reference: str) -> bool:
+    """Is it ours, whose answers may count however long they take, so that a run repeats on a busy machine?"""
+    return reference in NAMES or reference.endswith(MODEL_SUFFIX)
+
+
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, which is executed to resolve it?"""
     return bool(file_and_name(reference)[1])
@@ -95,7 +101,7 @@ def _file_of(reference: str, folder: Path | None) -> Path | None:
     if reference in SHIPPED:
         return shipped_model(reference)
     file, _ = file_and_name(reference)
-    return ((folder or Path()) / Path(file).expanduser()).resolve() if file else None
+    return resolved((folder or Path()) / os.path.expanduser(file)) if file else None
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
@@ -108,8 +114,8 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     place = place or Place(field="--avoider")
     file, name = file_and_name(reference)
     if file:
-        path = Path(file).expanduser().resolve()
-        reference = os.path.relpath(path, (_folder_of(scenario) or Path()).resolve())
+        path = resolved(Path(os.path.expanduser(file)))
+        reference = os.path.relpath(path, resolved(_folder_of(scenario) or Path()))
         reference += f":{name}" if name else ""
     if not is_sentence(reference):
         raise InadmissibleError(
@@ -120,10 +126,11 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
     """Imported only here: a run with another avoider need not wait for it."""
-    from safety_harness.avoidance.model_file import refuse_foreign_seen_space
+    from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
 
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        with path.open("rb") as file:
+            digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
     except OSError:
         digest = ""  # loading says what is wrong
     avoider = _learned(path, digest)

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.avoidance.asking_many import takes_many
+from safety_harness.avoidance.asking import Elsewhere
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.batches import takes_many
 from safety_harness.controller.controller import Controller
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.simulate import simulate
@@ -57,16 +58,19 @@ def run_many(scenarios: Iterable[Admitted], *, ticks_at_once: int = TICKS_AT_ONC
 
 def slower_because(avoider: Avoider) -> str:
     """What keeps ``run_many`` from asking an avoider for all decisions at once; empty if nothing does."""
-    if takes_many(avoider):
+    if avoider.takes_many if isinstance(avoider, Elsewhere) else takes_many(avoider):
         return ""
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 
 
-def recorded_late(recorded: Trace | None) -> list[bool]:
-    """Which decisions of an earlier run came too late."""
+def recorded_late(recorded: Trace | None) -> list[str]:
+    """How the decisions of an earlier run that came too late were recorded; empty for those in time."""
     if recorded is None:
         return []
-    return [bool(failed & Check.LATE) for failed in recorded.decisions["proposed_failed"]]
+    return [
+        str(decision["fault"]) or "late" if int(decision["proposed_failed"]) & Check.LATE else ""
+        for decision in recorded.decisions
+    ]
 
 
 def _run_chunk(chunk: list[Admitted]) -> Iterator[Trace]:

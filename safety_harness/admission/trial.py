@@ -22,15 +22,19 @@ def run_trial(
     *,
     detector: BoundingBoxDetector | None = None,
     recorded: Trace | None = None,
+    by_the_clock: bool = True,
     on_tick: Callable[[int], None] | None = None,
 ) -> Trace:
     """Simulate; the world is closed on every path.
 
     ``detector`` takes the place of our own in a scenario whose hand sensor has rendered images;
     ``recorded`` is an earlier trace of the same scenario, whose late decisions are late again, and no
-    others; ``on_tick`` is told the number of ticks done.
+    others; without ``by_the_clock`` the avoider's answers count however long they take, so that the run
+    repeats on however busy a machine; ``on_tick`` is told the number of ticks done.
     """
     late = recorded_late(recorded)
+    if not by_the_clock and recorded is None:
+        late = [""] * (admitted.scenario.ticks + 1)  # there is at most one decision a tick
     with PyBulletWorld(
         admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
     ) as world:

@@ -11,19 +11,23 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import FrameType
+from typing import NamedTuple
 
 import numpy as np
 
+from safety_harness.avoidance.asked import Asked
 from safety_harness.avoidance.avoider import (
     Avoider,
     Proposal,
     Vector,
     checked,
     described,
+    printable,
     spread_threshold_of,
 )
 from safety_harness.exceptions import AvoiderError
@@ -43,6 +47,29 @@ class Answer:
     fault: str = ""
     late: bool = False
     latency_s: float = 0.0
+
+
+class Question(NamedTuple):
+    """One question; ``timed``: by the clock, with the deadline, else waited for."""
+
+    hand_position_in_base_m: Vector
+    tcp_position_in_base_m: Vector
+    seed: int
+    deadline_s: float
+    timed: bool
+
+
+class Elsewhere(ABC):
+    """An avoider in another process, which keeps the deadlines itself."""
+
+    takes_many: bool  # in one call
+
+    @abstractmethod
+    def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
+        """One for each; ``together``: in one call if the avoider takes many, and then without a deadline.
+
+        SimulationError if there is no such process and none can be had.
+        """
 
 
 class _TooLate(BaseException):
@@ -66,7 +93,10 @@ def ask(
     False waits for ever, None leaves it to the clock.
     """
     if late:
-        return Answer(fault=_late_fault(deadline_s), late=True)
+        return Answer(fault=late_fault(deadline_s), late=True)
+    one, hand, tcp = addressed(avoider, hand_position_in_base_m, tcp_position_in_base_m)
+    if isinstance(one, Elsewhere):
+        return one.answers([Question(hand, tcp, seed, deadline_s, late is None)], together=False)[0]
     begun_s = time.perf_counter()
     try:
         with _interrupted_after(np.inf if late is False else deadline_s):
@@ -75,11 +105,19 @@ def ask(
         answer = Answer()
     latency_s = time.perf_counter() - begun_s
     if late is None and latency_s > deadline_s:
-        return Answer(fault=_late_fault(deadline_s), late=True, latency_s=latency_s)
+        return Answer(fault=late_fault(deadline_s), late=True, latency_s=latency_s)
     return Answer(answer.proposal, answer.spread_threshold_m, answer.fault, latency_s=latency_s)
 
 
-def _late_fault(deadline_s: float) -> str:
+def addressed(avoider: Avoider, hand: Vector, tcp: Vector) -> tuple[Avoider, Vector, Vector]:
+    """Who is asked, and of which hand and TCP, where a fault has the answer to an earlier question count."""
+    if isinstance(avoider, Asked):
+        return avoider.avoider, avoider.hand_position_in_base_m, avoider.tcp_position_in_base_m
+    return avoider, hand, tcp
+
+
+def late_fault(deadline_s: float) -> str:
+    """How a decision without an answer in time is recorded."""
     return f"no answer within {deadline_s * 1e3:g} ms"
 
 
@@ -91,7 +129,7 @@ def _ask(avoider: Avoider, hand_in_base_m: Vector, tcp_in_base_m: Vector, seed: 
         )
         return answer_of(proposal, threshold_m)
     except AvoiderError as error:
-        return Answer(fault=str(error) or "AvoiderError")
+        return Answer(fault=printable(str(error)) or "AvoiderError")
     except Exception as error:  # a user's code may raise anything
         frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
         return Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from safety_harness.exceptions import AvoiderError
 
 Vector = NDArray[np.float64]  # (3,)
+MOST_WORDS = 1_000
 
 
 def _no_spread() -> Vector:
@@ -69,6 +70,12 @@ def spread_threshold_of(avoider: Avoider) -> float | None:
     return float(threshold)
 
 
+def printable(text: str) -> str:
+    """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
+    text = re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split()))
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def described(error: BaseException, file: str | None = None) -> str:
     """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
 
@@ -79,11 +86,10 @@ def described(error: BaseException, file: str | None = None) -> str:
         text = str(error)
     except Exception:  # a user's own exception may fail to say what it is
         text = ""
-    text = re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text.split()))
-    what = "".join(c if c.isprintable() else "?" for c in text)
+    what = printable(text)
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
     if isinstance(error, SyntaxError) and error.filename == file:
-        lines, what = [error.lineno], error.msg  # its own text names the place, once more
+        lines, what = [error.lineno], printable(error.msg)  # its own text names the place, once more
     where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
     return type(error).__name__ + (f": {what}" if what else "") + where
 
@@ -100,9 +106,9 @@ def checked(proposal: object) -> Proposal:
             raise AvoiderError(f"the proposed {name} is no array of numbers: {error}") from error
         if given.dtype.kind not in "fiu":  # complex numbers would lose a part, texts be parsed
             raise AvoiderError(f"the proposed {name} must be real numbers; got {given.dtype}")
+        if given.shape != (3,):
+            raise AvoiderError(f"the proposed {name} must have shape (3,); got {given.shape}")
         array = given.astype(np.float64)
-        if array.shape != (3,):
-            raise AvoiderError(f"the proposed {name} must have shape (3,); got {array.shape}")
         if not np.all(np.isfinite(array)):
             raise AvoiderError(f"the proposed {name} is not finite: {array.tolist()}")
         cleaned.append(array)

@@ -21,7 +21,8 @@ from safetensors import SafetensorError, deserialize
 from safetensors.numpy import save
 
 from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, Bounds, Fields, refuse
-from safety_harness.exceptions import OutputError, Place
+from safety_harness.exceptions import ModelError, OutputError, Place
+from safety_harness.scenario.files import refuse_no_file
 from safety_harness.settings import Settings, Vector3
 
 FORMAT = "safety-harness model 1"
@@ -127,6 +128,7 @@ def tensor_shapes() -> dict[str, tuple[int, ...]]:
 
 def load_model(path: Path) -> Model:
     """Read and check a model file; ModelError says what is wrong with it and where."""
+    refuse_no_file(path, "a model file that can be read", ModelError)
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)

@@ -41,6 +41,8 @@ from safety_harness.avoidance.model_file import (
     refuse_foreign_seen_space,
     seen_of,
 )
+from safety_harness.exceptions import ModelError
+from safety_harness.scenario.files import refuse_no_file
 from safety_harness.settings import Settings
 
 EXPORT_FORMAT = "safety-harness export 1"
@@ -164,6 +166,7 @@ class OnnxAvoider:
 
 def open_session(path: Path) -> Any:
     """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
+    refuse_no_file(path, "an ONNX file that can be read", ModelError)
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)

@@ -21,15 +21,20 @@ from safety_harness.scenario.model import Scenario
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
+def tame(text: str) -> str:
+    """Without the characters that command a terminal: names of files and traces may come from anybody."""
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
+
+
 def say(text: str) -> None:
     """A remark on standard error."""
-    sys.stderr.write(text + "\n")
+    sys.stderr.write(tame(text) + "\n")
     sys.stderr.flush()
 
 
 def result(text: str) -> None:
     """A line of results on standard output."""
-    sys.stdout.write(text + "\n")
+    sys.stdout.write(tame(text) + "\n")
     sys.stdout.flush()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
 from collections.abc import Sequence
@@ -10,24 +9,36 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safety_harness.admission.elsewhere import as_seen_from
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
-from safety_harness.cli.fuzz_json import as_json, complaint_of
-from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, summary
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    explain,
+    one_more_ctrl_c,
+    result,
+    say,
+)
+from safety_harness.cli.fuzz_json import complaint_of
+from safety_harness.cli.fuzz_page import FINDINGS, PAGE, Written, evidence_of, write_all
+from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, remarks, summary
 from safety_harness.cli.show import write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
+from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Episode, Findings, Group
-from safety_harness.search.search import search
-from safety_harness.search.searchers import SEARCHERS, MakesSearcher
+from safety_harness.search.sampling import Uniform
+from safety_harness.search.search import find_violations
+from safety_harness.search.searchers import MakesSearcher, searcher_named
 from safety_harness.search.trials import Trials, World, in_kinematic, in_pybullet
 from safety_harness.space.read import read_space
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
-FINDINGS, AS_FOUND = "findings.json", "as-found"
+AS_FOUND = "as-found"
 _MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 _MOST_AS_FOUND = 50  # files
 _SHRINKING = 200  # runs for each
@@ -43,15 +54,27 @@ def fuzz(
     seed: int = 0,
     searcher: str = "default",
     claims: Sequence[str] = (),
+    baseline: bool = False,
 ) -> int:
-    """Search, shrink, confirm, explain, write; returns the exit code."""
+    """Search, shrink, confirm, explain, write; returns the exit code.
+
+    ``baseline`` samples the space uniformly as well, with the same budget, to compare with.
+    """
     try:
         if budget < 1:
             raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
-        make = _searcher(searcher)
+        make = searcher_named(searcher)
+        if baseline and make is Uniform:
+            raise ScenarioError(
+                place=Place(field="--baseline"),
+                expected="another searcher, to compare with uniform sampling",
+                got="--searcher uniform",
+            )
         trials = Trials(read_space(file), in_kinematic, seed=seed, avoider=avoider, sentences=tuple(claims))
-        session = _Session(trials, out, make, budget)
-        session.search()
+        session = _Session(trials, out, budget)
+        session.search(make)
+        if baseline:
+            session.sample()
         session.conclude()
     except InputError as error:
         explain(error)
@@ -62,48 +85,50 @@ def fuzz(
     return session.exit_code
 
 
-def _searcher(name: str) -> MakesSearcher:
-    for make in SEARCHERS:
-        if make.name == name:
-            return make
-    names = ", ".join(make.name for make in SEARCHERS)
-    raise ScenarioError(place=Place(field="--searcher"), expected=f"one of {names}", got=repr(name))
-
-
 @dataclass(eq=False)
 class _Session:
     """One search and what becomes of its findings.  What cannot be written is printed instead."""
 
     trials: Trials
     out: Path
-    make: MakesSearcher
     budget: int
     confirming: World = in_pybullet
-    written: list[tuple[Counterexample, Path]] = field(default_factory=list)
+    baseline: Findings | None = None
+    written: list[Written] = field(default_factory=list)
+    confirmed: int = 0
     unwritable: OutputError | None = None
     unconfirmed: list[Group] = field(default_factory=list)
 
-    def search(self) -> None:
+    def search(self, make: MakesSearcher) -> None:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
-        cube = Cube.of(self.trials.space)
-        searcher = self.make(cube, claims=len(self.trials.goals), seed=self.trials.seed)
-        self.findings = Findings(self.trials.goals, cube, searcher.name)
+        self.findings = self._search(make, self.trials)
+
+    def sample(self) -> None:
+        """The baseline, with counts of its own; unless the search was interrupted."""
+        if not self.findings.interrupted and self.unwritable is None:
+            say("the baseline: uniform sampling with the same budget")
+            anew = replace(self.trials, coverage=Coverage(), violations=Coverage(), _avoiders={})
+            self.baseline = self._search(Uniform, anew, folder="baseline")
+            self.findings.interrupted = self.baseline.interrupted
+
+    def _search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
+        cube = Cube.of(trials.space)
+        searcher = make(cube, claims=len(trials.goals), seed=trials.seed)
         progress = FuzzProgress(self.budget)
         saved = 0
 
         def keep(findings: Findings) -> None:
             nonlocal saved
-            self.findings = findings
             for group in findings.groups[saved:_MOST_AS_FOUND]:
-                self._save_as_found(group, saved)
+                self._save_as_found(group, self.out / AS_FOUND / folder, saved, findings)
                 saved += 1
             progress.show(findings)
 
         with progress.running():
-            self.findings = search(
+            return find_violations(
                 cube,
-                self.trials.goals,
-                self.trials,
+                trials.goals,
+                trials,
                 searcher,
                 budget=self.budget,
                 batch=_BATCH,
@@ -116,21 +141,31 @@ class _Session:
         findings = self.findings
         for line in (*self.trials.space.notes, summary(findings, self.budget), *nearest_lines(findings)):
             say(line)
+        if self.baseline is not None:
+            for line in (f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)):
+                say(line)
         if findings.interrupted:
             say("interrupted: what was found is kept as it was found, not shrunk")
         elif self.unwritable is None:
             for claim in (*range(len(findings.goals)), None):
                 self._shrink_groups(claim)
-        self._save_findings()
-        for line in self._remarks():
+        for line in remarks(self.trials, findings):
             say(line)
+        if self.unconfirmed:
+            say(f"{len(self.unconfirmed)} findings were not confirmed in PyBullet; they are in {FINDINGS}")
+        self._save_page()
+        if self.written:
+            say("again: " + shlex.join(["safety-harness", "run", *(str(one.path) for one in self.written)]))
         if self.unwritable is not None:
             explain(self.unwritable)
 
     def _shrink_groups(self, claim: int | None) -> None:
+        """Of the search; what only the baseline met is worth as much."""
+        searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
+        findings = next((one for one in searches if one.of_claim(claim)), self.findings)
         kept: list[Counterexample] = []
         shrunk = 0
-        for group in _one_of_each_kind_first(self.findings.of_claim(claim)):
+        for group in _one_of_each_kind_first(findings.of_claim(claim)):
             if len(kept) == _MOST_SHRUNK or shrunk == 2 * _MOST_SHRUNK or self.findings.interrupted:
                 return
             one = self._counterexample(group, len(kept) + 1)
@@ -138,7 +173,7 @@ class _Session:
             if one is None or any(one.is_same_as(other) for other in kept):
                 continue
             kept.append(one)
-            self._save(one, group)
+            self._save(one, group, findings)
 
     def _counterexample(self, group: Group, number: int) -> Counterexample | None:
         complaint = complaint_of(self.trials, group)
@@ -152,43 +187,46 @@ class _Session:
         if one is None:
             self.unconfirmed.append(group)
             say(f"not confirmed in PyBullet: {complaint.sentence}, point {group.worst.number}")
-        elif one.shrunk.interrupted:
-            self.findings.interrupted = True
+            return None
+        self.confirmed += 1
+        self.findings.interrupted |= one.shrunk.interrupted
         return one
 
     def _found(self, episode: Episode) -> Scenario:
         return as_seen_from(self.out, self.trials.scenario(episode.point, episode.number))
 
-    def _origin(self, episode: Episode) -> list[str]:
+    def _origin(self, episode: Episode, findings: Findings) -> list[str]:
         trials = self.trials
-        return origin_of(trials.space, episode.point, episode.number, trials.seed, self.make.name)
+        return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
 
-    def _save(self, one: Counterexample, group: Group) -> None:
+    def _save(self, one: Counterexample, group: Group, findings: Findings) -> None:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, self._origin(group.worst), trace_file)
+        text = text_of(one, self._origin(group.worst, findings), trace_file)
         if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
             try:
                 save_trace(one.run, trace_file)
             except OSError as error:
                 self.unwritable = OutputError.of(trace_file, error)
-        self.written.append((one, path))
-        result(f"violated {_margin_of(one):>13}  {one.complaint.sentence}")
+        self.written.append(Written(one, group, findings.searcher, path, trace_file, text))
+        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
+        result(f"violated {margin:>13}  {one.complaint.sentence}")
         result(f"  {path}: {group.count} runs near it; shrunk in {one.shrunk.used} runs")
         for line in one.explanation:
             result(f"  {line}")
 
-    def _save_as_found(self, group: Group, number: int) -> None:
+    def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
         """At once, so that nothing that happens later loses it."""
         complaint = complaint_of(self.trials, group)
-        path = self.out / AS_FOUND / f"{self.trials.space.name}-{_slug(complaint.sentence)}-{number + 1}.yaml"
+        name = f"{self.trials.space.name}-{_slug(complaint.sentence)}-{number + 1}.yaml"
+        path = folder / name
         found = as_seen_from(path.parent, self.trials.scenario(group.first.point, group.first.number))
         claims = (
             replace(claim, expected=Verdict.VIOLATED) if claim == complaint.claim else claim
             for claim in found.claims
         )
-        head = [f"As found, not shrunk: {complaint.sentence}", *self._origin(group.first)]
+        head = [f"As found, not shrunk: {complaint.sentence}", *self._origin(group.first, findings)]
         comments = "".join(f"# {line}\n" for line in head)
         self._write(path, comments + "\n" + write_scenario(replace(found, claims=tuple(claims))))
 
@@ -202,38 +240,30 @@ class _Session:
         result(f"# --- {path} (which could not be written)\n{text}# ---")
         return False
 
-    def _save_findings(self) -> None:
-        if self.unwritable is None:
-            try:
-                counterexamples = [path for _, path in self.written]
-                found = as_json(self.trials, self.findings, self.budget, self.unconfirmed, counterexamples)
-                write_text(self.out / FINDINGS, json.dumps(found, indent=1) + "\n")
-            except OutputError as error:
-                self.unwritable = error
-
-    def _remarks(self) -> list[str]:
-        """What a reader would otherwise get wrong."""
-        findings = self.findings
-        lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
-        for claim, goal in enumerate(findings.goals):
-            if findings.always_violated(claim):
-                lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
-            elif findings.tried and not findings.evidence[claim]:
-                lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
-        if self.unconfirmed:
-            lines.append(
-                f"{len(self.unconfirmed)} findings were not confirmed in PyBullet; they are in {FINDINGS}"
-            )
-        if not findings.found and findings.tried:
-            lines.append(
-                f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
-                "safety in the rest of the space"
-            )
-        lines.append("coverage: " + str(self.trials.coverage).replace("\n", "\n  "))
-        command = ["safety-harness", "run", *(str(path) for _, path in self.written)]
-        if self.written:
-            lines.append("again: " + shlex.join(command))
-        return lines
+    def _save_page(self) -> None:
+        """What was written beside the counterexamples, at the end."""
+        if self.unwritable is not None:
+            return
+        evidence = evidence_of(
+            self.trials,
+            out=self.out,
+            budget=self.budget,
+            findings=self.findings,
+            baseline=self.baseline,
+            written=self.written,
+            confirmed=self.confirmed,
+            unconfirmed=self.unconfirmed,
+        )
+        try:
+            with one_more_ctrl_c(f"writing {self.out / PAGE}; Ctrl-C once more gives it up") as asked:
+                write_all(self.out, self.trials, evidence)
+            say(f"page: {self.out / PAGE} (for programs: {FINDINGS})")
+            self.findings.interrupted |= asked()
+        except OutputError as error:
+            self.unwritable = error
+        except KeyboardInterrupt:
+            self.findings.interrupted = True
+            say(f"no page was written; the files are in {self.out}")
 
     @property
     def exit_code(self) -> int:
@@ -251,14 +281,6 @@ def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
     for group in groups:
         firsts.setdefault(group.kind, group)
     return [*firsts.values(), *(group for group in groups if firsts[group.kind] is not group)]
-
-
-def _margin_of(one: Counterexample) -> str:
-    """The margin of the claim that it is a counterexample to; a dash for a mishap."""
-    pairs = zip(one.shrunk.scenario.claims, one.evaluations, strict=False)
-    return next(
-        (evaluation.margin_text() for claim, evaluation in pairs if claim == one.complaint.claim), "-"
-    )
 
 
 def _slug(sentence: str) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
+from safety_harness.report.search_page import SearchEvidence
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
@@ -15,34 +13,43 @@ def complaint_of(trials: Trials, group: Group) -> Complaint:
     return Complaint(None if group.claim is None else trials.claims[group.claim], group.kind)
 
 
-def as_json(
-    trials: Trials, findings: Findings, budget: int, unconfirmed: Sequence[Group], written: Sequence[Path]
-) -> dict[str, object]:
+def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     """Counts, the nearest margins, distinct violations with their points, and the coverage; SI throughout."""
+    findings, baseline = evidence.findings, evidence.baseline
     return {
-        "space": trials.space.name,
+        "space": evidence.space,
         "avoider": trials.avoider,
         "searcher": findings.searcher,
-        "seed": trials.seed,
-        "budget": budget,
+        "seed": evidence.seed,
+        "budget": evidence.budget,
         "tried": findings.tried,
         "refused": dict(findings.refused.most_common()),
         "interrupted": findings.interrupted,
-        "claims": [
-            {
-                "sentence": goal.sentence,
-                "with a verdict": int(findings.evidence[k]),
-                "violated": int(findings.violated[k]),
-                "first violation after": int(findings.first_violation[k]) or None,
-                "least margin": None if near is None else float(near.margins[k]),
-            }
-            for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
-        ],
+        "claims": _of_claims(findings),
+        "baseline": None
+        if baseline is None
+        else {"searcher": baseline.searcher, "tried": baseline.tried, "claims": _of_claims(baseline)},
         "distinct": [_of_group(trials, group) for group in findings.groups],
-        "not confirmed in PyBullet": [_of_group(trials, group) for group in unconfirmed],
-        "counterexamples": [str(path) for path in written],
+        "confirmed in PyBullet": evidence.confirmed,
+        "not confirmed in PyBullet": [_of_group(trials, group) for group in evidence.unconfirmed],
+        "counterexamples": [shown.file for shown in evidence.shown],
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
+        "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
     }
+
+
+def _of_claims(findings: Findings) -> list[dict[str, object]]:
+    return [
+        {
+            "sentence": goal.sentence,
+            "with a verdict": int(findings.evidence[k]),
+            "violated": int(findings.violated[k]),
+            "first violation after": int(findings.first_violation[k]) or None,
+            "least margin": None if near is None else float(near.margins[k]),
+            "least margins so far": findings.improvements[k],
+        }
+        for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
+    ]
 
 
 def _of_group(trials: Trials, group: Group) -> dict[str, object]:

@@ -12,14 +12,7 @@ from rich.text import Text
 
 from safety_harness.cli.console import say
 from safety_harness.search.findings import Findings
-from safety_harness.search.outcomes import Goal
-
-
-def margin_text(goal: Goal, margin: float) -> str:
-    """A margin in the unit that people read."""
-    shown = margin * goal.unit.per_si
-    number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
-    return f"{number} {goal.unit.symbol}".rstrip()
+from safety_harness.search.trials import Trials
 
 
 def nearest_lines(findings: Findings) -> list[str]:
@@ -27,7 +20,7 @@ def nearest_lines(findings: Findings) -> list[str]:
     lines = []
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
-        near = "no margin yet" if nearest is None else margin_text(goal, float(nearest.margins[claim]))
+        near = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
         counts = f"violated {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
         lines.append(f"  {near:>14}  {goal.sentence}: {counts}")
     return lines
@@ -41,6 +34,23 @@ def summary(findings: Findings, budget: int) -> str:
     )
     mishaps = len(findings.groups) - violations
     return words + (f", {mishaps} kinds of mishap" if mishaps else "")
+
+
+def remarks(trials: Trials, findings: Findings) -> list[str]:
+    """What a reader would otherwise get wrong."""
+    lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
+    for claim, goal in enumerate(findings.goals):
+        if findings.always_violated(claim):
+            lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
+        elif findings.tried and not findings.evidence[claim]:
+            lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
+    if not findings.found and findings.tried:
+        lines.append(
+            f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
+            "safety in the rest of the space"
+        )
+    lines.append("coverage: " + str(trials.coverage).replace("\n", "\n  "))
+    return lines
 
 
 @dataclass

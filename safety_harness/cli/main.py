@@ -213,7 +213,7 @@ def fuzz(
     avoider: OfAvoider = None,
     budget: Annotated[int, typer.Option(help="Runs to search with; shrinking has its own.")] = 1000,
     seed: Seed = 0,
-    out: Annotated[Path, typer.Option(help="Folder for counterexamples and findings.json.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
         "reports/fuzz"
     ),
     searcher: Annotated[
@@ -226,10 +226,14 @@ def fuzz(
         list[str] | None,
         typer.Option(help="Search for violations of this, in place of the space's claims; may be repeated."),
     ] = None,
+    baseline: Annotated[
+        bool, typer.Option("--baseline", help="Sample the space uniformly as well, with the same budget.")
+    ] = False,
 ) -> None:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
-    Counterexamples are shrunk, confirmed in PyBullet and explained; Ctrl-C keeps what was found so far.
+    Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
+    a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     Exit code 0: nothing found, which is no evidence of safety; 1: violations, or an avoider that gave no
     answer; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
@@ -244,6 +248,7 @@ def fuzz(
             seed=seed,
             searcher=searcher,
             claims=claim or (),
+            baseline=baseline,
         )
     )
 
@@ -371,6 +376,219 @@ def reproduce(
     from safety_harness.cli.reproduce import reproduce as reproduce_parts
 
     _end(reproduce_parts(what, scale=scale, out=out, seed=seed, jobs=jobs))
+
+
+@app.command()
+def certify(
+    plan: Annotated[Path, typer.Argument(help="A plan: claims, strata, runs, confidence.", metavar="PLAN")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the report; without it reports/NAME of the plan.")
+    ] = None,
+    pdf: Annotated[
+        bool, typer.Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
+    ] = False,
+    workers: Annotated[int | None, typer.Option(help="Processes; without it one a core.", min=1)] = None,
+    selftest: Annotated[
+        Path | None, typer.Option(help="selftest.json of safety-harness selftest, to be part of the report.")
+    ] = None,
+) -> None:
+    """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
+
+    Bounds are made of the plan's own independent runs; what its search finds is shown and estimates nothing.
+    A line a claim goes to standard output. Ctrl-C keeps every finished run; the same command goes on.
+    It is no certificate, and says so.
+    Exit code 0: every claim is shown; 1: any is not; 2: bad input, or a target that the plan's runs cannot
+    meet; 130: interrupted.
+    """
+    from safety_harness.cli.certify import certify as certify_plan
+
+    _end(certify_plan(plan, out=out, pdf=pdf, workers=workers, selftest=selftest))
+
+
+@app.command()
+def verify(
+    report: Annotated[Path, typer.Argument(help="The folder of a report of certify.", metavar="FOLDER")],
+    runs: Annotated[int, typer.Option(help="Runs to make again, drawn at random.", min=0)] = 20,
+    seed: Annotated[
+        int | None, typer.Option(help="Which runs: without it others each time, and it says which.", min=0)
+    ] = None,
+    execute_avoider: Annotated[
+        bool,
+        typer.Option("--execute-avoider", help="Allow the Python file in the report to be executed."),
+    ] = False,
+) -> None:
+    """Check a report: hashes, its numbers from the ledger, stored traces judged again, some runs made again.
+
+    What has changed since (source, versions, networks, platform) is named.
+    Exit code 0: the report stands; 1: it does not, and why; 2: no report; 130: interrupted.
+    """
+    from safety_harness.cli.certify import verify as verify_folder
+
+    _end(verify_folder(report, runs=runs, seed=seed, execute_avoider=execute_avoider))
+
+
+_LedgerFile = Annotated[Path, typer.Argument(help="The ledger of a campaign.", metavar="LEDGER")]
+_Workers = Annotated[int | None, typer.Option(help="Processes; without it, one for each core.", min=1)]
+_Cluster = Annotated[
+    str | None,
+    typer.Option(
+        help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"
+    ),
+]
+_Part = Annotated[str, typer.Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
+_campaign = typer.Typer(
+    no_args_is_help=True,
+    help="Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing.",
+)
+app.add_typer(_campaign, name="campaign")
+
+
+@_campaign.command("run")
+def campaign_run(
+    plan: Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")],
+    ledger: Annotated[
+        Path | None, typer.Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")
+    ] = None,
+    workers: _Workers = None,
+    cluster: _Cluster = None,
+    part: _Part = "1/1",
+) -> None:
+    """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
+
+    Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
+    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, or no worker is left;
+    2: bad input, another plan's ledger, or a disk that takes no more; 130: interrupted.
+    """
+    from safety_harness.cli.campaign import run as run_plan
+
+    _end(run_plan(plan, ledger=ledger, workers=workers, cluster=cluster, part=part))
+
+
+@_campaign.command("resume")
+def campaign_resume(
+    ledger: _LedgerFile, workers: _Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
+) -> None:
+    """Go on where a campaign was left, with the results that it would have had undisturbed.
+
+    A plan, file or version that has changed since is named, and nothing is run.
+    Exit codes as for run.
+    """
+    from safety_harness.cli.campaign import resume as resume_plan
+
+    _end(resume_plan(ledger, workers=workers, cluster=cluster, part=part))
+
+
+@_campaign.command("status")
+def campaign_status(ledger: _LedgerFile) -> None:
+    """Say how a campaign stands, also while it runs; once it is complete, with its bounds.
+
+    Exit code 0; 2: no ledger that can be read.
+    """
+    from safety_harness.cli.campaign import status as tell_status
+
+    _end(tell_status(ledger))
+
+
+@_campaign.command("query")
+def campaign_query(
+    ledger: _LedgerFile,
+    sql: Annotated[
+        str | None,
+        typer.Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL"),
+    ] = None,
+    claim: Annotated[
+        str | None, typer.Option(help="Only of this claim, or of the one with these words.")
+    ] = None,
+    stratum: Annotated[str | None, typer.Option(help="Only of this stratum.")] = None,
+    outcome: Annotated[
+        str | None, typer.Option(help="holds, violated, untested, inconclusive or failed.")
+    ] = None,
+    below: Annotated[
+        str | None, typer.Option(help="Only margins below this, with its unit, such as '10 mm'.")
+    ] = None,
+) -> None:
+    """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
+
+    Exit code 0; 2: a question that cannot be answered.
+    """
+    from safety_harness.cli.campaign import query as ask
+
+    _end(ask(ledger, sql, claim=claim, stratum=stratum, outcome=outcome, below=below))
+
+
+@_campaign.command("export")
+def campaign_export(
+    ledger: _LedgerFile,
+    out: Annotated[Path | None, typer.Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
+    traces: Annotated[
+        Path | None, typer.Option(help="Also the stored traces, as files that replay takes, to this folder.")
+    ] = None,
+) -> None:
+    """Write one line for each episode and claim, for other programs (Parquet: the extra "export").
+
+    Exit code 0; 2: bad input, or it cannot be written.
+    """
+    from safety_harness.cli.campaign import export as export_ledger
+
+    _end(export_ledger(ledger, out, traces))
+
+
+@_campaign.command("compare")
+def campaign_compare(
+    first: Annotated[Path, typer.Argument(help="The ledger before.", metavar="A")],
+    second: Annotated[Path, typer.Argument(help="The ledger after.", metavar="B")],
+) -> None:
+    """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
+
+    For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
+    episode; then the episodes that only B violates, the largest loss of margin first.
+    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
+    """
+    from safety_harness.cli.campaign import compare as compare_campaigns
+
+    _end(compare_campaigns(first, second))
+
+
+@_campaign.command("merge")
+def campaign_merge(
+    into: Annotated[Path, typer.Argument(help="The ledger to make.", metavar="INTO")],
+    ledgers: Annotated[list[Path], typer.Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
+) -> None:
+    """Make one ledger of those of several machines, each of which ran a part of the same plan.
+
+    What two of them have must agree to the last bit.
+    Exit code 0; 2: ledgers of different plans, or that disagree.
+    """
+    from safety_harness.cli.campaign import merge as merge_campaigns
+
+    _end(merge_campaigns(into, ledgers))
+
+
+@app.command()
+def selftest(
+    profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: an hour or so.")] = "quick",
+    avoider: OfAvoider = None,
+    scenarios: Annotated[
+        Path, typer.Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+    ] = Path("scenarios"),
+    fault: Annotated[str | None, typer.Option(help="Only faults with these words in their name.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for selftest.html and selftest.json.")] = Path(
+        "reports/selftest"
+    ),
+    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
+) -> None:
+    """Put the harness itself on trial: seed faults into a sound system, and tell what caught each.
+
+    A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
+    table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
+    the faults are seeded into yours. Harmless changes are tried as well, and must raise no alarm.
+    Ctrl-C keeps what was tried.
+    Exit code 0; 1: a fault survives that is no stated limit, or a harmless change raises an alarm; 2: bad
+    input; 130: interrupted.
+    """
+    from safety_harness.cli.selftest import selftest as try_harness
+
+    _end(try_harness(scenarios=scenarios, profile=profile, avoider=avoider, fault=fault, out=out, jobs=jobs))
 
 
 def _end(code: int) -> NoReturn:

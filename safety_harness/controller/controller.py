@@ -13,8 +13,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.avoidance.asked import Asked
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.faulty import Asked, faulty
+from safety_harness.avoidance.faulty import faulty
 from safety_harness.avoidance.gate import Gate, Query, Ruling
 from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, look, report
 from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
@@ -58,9 +59,10 @@ class Controller(Protocol):
 class AvoidingServo:
     """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
 
-    ``recorded_late`` (m,) repeats which decisions of an earlier run came too late; those after them,
-    or all without it, are timed by the clock.  ``faults`` (n,) FAULT may make the avoider late: until
-    its answer counts, or the decision deadline is over, the controller goes on with what it was doing.
+    ``recorded_late`` (m,) repeats which decisions of an earlier run came too late, and in which words
+    (empty: in time); those after them, or all without it, are timed by the clock.  ``faults`` (n,) FAULT
+    may make the avoider late: until its answer counts, or the decision deadline is over, the controller
+    goes on with what it was doing.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class AvoidingServo:
         avoider: Avoider,
         gate: Gate,
         root_seed: int,
-        recorded_late: Sequence[bool] = (),
+        recorded_late: Sequence[str] = (),
         faults: NDArray[np.void] | None = None,
     ) -> None:
         self.name = avoider.name
@@ -138,7 +140,7 @@ class AvoidingServo:
             if nearest >= 0
             else question["hand_position_in_base_m"]
         )
-        recorded = self._recorded_late[number] if number < len(self._recorded_late) else None
+        recorded = None if (words := self._recorded_words) is None else bool(words)
         return Query(
             hand_position_in_base_m=hand.copy(),
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
@@ -148,6 +150,12 @@ class AvoidingServo:
             seed=seed(self._root_seed, Branch.DECISION, number),
             late=True if question["late"] else recorded,
         )
+
+    @property
+    def _recorded_words(self) -> str | None:
+        """How the decision that is due was late on record; empty if in time, None if there is no record."""
+        number = len(self._decisions)
+        return self._recorded_late[number] if number < len(self._recorded_late) else None
 
     def decide(self, query: Query, ruling: Ruling) -> None:
         """Take the gate's ruling over, note everything down."""
@@ -175,7 +183,7 @@ class AvoidingServo:
         record["outcome"] = ruling.outcome
         record["proposed_failed"] = ruling.proposed_failed
         record["opposite_failed"] = ruling.opposite_failed
-        record["fault"] = ruling.fault[:FAULT_CHARACTERS]
+        record["fault"] = (self._recorded_words or ruling.fault)[:FAULT_CHARACTERS]
         return record
 
 

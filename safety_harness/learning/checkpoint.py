@@ -111,7 +111,7 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
         with safe_open(path, framework="np") as file:
             text = json.loads((file.metadata() or {}).get(KEY, "null"))
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError, ValueError) as error:
+    except (OSError, SafetensorError, ValueError, RecursionError) as error:
         raise _refused(path, None, "a checkpoint of a training", str(error)) from error
     if not isinstance(text, dict) or text.get("format") != FORMAT:
         raise _refused(path, "format", FORMAT, "something else")

@@ -26,11 +26,13 @@ from safety_harness.exceptions import DatasetError, OutputError, Place, RegionEr
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.learning.dataset import CompactDataset
 from safety_harness.learning.spaces import Space
+from safety_harness.scenario.files import decode, read_bytes, refuse_no_file
 from safety_harness.settings import Settings
 
 FORMAT = "safety-harness dataset 1"
 ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
-LARGEST_BYTES = 4 * 2**30  # unpacked; the paper's data set has 0.8 MB
+LARGEST_BYTES = 2**30  # unpacked; the paper's data set has 0.8 MB
+LARGEST_MANIFEST_BYTES = 4_000_000
 DTYPES = {
     "tcp_in_base": np.float64,
     "selected_in_base": np.float64,
@@ -144,11 +146,11 @@ def _error(file: Path, expected: str, got: str, field: str | None = None) -> Dat
 
 def _read_manifest(path: Path) -> dict[str, Any]:
     """The manifest as an object of this format that has not been changed."""
+    refuse_no_file(path, "the manifest of a data set", DatasetError)
     try:
-        manifest = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError:
-        raise _error(path, "the manifest of a data set", "no such file") from None
-    except (OSError, ValueError, RecursionError) as error:
+        data = read_bytes(path, most=LARGEST_MANIFEST_BYTES, place=Place(file=path), error=DatasetError)
+        manifest = json.loads(decode(data, most=LARGEST_MANIFEST_BYTES, file=path, error=DatasetError))
+    except (ValueError, RecursionError) as error:
         raise _error(path, "the manifest of a data set, in JSON", str(error)) from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         got = repr(manifest.get("format")) if isinstance(manifest, dict) else "no object"
@@ -161,6 +163,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, Any]:
     """The arrays, each with the bytes that the manifest promises."""
     arrays: dict[str, NDArray[Any]] = {}
+    refuse_no_file(path, "the arrays of a data set", DatasetError)
     try:
         with zipfile.ZipFile(path) as archive:
             size = sum(info.file_size for info in archive.infolist())
@@ -171,8 +174,6 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, Any]:
                 arrays[name] = stored[name]
     except DatasetError:
         raise
-    except FileNotFoundError:
-        raise _error(path, "the arrays of a data set", "no such file") from None
     except KeyError as error:
         raise _error(path, f"the arrays {', '.join(DTYPES)}", f"{error}") from error
     except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -22,7 +20,7 @@ from safety_harness.report.decisions import (
     latency_words,
 )
 from safety_harness.report.evidence import JudgedRun, tallies
-from safety_harness.report.page_parts import asset, templates
+from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.text_file import write_whole
@@ -105,26 +103,19 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    script = asset("report.js")
-    return (
-        templates()
-        .get_template("report.html.j2")
-        .render(
-            title=title,
-            command=command,
-            generated=_date(generated_at),
-            generated_iso=generated_at.isoformat(),
-            summary=summarise(runs, interrupted=interrupted),
-            sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
-            coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
-            most_decisions=MOST_DECISION_ROWS,
-            share=share_words,
-            count=count_words,
-            most_numbers=MOST_NUMBERS,
-            style=Markup(asset("report.css")),
-            script=Markup(script),
-            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        )
+    return render_page(
+        "report.html.j2",
+        title=title,
+        command=command,
+        generated=in_words(generated_at),
+        generated_iso=generated_at.isoformat(),
+        summary=summarise(runs, interrupted=interrupted),
+        sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
+        coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
+        most_decisions=MOST_DECISION_ROWS,
+        share=share_words,
+        count=count_words,
+        most_numbers=MOST_NUMBERS,
     )
 
 
@@ -158,8 +149,3 @@ def _section(run: JudgedRun, number: int) -> Section:
 def _views(run: JudgedRun, prefix: str) -> tuple[Markup, ...]:
     views = path_views(run, prefix=prefix)
     return tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close))
-
-
-def _date(moment: datetime) -> str:
-    zone = f" {moment.tzname()}" if moment.tzinfo else ""
-    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

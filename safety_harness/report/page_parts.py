@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+from datetime import datetime
 from importlib.resources import files
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 PACKAGE = "safety_harness.report"
 
@@ -24,3 +28,27 @@ def templates() -> Environment:
 def asset(name: str) -> str:
     """The text of a style sheet or script beside the templates."""
     return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
+
+
+def render_page(template: str, *, style: str = "", scripts: tuple[str, ...] = (), **values: object) -> str:
+    """A page that asks nothing of the network: the template with the shared style sheet and script.
+
+    ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise.
+    """
+    script = "".join(map(asset, ("report.js", *scripts)))
+    return (
+        templates()
+        .get_template(template)
+        .render(
+            style=Markup(asset("report.css") + (asset(style) if style else "")),
+            script=Markup(script),
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+            **values,
+        )
+    )
+
+
+def in_words(moment: datetime) -> str:
+    """A date and time for people."""
+    zone = f" {moment.tzname()}" if moment.tzinfo else ""
+    return f"{moment.day} {moment:%B %Y, %H:%M}{zone}"

@@ -27,6 +27,8 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _FONT_FAMILY = re.compile(r"\s*font-family:[^;]+;")
 _NO_TURN = re.compile(r"rotate\(-?0[^)]*\)")
 _LONG_NUMBER = re.compile(r"(-?\d+)\.(\d)\d+")
+_COLOURS = re.compile(r"--fig-[\w-]+: #\w+;")
+_PAPER = re.compile(r"--paper: (#\w+);")
 _UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
@@ -108,6 +110,30 @@ def to_svg(figure: Figure, *, prefix: str, title: str, description: str) -> str:
         child.text = _UNPRINTABLE.sub(" ", text)
         root.insert(place, child)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def standalone(svg: str, *, style: str) -> str:
+    """An ``<svg>`` element of a page as a file of its own, light or dark like the page.
+
+    ``style`` is the page's style sheet, of which the figures' colours are taken.
+    """
+    root = ElementTree.fromstring(svg)
+    root.set("xmlns", "http://www.w3.org/2000/svg")
+    light, dark = (_COLOURS.findall(part) for part in _schemes(style))
+    paper_light, paper_dark = (_PAPER.findall(part)[0] for part in _schemes(style))
+    child = ElementTree.Element("style")
+    child.text = (
+        f":root{{color-scheme:light dark;background:{paper_light};font-family:sans-serif;{''.join(light)}}}"
+        f"@media (prefers-color-scheme:dark){{:root{{background:{paper_dark};{''.join(dark)}}}}}"
+    )
+    root.insert(2, child)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _schemes(style: str) -> tuple[str, str]:
+    """What a style sheet says for light paper, and for dark."""
+    light, _, rest = style.partition("@media screen and (prefers-color-scheme: dark)")
+    return light, rest.partition("body {")[0]
 
 
 def _local_references(root: ElementTree.Element) -> frozenset[str]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.report.page_parts import asset, templates
+from safety_harness.report.page_parts import render_page
 from safety_harness.report.text_file import write_whole
 from safety_harness.reproduction.choices import CHOICES
 from safety_harness.reproduction.document import About, comparison_words
@@ -36,23 +34,17 @@ def write_page(path: Path, results: Sequence[Result], about: About) -> None:
 
 def render(results: Sequence[Result], about: About) -> str:
     """The page as text; the same arguments give the same bytes."""
-    script = asset("report.js")
-    return (
-        templates()
-        .get_template("reproduction.html.j2")
-        .render(
-            results=results,
-            about=about,
-            choices=CHOICES,
-            counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
-            word_class=WORD_CLASS,
-            state_class=STATE_CLASS,
-            words=comparison_words,
-            drawings={result.name: _drawings(result) for result in results},
-            style=Markup(asset("report.css") + asset("reproduction.css")),
-            script=Markup(script),
-            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        )
+    return render_page(
+        "reproduction.html.j2",
+        style="reproduction.css",
+        results=results,
+        about=about,
+        choices=CHOICES,
+        counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
+        word_class=WORD_CLASS,
+        state_class=STATE_CLASS,
+        words=comparison_words,
+        drawings={result.name: _drawings(result) for result in results},
     )
 
 

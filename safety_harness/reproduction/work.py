@@ -142,7 +142,7 @@ class Workshop:
         folder = self.folder / task.folder_name
         try:
             found = json.loads((folder / RESULT).read_text("utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         return Done(folder, found) if isinstance(found, dict) else None
 

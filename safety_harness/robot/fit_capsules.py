@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.optimize import minimize  # type: ignore[import-untyped]
-from scipy.spatial import ConvexHull, cKDTree  # type: ignore[import-untyped]
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, cKDTree
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.segments import point_segment_distance

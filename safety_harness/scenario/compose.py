@@ -15,7 +15,7 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.files import decode, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
 from safety_harness.scenario.references import avoider_seen_from, seen_from
@@ -43,9 +43,14 @@ class Library:
     _trees: dict[Path, Node] = field(default_factory=dict)
     _bytes: int = 0
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that was read, its symbolic links followed."""
+        return tuple(self._trees)
+
     def tree(self, path: Path, place: Place | None = None) -> Node:
         """The tree of a file as it stands; ScenarioError, at ``place`` if there is no such file."""
-        key = path.resolve()
+        key = resolved(path)
         if key not in self._trees:
             data = read_bytes(path, most=MAX_BYTES, place=place or Place(file=path), error=ScenarioError)
             self._bytes += len(data)
@@ -66,7 +71,16 @@ class Variant:
 
 
 def variants(path: Path, library: Library) -> tuple[Variant, ...]:
-    """Everything that a scenario file stands for: one tree, or one for each combination of its matrix."""
+    """Everything that a scenario file stands for: one tree, or one for each combination of its matrix.
+
+    Files of results are called after it, and reports show its name: ScenarioError unless that will do.
+    """
+    if not path.stem.isprintable() or len(path.stem.encode()) > _LONGEST_NAME:
+        raise ScenarioError(
+            place=Place(file=path),
+            expected=f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes",
+            got=repr(path.stem),
+        )
     tree = _extended(path, library, ())
     if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
         return (Variant(path.stem, tree),)
@@ -114,7 +128,7 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
     asked = given[EXTENDS]
     base_path = path.parent / asked.sentence("the file that this one extends")
     here = (*chain, path)
-    if base_path.resolve() in [one.resolve() for one in here]:
+    if resolved(base_path) in [resolved(one) for one in here]:
         words = " extends ".join(one.name for one in (*here, base_path))
         raise asked.error("files that do not extend each other in a circle", got=words)
     if len(here) >= LONGEST_CHAIN:
@@ -122,7 +136,7 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
     base = _extended(base_path, library, here, asked.place)
     if not isinstance(base, Mapping) or SUITE in _keys(base):
         raise asked.error("a scenario file", got=f"{base_path}, which is none")
-    if base_path.parent.resolve() != path.parent.resolve():
+    if resolved(base_path.parent) != resolved(path.parent):
         base = _moved(base, base_path.parent, path.parent)
     assert isinstance(base, Mapping)
     if WITHOUT in given:

@@ -9,7 +9,7 @@ from pathlib import Path
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import SUITE, Library, Variant, variants
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import files_of
+from safety_harness.scenario.files import files_of, resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.only_in_spaces import is_space
@@ -70,10 +70,10 @@ class _Gatherer:
     def _add(self, path: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
         try:
             for file in files_of(path, place):
-                asked_for_itself = file.resolve() in suites and file == path
-                if file.resolve() in self._seen and not asked_for_itself:
+                asked_for_itself = resolved(file) in suites and file == path
+                if resolved(file) in self._seen and not asked_for_itself:
                     continue
-                self._seen.add(file.resolve())
+                self._seen.add(resolved(file))
                 if len(self._seen) > MOST_FILES:
                     raise ScenarioError(
                         place=place or Place(file=file), expected=f"at most {MOST_FILES:,} files", got="more"
@@ -97,7 +97,7 @@ class _Gatherer:
             self._gathered.errors.append(error)
 
     def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        if file.resolve() in suites:
+        if resolved(file) in suites:
             words = " names ".join(one.name for one in (*suites, file))
             raise ScenarioError(
                 place=place or root.place, expected="suites that do not name each other", got=words
@@ -114,7 +114,7 @@ class _Gatherer:
             about.prose("why one would run this", lines=True)
         for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
             path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
-            self._add(path, item.place, (*suites, file.resolve()))
+            self._add(path, item.place, (*suites, resolved(file)))
 
     def _take(self, scenario: Scenario) -> None:
         assert scenario.file is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,14 +14,35 @@ def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) 
 
     ``error`` at ``place`` when there is no such file; devices and pipes, which may never end, are none.
     """
-    try:
-        if path.is_file():
+    problem = _no_file(path)
+    if not problem:
+        try:
             with path.open("rb") as stream:
                 return stream.read(most + 1)
-        problem = f"no such file: {path}" if not path.exists() else f"{path}, which is not a regular file"
-    except OSError as reason:
-        problem = f"{path}: {reason.strerror}"
+        except OSError as reason:
+            problem = f"{path}: {reason.strerror}"
     raise error(place=place, expected="a file that can be read", got=problem)
+
+
+def refuse_no_file(path: Path, expected: str, error: type[InputError]) -> None:
+    """``error`` unless there is a regular file at ``path``: opening a pipe might wait for ever."""
+    problem = _no_file(path)
+    if problem:
+        raise error(place=Place(file=path), expected=expected, got=problem)
+
+
+def _no_file(path: Path) -> str:
+    try:
+        if path.is_file():
+            return ""
+        return f"no such file: {path}" if not path.exists() else f"{path}, which is not a regular file"
+    except OSError as reason:
+        return f"{path}: {reason.strerror}"
+
+
+def resolved(path: Path) -> Path:
+    """The absolute path without links; of links that lead to each other what can be said of it."""
+    return Path(os.path.realpath(path))
 
 
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:

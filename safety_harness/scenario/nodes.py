@@ -29,6 +29,7 @@ from ruamel.yaml.reader import ReaderError
 from safety_harness.exceptions import Place, ScenarioError
 
 _MAX_DEPTH = 16  # the language itself needs six
+_MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,14 @@ class _Builder:
 
     events: Iterator[Event]
     file: Path | None
+    nodes: int = 0
 
     def node(self, event: Event, *, path: str, depth: int) -> Node:
+        self.nodes += 1
+        if self.nodes > _MOST_NODES:
+            raise self._error(
+                _line(event), path, f"at most {_MOST_NODES:,} keys and values in a file", "more"
+            )
         self._refuse_what_has_no_use(event, path, depth)
         line = _line(event)
         if isinstance(event, SequenceStartEvent):

@@ -17,7 +17,7 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.cube import Points
-from safety_harness.search.explain import circumstances, ingredients
+from safety_harness.search.explain import Ingredient, circumstances, ingredients
 from safety_harness.search.knobs import knobs
 from safety_harness.search.paths import with_value
 from safety_harness.search.shrink import Shrunk, shrink
@@ -34,7 +34,9 @@ class Counterexample:
     """``shrunk.scenario`` with the verdicts of the confirming run as what its claims expect.
 
     ``run`` is that run (an Exception for one that could not be carried on), ``draws`` in how many of
-    DRAWS draws of the avoider's own randomness it happens.  ``explanation`` is lines for people.
+    DRAWS draws of the avoider's own randomness it happens.  ``found_margin`` is the margin in the confirming
+    world before shrinking [SI], None for a mishap.  ``circumstances`` are lines for people.  Where shrinking
+    was interrupted there are neither ingredients nor draws.
     """
 
     complaint: Complaint
@@ -42,8 +44,28 @@ class Counterexample:
     shrunk: Shrunk
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...]
-    explanation: tuple[str, ...]
-    draws: int
+    found_margin: float | None
+    circumstances: tuple[str, ...]
+    ingredients: tuple[Ingredient, ...]
+    draws: int | None
+
+    @property
+    def explanation(self) -> list[str]:
+        """Lines for people."""
+        lines = [*self.circumstances, *map(str, self.ingredients)]
+        return lines if self.draws is None else [*lines, self.draws_words]
+
+    @property
+    def draws_words(self) -> str:
+        """In how many draws it happens."""
+        return f"the avoider's own randomness: it happens in {self.draws} of {DRAWS} draws of it"
+
+    @property
+    def evaluation(self) -> Evaluation | None:
+        """Of the claim that is violated; None for a mishap."""
+        claims = self.shrunk.scenario.claims
+        pairs = zip(claims, self.evaluations, strict=False)
+        return next((evaluation for claim, evaluation in pairs if claim == self.complaint.claim), None)
 
     @property
     def scenario(self) -> Scenario:
@@ -84,21 +106,26 @@ def counterexample_of(
     first = world([admit(found)])[0]
     if not complaint.is_in(first):
         return None
-    confirm = Confirm(complaint, world, by=-KEPT * (complaint.margin_in(first) or 0.0))
+    margin = complaint.margin_in(first)
+    confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     shrunk = shrink(found, confirm, budget=budget)
     run = world([admit(shrunk.scenario)])[0]
     evaluations: tuple[Evaluation, ...] = ()
-    lines: list[str] = []
     if isinstance(run, Trace):
         properties = [property_of(claim, run.scenario) for claim in run.scenario.claims]
         evaluations = tuple(prop.evaluate(run) for prop in properties)
-        lines += circumstances(run)
-    draws = 0
-    if not shrunk.interrupted:
-        lines += ingredients(shrunk.scenario, complaint, world)
-        draws = confirm.share_of_draws(shrunk.scenario, DRAWS)
-        lines.append(f"the avoider's own randomness: it happens in {draws} of {DRAWS} draws of it")
-    return Counterexample(complaint, found, shrunk, run, evaluations, tuple(lines), draws)
+    whole = not shrunk.interrupted
+    return Counterexample(
+        complaint,
+        found,
+        shrunk,
+        run,
+        evaluations,
+        margin,
+        tuple(circumstances(run)) if isinstance(run, Trace) else (),
+        tuple(ingredients(shrunk.scenario, complaint, world)) if whole else (),
+        confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
+    )
 
 
 def text_of(one: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:

@@ -3,7 +3,8 @@
 A third of the points explore (``exploring``); the others are shared among the claims, whose descents
 (CMA-ES) begin at the worst point known of a claim, keep its alternatives, and end when they find a
 violation or nothing better.  The next begins elsewhere.  Where all scores of a claim are the same there is
-nowhere to go: its share explores.
+nowhere to go: its share explores, and that of the other claims too, the more of their last descents found
+nothing worse than was known.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from safety_harness.seeds import Branch, generator
 _EXPLORING = 1.0 / 3.0
 _APART = 0.15  # root mean square: beginnings and ends of descents on the same claim are farther apart
 _STEP = 0.15
+_BETTER = 0.01  # of a score
 
 
 @dataclass(eq=False)
@@ -31,6 +33,7 @@ class _Island:
     claim: int
     descent: Descent
     end: Points  # (d,) canonical, the best place so far
+    known: float  # the claim's least score when it began
     score: float = np.inf
 
 
@@ -45,6 +48,7 @@ class Default:
         self._archives = [Archive(cube, _APART) for _ in range(claims)]
         self._islands: list[_Island] = []
         self._begun = self._explored = self._proposed = self._next_claim = 0
+        self._in_vain = [0] * claims  # descents since the last that found a violation or a lesser score
         self._due = 0.0  # points of exploration
         self._parts: list[tuple[_Island | None, int]] = []
 
@@ -73,8 +77,10 @@ class Default:
     @property
     def _exploring(self) -> float:
         """The part of the points that explore."""
-        flat = sum(archive.flat for archive in self._archives)
-        return _EXPLORING + (1.0 - _EXPLORING) * flat / self._claims
+        flat = [archive.flat for archive in self._archives]
+        shares = [0.0 if f else 0.5**vain for f, vain in zip(flat, self._in_vain, strict=True)]
+        descending = sum(shares) if any(flat) else self._claims
+        return 1.0 - (1.0 - _EXPLORING) * descending / self._claims
 
     def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
         """Remember, and let each descent have its own."""
@@ -94,6 +100,8 @@ class Default:
         if told.min() < island.score:
             island.score, island.end = float(told.min()), canonical[int(told.argmin())]
         if island.score < 0.0 or island.descent.over:
+            worth_it = island.score < 0.0 or island.score < island.known - _BETTER
+            self._in_vain[island.claim] = 0 if worth_it else self._in_vain[island.claim] + 1
             self._archives[island.claim].take(island.end)
             self._islands.remove(island)
 
@@ -132,7 +140,9 @@ class Default:
                 low, high = self._bounds(start)
                 rng = generator(self._seed, Branch.SEARCH, 2, self._begun)
                 self._begun += 1
-                island = _Island(claim, Descent(low, high, start, _STEP, rng), start)
+                island = _Island(
+                    claim, Descent(low, high, start, _STEP, rng), start, float(archive.scores[0])
+                )
                 self._islands.append(island)
                 return island
         return None

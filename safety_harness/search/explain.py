@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from safety_harness.admission.admit import admit
@@ -19,22 +21,36 @@ from safety_harness.trace.trace import Trace
 _MOST_REMOVED = 12  # ingredients that are taken away, one at a time
 
 
-def ingredients(scenario: Scenario, complaint: Complaint, world: World) -> list[str]:
-    """What becomes of the complaint when one thing is removed or neutralised, a line for each."""
-    lines = []
+@dataclass(frozen=True)
+class Ingredient:
+    """What becomes of the complaint without one thing; ``matters`` if it is gone then."""
+
+    step: str
+    outcome: str
+    matters: bool
+
+    def __str__(self) -> str:
+        return f"{self.step}: {self.outcome}"
+
+
+def ingredients(scenario: Scenario, complaint: Complaint, world: World) -> list[Ingredient]:
+    """What becomes of the complaint when one thing is removed or neutralised."""
+    found = []
     for step, other in list(simpler(scenario))[:_MOST_REMOVED]:
         try:
-            lines.append(f"{step}: {_outcome(complaint, world([admit(other)])[0])}")
+            run = world([admit(other)])[0]
+            found.append(Ingredient(step, _outcome(complaint, run), not complaint.is_in(run)))
         except InputError as error:
-            lines.append(f"{step}: cannot be tried, expected {error.expected}")
-    return lines
+            found.append(Ingredient(step, f"cannot be tried, expected {error.expected}", False))
+    return found
 
 
 def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
     if complaint.claim is None or isinstance(run, Exception):
         return mishap(run) or "nothing goes wrong"
     evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
-    return f"{evaluation.verdict.value}, {evaluation.margin_text()}"
+    margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
+    return evaluation.verdict.value + margin
 
 
 def seen_of(scenario: Scenario) -> Seen:

@@ -1,16 +1,22 @@
 """Points that assume little: where a mistake sits that margins do not lead to.
 
-Three kinds in turn.  As the space has them.  *Even*: alternatives all alike, however improbable, and
+Three kinds.  As the space has them.  *Even*: alternatives all alike, however improbable, and
 repetitions too.  *At the ends*: even, and any number of coordinates, from none
 to all, at the end of their interval, where ranges, masks and comparisons go wrong.
+
+There are not many ends: what sits at one is found soon.  So a third of the first points are at the ends,
+and ever fewer of the later ones; the others are of the first two kinds in turn.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.search.cube import Cube, Points
 from safety_harness.seeds import Branch, generator
+
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this part of so many points, then as one over how many there were
 
 
 class Explorer:
@@ -25,9 +31,10 @@ class Explorer:
         """(count, d)."""
         # Not from a Sobol sequence: of three of many coordinates it may leave a place out for long.
         points = self._rng.random((count, self._cube.dimension))
-        kind = (self._made + np.arange(count)) % 3
+        number = self._made + np.arange(count + 1)
         self._made += count
-        even, at_ends = np.flatnonzero(kind > 0), np.flatnonzero(kind == 2)
+        at_ends = np.flatnonzero(np.diff(np.floor(_points_at_ends(number))) > 0)
+        even = np.union1d(np.flatnonzero(number[:-1] % 2), at_ends)
         points[even] = self._evened(points[even])
         points[at_ends] = self._at_ends(points[at_ends])
         return points
@@ -56,3 +63,10 @@ class Explorer:
             end[upper & (interval == len(edges) - 2)] = 1.0
             points[:, number] = np.where(chosen, end, points[:, number])
         return points
+
+
+def _points_at_ends(number: NDArray[np.int64]) -> Points:
+    """(n,) how many of so many points are at the ends."""
+    first = np.minimum(number, _UNTIL)
+    found: Points = _AT_ENDS * (first + _UNTIL * np.log(np.maximum(number, _UNTIL) / _UNTIL))
+    return found

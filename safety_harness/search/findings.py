@@ -47,8 +47,8 @@ class Group:
 class Findings:
     """``tried`` counts runs, ``asked`` points; ``evidence`` and ``violated`` (k,) runs for each claim.
 
-    ``nearest`` is each claim's run with the least margin.  ``first_violation`` (k,) is the number of runs
-    that it took, 0 for none.
+    ``nearest`` is each claim's run with the least margin, ``improvements`` each claim's least margins [SI]
+    so far and after how many runs.  ``first_violation`` (k,) is the number of runs that it took, 0 for none.
     """
 
     goals: tuple[Goal, ...]
@@ -66,6 +66,7 @@ class Findings:
         self.first_violation = np.zeros(len(self.goals), np.int64)
         self.mishaps = 0
         self.nearest: list[Episode | None] = [None] * len(self.goals)
+        self.improvements: list[list[tuple[int, float]]] = [[] for _ in self.goals]
 
     @property
     def found(self) -> bool:
@@ -76,6 +77,10 @@ class Findings:
         """A claim's groups, or the mishaps, the worst first."""
         groups = [group for group in self.groups if group.claim == claim]
         return sorted(groups, key=lambda group: (group.worst_margin(), group.first.number))
+
+    def sentence_of(self, group: Group) -> str:
+        """What a group is about, for people."""
+        return group.kind if group.claim is None else self.goals[group.claim].sentence
 
     def always_violated(self, claim: int, least: int = 20) -> bool:
         """Whether every run of at least ``least`` violated the claim: then it is no corner that is wrong."""
@@ -114,6 +119,7 @@ class Findings:
             before = self.nearest[claim]
             if np.isfinite(margin) and (before is None or margin < before.margins[claim]):
                 self.nearest[claim] = Episode(number, point.copy(), margins.copy())
+                self.improvements[claim].append((self.tried, float(margin)))
 
     def _join(self, claim: int | None, kind: str, episode: Episode, canonical: Points) -> None:
         """Mishaps are told apart by their words alone."""

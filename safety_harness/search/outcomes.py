@@ -40,6 +40,12 @@ class Goal:
         """The goal of a property, with the scale of its unit."""
         return cls(prop.sentence, SCALES[prop.unit], prop.unit)
 
+    def margin_text(self, margin: float) -> str:
+        """A margin [SI] in the unit that people read."""
+        shown = margin * self.unit.per_si
+        number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
+        return f"{number} {self.unit.symbol}".rstrip()
+
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:

@@ -13,7 +13,7 @@ from safety_harness.search.outcomes import Evaluate, Goal
 HOPELESS = 200  # points of which not one could be tried; later, of which less than one in as many could
 
 
-def search(
+def find_violations(
     cube: Cube,
     goals: Sequence[Goal],
     evaluate: Evaluate,

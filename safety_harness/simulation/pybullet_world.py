@@ -59,7 +59,7 @@ class PyBulletWorld:
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector()
-        self._records = world_records(scenario, arm, joint_position_rad)
+        self.records = world_records(scenario, arm, joint_position_rad)
         self._told_radps = np.empty(6)
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -95,20 +95,20 @@ class PyBulletWorld:
     @property
     def time_s(self) -> float:
         """The start of the coming control tick."""
-        return now_s(self._records.clock)
+        return now_s(self.records.clock)
 
     @property
     def acted_faults(self) -> int:
         """Bits of the scenario's faults that have acted on this tick's pictures and, after it, its step."""
-        return int(self._records.clock[0]["acted_faults"])
+        return int(self.records.clock[0]["acted_faults"])
 
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth part of ``tick``; the rest is the controller's to fill."""
-        tick.view(TICK_COMPILED)[0] = self._records.truth[0]
+        tick.view(TICK_COMPILED)[0] = self.records.truth[0]
 
     def observe(self) -> NDArray[np.void]:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
-        records = self._records
+        records = self.records
         if not (self._render_object or self._render_hands):
             sense(*records.for_sense)
             return records.observation
@@ -128,7 +128,7 @@ class PyBulletWorld:
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Drives, motors and physics for one control period; hands move meanwhile."""
-        braking = drive_on(*(self._records.for_drives + (command, self._told_radps)))
+        braking = drive_on(*(self.records.for_drives + (command, self._told_radps)))
         pybullet.setJointMotorControlArray(
             self._robot,
             self._joints,
@@ -141,12 +141,12 @@ class PyBulletWorld:
             pybullet.stepSimulation(physicsClientId=self._client)
         states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
         joints = np.array([state[0] for state in states]), np.array([state[1] for state in states])
-        move_on(*(self._records.for_motion + joints))
+        move_on(*(self.records.for_motion + joints))
         return braking
 
     def _rendered_object(self) -> tuple[bool, NDArray[np.float64]]:
         """The object's moments in a rendered image."""
-        camera, records = self._settings.camera, self._records
+        camera, records = self._settings.camera, self.records
         camera_to_base = np.empty((4, 4))
         mounted = records.sensors[0]["transform_camera_to_tcp"]
         compose_into(records.truth[0]["transform_tcp_to_base"], mounted, camera_to_base)
@@ -156,7 +156,7 @@ class PyBulletWorld:
 
     def _rendered_boxes(self) -> tuple[NDArray[np.float64], int]:
         """Bounding boxes of the hands in a rendered image, and how many."""
-        sensor, records = self._settings.hand_sensor, self._records
+        sensor, records = self._settings.hand_sensor, self.records
         sensor_to_base = np.empty((4, 4))
         sensor_pose(records.sensors, records.truth[0]["transform_tcp_to_base"], sensor_to_base)
         place_hands(self._client, self._bodies, records.hands)

@@ -22,9 +22,12 @@ from safety_harness.space.template import Parameter
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settings are not read yet
 
 
-def read_space(path: Path) -> ScenarioSpace:
-    """The scenario space in a file; InputError with its place when it cannot be used as it stands."""
-    found = variants(path, Library())
+def read_space(path: Path, library: Library | None = None) -> ScenarioSpace:
+    """The scenario space in a file; InputError with its place when it cannot be used as it stands.
+
+    ``library`` is told of every file that is read.
+    """
+    found = variants(path, library or Library())
     if len(found) > 1:
         got = f"a matrix of {len(found)}"
         raise ScenarioError(place=Place(file=path, field=MATRIX), expected="one scenario space", got=got)

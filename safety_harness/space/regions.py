@@ -17,6 +17,7 @@ A network's file says what it saw in training, and the regions are about that.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     """
     if avoider in SHIPPED:
         return _of_metadata(load_model(shipped_model(avoider)).seen, avoider)
-    path = (folder or Path()) / Path(avoider).expanduser()
+    path = (folder or Path()) / os.path.expanduser(avoider)
     if avoider.endswith(_MODEL_SUFFIX):
         return _of_metadata(load_model(path).seen, avoider)
     if avoider.endswith(_ONNX_SUFFIX):

@@ -29,10 +29,13 @@ class Difference:
 
 
 def first_difference(first: Trace, second: Trace) -> Difference | None:
-    """None if ticks and decisions are the same bits; else the earliest differing record."""
+    """None if ticks and decisions are the same bits; else the earliest differing record.
+
+    Of a decision and a tick at the same time it is the decision, which the tick's command follows.
+    """
     found = [
-        _compare("tick", first.ticks, second.ticks),
         _compare("decision", first.decisions, second.decisions),
+        _compare("tick", first.ticks, second.ticks),
     ]
     differences = [difference for difference in found if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)

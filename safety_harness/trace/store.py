@@ -12,25 +12,33 @@ import hashlib
 import io
 import json
 import os
+import struct
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError, Place, TraceError
-from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.recording_table import MAX_BYTES
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Provenance, Trace
 
 FORMAT = "safety-harness trace 3"
-LARGEST_BYTES = 4 * 2**30  # unpacked; a trace of an hour is some 0.6 GB
+HEADER = "trace.json"
+SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
+ARRAY_HEADER_BYTES = 20_000
+MOST_PARTS = 6 + MAX_HANDS
+LONGEST_LINE = 4_096
+ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 
 
 def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -94,26 +102,49 @@ def load_trace(path: Path) -> Trace:
 
 
 class _Reader:
-    """Reads one file; every failure names it."""
+    """Reads one file; every failure names it.  Nothing is unpacked that is larger than it may be."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._parts = self._unpack()
+        self._parts: dict[str, bytes] = {}
+        self._hashes: dict[str, Any] = {}
 
     def trace(self) -> Trace:
-        self._check_hashes()
+        try:
+            refuse_no_file(self._path, "a trace file", TraceError)
+            with self._path.open("rb") as file:
+                self._refuse_no_directory(file)
+                with zipfile.ZipFile(file) as archive:
+                    return self._trace(archive)
+        except TraceError:
+            raise
+        except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
+            raise self._error("a trace file, whole", _words(error)) from error
+
+    def _trace(self, archive: zipfile.ZipFile) -> Trace:
+        """The small parts first: they tell how large the others may be."""
+        for info in archive.infolist():
+            if info.filename in self._parts:
+                raise self._error("each part once", "one twice", info.filename)
+            self._parts[info.filename] = b""
+        self._check_header(archive)
+        recordings = [name for name in self._parts if name.startswith("recordings/")]
+        for name in ("run.json", "scenario.yaml", *recordings):
+            self._unpack(archive, name, SMALL_BYTES if name not in recordings else MAX_BYTES)
         run = self._json("run.json", {"scenario_name", "scenario_file", "ended", "provenance"})
-        decisions = self._array("decisions.npy", DECISION)
-        latencies_s = self._array("latencies.npy", np.dtype(np.float64))
+        scenario = self._scenario(run)
+        most = scenario.ticks + 1
+        decisions = self._array(archive, "decisions.npy", DECISION, most)
+        latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
         trace = Trace(
-            scenario=self._scenario(run),
-            ticks=self._array("ticks.npy", TICK),
+            scenario=scenario,
+            ticks=self._array(archive, "ticks.npy", TICK, most),
             decisions=decisions,
             decision_latency_s=latencies_s,
             provenance=self._provenance(run),
-            ended=str(run["ended"]),
+            ended=self._line(run["ended"], "ended"),
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:
@@ -123,52 +154,53 @@ class _Reader:
     def _error(self, expected: str, got: str, field: str | None = None) -> TraceError:
         return TraceError(place=Place(file=self._path, field=field), expected=expected, got=got)
 
-    def _unpack(self) -> dict[str, bytes]:
+    def _refuse_no_directory(self, file: IO[bytes]) -> None:
+        """A zip's end tells how long its directory is; a long one would fill the memory before it is read."""
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(size - ZIP_END.size, 0))
+        end = file.read(ZIP_END.size)
+        if len(end) < ZIP_END.size or not end.startswith(b"PK\5\6"):
+            raise self._error("a trace file, whole", "no end of a zip file")
+        _, _, _, _, parts, directory_bytes, _, _ = ZIP_END.unpack(end)
+        if parts > MOST_PARTS or directory_bytes > SMALL_BYTES:
+            got = f"{parts}, listed in {directory_bytes} bytes"
+            raise self._error(f"a trace file of at most {MOST_PARTS} parts", got)
+
+    def _unpack(self, archive: zipfile.ZipFile, name: str, most: int) -> None:
+        """Read a part of at most so many bytes, and compare its hash."""
+        if name not in self._parts:
+            raise self._error("a part of this name", "none", name)
+        size = archive.getinfo(name).file_size
+        if size > most:
+            raise self._error(f"at most {most:,} bytes unpacked", f"{size:,}", name)
         try:
-            with zipfile.ZipFile(self._path) as archive:
-                size = sum(info.file_size for info in archive.infolist())
-                if size > LARGEST_BYTES:
-                    raise self._error(f"at most {LARGEST_BYTES} bytes unpacked", f"{size} bytes")
-                return {info.filename: archive.read(info) for info in archive.infolist()}
-        except FileNotFoundError:
-            raise self._error("a trace file", "no such file") from None
-        except (
-            OSError,
-            zipfile.BadZipFile,
-            EOFError,
-            NotImplementedError,
-            RuntimeError,
-            ValueError,
-        ) as error:
-            raise self._error("a trace file, whole", str(error) or type(error).__name__) from error
+            self._parts[name] = archive.read(name)
         except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
-            raise self._error("a trace file, whole", f"{type(error).__name__}: {error}") from error
+            raise self._error("a trace file, whole", _words(error), name) from error
+        actual = hashlib.sha256(self._parts[name]).hexdigest()
+        if name != HEADER and self._hashes[name] != actual:
+            raise self._error(f"contents with sha256 {self._hashes[name]}", f"sha256 {actual}", name)
 
     def _json(self, name: str, keys: set[str]) -> dict[str, Any]:
         """A part that is a JSON object with at least these keys."""
         try:
             found = json.loads(self._parts[name])
-        except (KeyError, ValueError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise self._error("a JSON object", f"none that can be read ({error!r})", name) from error
         if not isinstance(found, dict) or not keys <= found.keys():
             raise self._error(f"an object with {', '.join(sorted(keys))}", "something else", name)
         return found
 
-    def _check_hashes(self) -> None:
-        header = self._json("trace.json", {"format", "sha256"})
+    def _check_header(self, archive: zipfile.ZipFile) -> None:
+        """The format, and a hash for every other part."""
+        self._unpack(archive, HEADER, SMALL_BYTES)
+        header = self._json(HEADER, {"format", "sha256"})
         hashes = header["sha256"]
         if header["format"] != FORMAT or not isinstance(hashes, dict):
             raise self._error(f"the format {FORMAT!r}", repr(header["format"]), "format")
-        actual = {
-            name: hashlib.sha256(data).hexdigest()
-            for name, data in self._parts.items()
-            if name != "trace.json"
-        }
-        for name in sorted(hashes.keys() | actual.keys()):
-            if hashes.get(name) != actual.get(name):
-                raise self._error(
-                    f"contents with sha256 {hashes.get(name)}", f"sha256 {actual.get(name)}", name
-                )
+        self._hashes = hashes
+        for name in sorted(hashes.keys() ^ (self._parts.keys() - {HEADER})):
+            raise self._error("a hash for each part, a part for each hash", "only one of them", name)
 
     def _scenario(self, run: dict[str, Any]) -> Scenario:
         recordings = {
@@ -176,29 +208,51 @@ class _Reader:
             for name, data in self._parts.items()
             if name.startswith("recordings/")
         }
+        name = self._line(run["scenario_name"], "scenario_name")
+        if "/" in name or name in ("", ".", ".."):
+            raise self._error("the name of a scenario, without folders", repr(name), "scenario_name")
+        file = Path(self._line(run["scenario_file"] or f"{name}.yaml", "scenario_file"))
         try:
             text = self._parts["scenario.yaml"].decode()
-            file = Path(run["scenario_file"] or f"{run['scenario_name']}.yaml")
-            name = str(run["scenario_name"])
             return parse_scenario(text, file, recordings, name=name, claims_required=False)
-        except (KeyError, UnicodeDecodeError, TypeError) as error:
+        except UnicodeDecodeError as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:
             raise self._error("a scenario that this version reads", str(error), "scenario.yaml") from error
 
-    def _array(self, name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
+    def _line(self, found: object, field: str) -> str:
+        """A text on one line: it is printed, and may name a file."""
+        if not isinstance(found, str) or len(found) > LONGEST_LINE or set(found) & set("\0\n\r"):
+            raise self._error(f"a text of one line, at most {LONGEST_LINE} characters", repr(found), field)
+        return found
+
+    def _array(self, archive: zipfile.ZipFile, name: str, dtype: np.dtype[Any], most: int) -> NDArray[Any]:
+        """At most so many records.  The array's header is not believed before its length is compared."""
+        self._unpack(archive, name, most * dtype.itemsize + ARRAY_HEADER_BYTES)
+        data = io.BytesIO(self._parts.pop(name))
         try:
-            array = np.lib.format.read_array(io.BytesIO(self._parts[name]), allow_pickle=False)
-        except (KeyError, ValueError, EOFError, OSError) as error:
+            if np.lib.format.read_magic(data) != (1, 0):
+                raise ValueError("another version of the format")
+            shape, _, found = np.lib.format.read_array_header_1_0(data)
+        except Exception as error:  # whatever its parser stumbles over
             raise self._error("an array of records", f"none that can be read ({error})", name) from error
-        if array.dtype != dtype or array.ndim != 1:
-            raise self._error("records as this version writes them", f"{array.dtype}", name)
-        return array
+        if found != dtype or len(shape) != 1:
+            raise self._error("records as this version writes them", f"{found}", name)
+        records = data.read()
+        if len(records) != shape[0] * dtype.itemsize:
+            raise self._error(f"{shape[0]} records", f"{len(records)} bytes of them", name)
+        return np.frombuffer(records, dtype).copy()
 
     def _provenance(self, run: dict[str, Any]) -> Provenance:
         try:
             fields = dict(run["provenance"])
-            fields["libraries"] = tuple((str(a), str(b)) for a, b in fields["libraries"])
-            return Provenance(**fields)
+            libraries = [(name, version) for name, version in fields.pop("libraries")]
+            lines = {name: self._line(value, f"provenance.{name}") for name, value in fields.items()}
+            both = (tuple(self._line(one, "provenance.libraries") for one in pair) for pair in libraries)
+            return Provenance(**lines, libraries=tuple((name, version) for name, version in both))
         except (KeyError, TypeError, ValueError) as error:
             raise self._error("the provenance of the run", repr(error), "provenance") from error
+
+
+def _words(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

@@ -12,6 +12,7 @@ from safety_harness.avoidance.shipped import SHIPPED
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
+from safety_harness.trace.records import Outcome
 
 ROOT = Path(__file__).parents[2]
 VISIT = """\
@@ -106,6 +107,44 @@ def test_a_replay_with_an_edited_program_says_that_it_was_edited(
     out, err = capsys.readouterr()
     assert "first difference at decision 0" in out or "first difference at tick" in out
     assert "avoider_sha256" in err
+
+
+HOSTILE = """\
+import os, time
+from safety_harness import Proposal
+class Mine:
+    name = "hostile"
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        print("asked")
+        while seed != 0:
+            try:
+                BAD
+            except BaseException:
+                pass
+        return Proposal(tcp_position_in_base_m)
+"""
+
+
+@pytest.mark.parametrize(
+    ("bad", "fault"),
+    [
+        ("os._exit(3)", "its process ended with exit status 3"),
+        ("time.sleep(60)", "no answer within 100 ms, nor 2 s later: its process was ended"),
+    ],
+)
+def test_a_run_with_an_avoider_that_ends_or_hangs_comes_to_its_end_and_repeats(
+    bad: str, fault: str, visit: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    Path("mine.py").write_text(HOSTILE.replace("BAD", bad))
+    assert run([visit], Path("out"), "mine.py:Mine") == AS_EXPECTED
+    out, err = capfd.readouterr()
+    trace = load_trace(trace_of("out"))
+    assert trace.complete
+    assert set(trace.decisions["fault"]) == {fault}
+    assert set(trace.decisions["outcome"]) == {Outcome.OPPOSITE}
+    assert "asked" not in out
+    assert fault in err
+    assert replay(trace_of("out"), "mine.py:Mine") == AS_EXPECTED
 
 
 def test_a_wrong_avoider_is_one_mistake_however_many_files(

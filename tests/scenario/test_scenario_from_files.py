@@ -66,7 +66,7 @@ def test_a_pipe_is_refused_rather_than_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="File name too long"):
+    with pytest.raises(ScenarioError, match="a file with a name of printable characters, at most 150 bytes"):
         read_scenario(tmp_path / ("x" * 5000))
 
 

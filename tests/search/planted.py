@@ -220,6 +220,8 @@ def by_lot(number: int) -> Bug:
 
 
 BY_LOT = tuple(by_lot(number) for number in range(6))
+# Drawn before the search was changed a second time, and looked at only afterwards.
+FRESH = tuple(by_lot(number) for number in range(100, 112))
 
 
 def world(bug: Bug) -> Callable[[Points, int], Outcomes]:

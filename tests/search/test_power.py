@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safety_harness.search.search import search
+from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
 from tests.search.planted import BUGS, CUBE, FLAT, GOALS, SMOOTH, Bug, share_violated, world
 
@@ -16,7 +16,7 @@ DEFAULT, UNIFORM = SEARCHERS[:2]
 def needed(make: MakesSearcher, bug: Bug, seed: int, budget: int) -> int:
     """Episodes to the first violation; budget + 1 without one."""
     searcher = make(CUBE, claims=len(GOALS), seed=seed)
-    found = search(
+    found = find_violations(
         CUBE,
         GOALS,
         world(bug),

@@ -13,7 +13,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
 from safety_harness.search.findings import Findings
-from safety_harness.search.search import search
+from safety_harness.search.search import find_violations
 from safety_harness.search.trials import Trials, in_pybullet
 from tests.search.broken_avoiders import SPACE, Hangs, NoNumber, Overreaches, Raises
 
@@ -34,7 +34,7 @@ def searched(avoider: Avoider, budget: int = BUDGET) -> Findings:
     cube = Cube.of(SPACE)
     trials = TrialsOf(SPACE, in_pybullet, seed=0, mine=avoider)
     searcher = Default(cube, claims=len(trials.goals), seed=0)
-    return search(
+    return find_violations(
         cube,
         trials.goals,
         trials,

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_trial
+from safety_harness.avoidance.avoider import Proposal
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search import trials as trials_module
@@ -105,6 +108,27 @@ def test_an_avoider_that_raises_in_a_corner_is_a_mishap_of_one_kind_whatever_its
     assert np.isfinite(found.margins[2]).all()
 
 
+def test_our_own_avoiders_are_waited_for_and_a_users_are_not(
+    tmp_path: Path,
+) -> None:
+    def slow(**_: object) -> object:
+        time.sleep(0.15)  # the deadline is 100 ms
+        return Proposal(np.array([0.6, 0.1, 0.4]))
+
+    (tmp_path / "mine.py").write_text(CRASHING)
+    avoiders = ("opposite pose", str(tmp_path / "mine.py") + ":Crashing")
+    faults = []
+    for avoider in avoiders:
+        scenario = Trials(SHORT, in_pybullet, avoider=avoider).scenario(POINTS[1], 11)
+        admitted = admit(scenario, avoider=SimpleNamespace(name="slow", propose=slow))
+        (trace,) = in_pybullet([admitted])
+        assert isinstance(trace, Trace)
+        faults.append([str(fault) for fault in trace.decisions["fault"]])
+    assert faults[0]
+    assert not any(faults[0])
+    assert faults[1][0] == "no answer within 100 ms"
+
+
 def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     from safety_harness.simulation.pybullet_world import PyBulletWorld
 
@@ -186,9 +210,12 @@ def test_other_draws_of_an_avoider_without_any_are_the_same_and_of_a_network_are
 
 
 def test_an_explanation_says_what_takes_the_violation_away() -> None:
-    lines = ingredients(fast_run().scenario, complaint(), in_pybullet)
-    assert any(line.startswith("without the right hand: inconclusive") for line in lines)
-    assert any(line.startswith("without the start's offset: violated") for line in lines)
+    found = {one.step: one for one in ingredients(fast_run().scenario, complaint(), in_pybullet)}
+    hand, offset = found["without the right hand"], found["without the start's offset"]
+    assert str(hand).startswith("without the right hand: inconclusive")
+    assert hand.matters
+    assert str(offset).startswith("without the start's offset: violated")
+    assert not offset.matters
 
 
 def test_circumstances_say_where_it_was_and_what_was_decided() -> None:

@@ -18,10 +18,11 @@ QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m", "seed")  # the 
 
 
 class PythonFile:
-    """One file of a user's; every failure names the place of the reference to it."""
+    """One file of a user's, and its text; every failure names the place of the reference to it."""
 
-    def __init__(self, path: Path, place: Place) -> None:
+    def __init__(self, path: Path, source: bytes, place: Place) -> None:
         self._path = path
+        self._source = source
         self._place = place
 
     def avoider(self, name: str) -> Avoider:
@@ -47,7 +48,7 @@ class PythonFile:
         module = module_from_spec(spec)
         sys.modules[module.__name__] = module  # dataclasses look their module up
         try:
-            exec(compile(self._path.read_bytes(), str(self._path), "exec"), module.__dict__)
+            exec(compile(self._source, str(self._path), "exec"), module.__dict__)
         except (Exception, SystemExit) as error:  # a user's code may raise anything
             sys.modules.pop(module.__name__, None)
             self._raised(f"{self._path.name} to be a Python file that can be imported", error)

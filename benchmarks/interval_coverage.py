@@ -1,0 +1,309 @@
+"""Do the intervals of the statistics hold as often as they say?  Run: python benchmarks/interval_coverage.py.
+
+Prints nominal against measured coverage of every interval: exactly, by enumeration of every count, where
+that can be done, otherwise over simulated samples; and of some broken intervals, which the measure must see.
+An interval whose misses are more than its nominal chance explains (one in a thousand) is marked, and the exit
+code is 1 if any is that claims to be exact.  --quick takes a tenth of the samples.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.special import ndtri
+
+from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.statistics.binomial import Sides, bounds_of
+from safety_harness.statistics.distances import distribution_of, tolerance_bound
+from safety_harness.statistics.model_gap import bridged_bound
+from safety_harness.statistics.paired import compare, compare_margins
+from safety_harness.statistics.rare import Splitting, split
+from safety_harness.statistics.sample import Declaration, IndependentSample, Outcome
+from safety_harness.statistics.sequential import evidence_apart, evidence_below
+from safety_harness.statistics.variance import NestedSample, variance_split
+
+Floats = NDArray[np.float64]
+HELD, VIOLATED = int(Outcome.HOLDS), int(Outcome.VIOLATED)
+
+
+@dataclass(frozen=True)
+class Row:
+    """``samples`` is 0 where every count was enumerated; ``exact`` whether the interval claims to be."""
+
+    interval: str
+    setting: str
+    nominal: float
+    covered: float
+    samples: int
+    exact: bool = True
+
+    @property
+    def broken(self) -> bool:
+        """Are the misses more than the nominal chance explains?"""
+        if not self.samples:
+            return self.covered < self.nominal - 1e-9
+        missed = round((1.0 - self.covered) * self.samples)
+        return bool(stats.binomtest(missed, self.samples, 1.0 - self.nominal, "greater").pvalue < 1e-3)
+
+    def markdown(self) -> str:
+        """One row of the table."""
+        how = f"{self.samples:,} samples" if self.samples else "enumerated"
+        mark = "" if not self.broken else " **too low**"
+        return f"| {self.interval} | {self.setting} | {self.nominal:.1%} | {self.covered:.2%}{mark} | {how} |"
+
+
+def declared(planned: int, **changes: object) -> Declaration:
+    """A declaration of so many episodes."""
+    return Declaration(**({"plan_sha256": "", "stratum": "s", "seed": 1, "planned": planned} | changes))  # type: ignore[arg-type]
+
+
+def sample_of(
+    codes: NDArray[np.int64], margins: Floats | None = None, **changes: object
+) -> IndependentSample:
+    """A sample of outcomes (n,), without margins if none are given."""
+    signed = np.full(len(codes), np.nan) if margins is None else margins
+    return IndependentSample.of_stream(declared(len(codes), **changes), np.arange(len(codes)), codes, signed)
+
+
+def with_margins(margins: Floats) -> IndependentSample:
+    """A sample whose outcomes are the signs of its margins (n,)."""
+    return sample_of(np.where(margins < 0.0, VIOLATED, HELD), margins)
+
+
+def binomials(times: int) -> Iterator[Row]:
+    """One-sided, two-sided, and Wald's for comparison, at the truths that matter and at the worst of many."""
+    del times
+    worst = np.concatenate([np.geomspace(1e-5, 0.5, 400), 1.0 - np.geomspace(1e-5, 0.5, 400)])
+    for trials in (50, 300, 3000):
+        counts = np.arange(trials + 1)
+        upper = np.array([upper_bound(int(k), trials, 0.05) for k in counts])
+        ends = np.array(
+            [(lower_bound(int(k), trials, 0.025), upper_bound(int(k), trials, 0.025)) for k in counts]
+        )
+        seen = counts / trials
+        wald = seen + stats.norm.isf(0.05) * np.sqrt(seen * (1.0 - seen) / trials)
+
+        def covered(low: Floats, high: Floats, share: float, counts: Floats = counts) -> float:
+            chances = stats.binom.pmf(counts, len(counts) - 1, share)
+            return float(chances[(low <= share) & (share <= high)].sum())
+
+        none = np.zeros(trials + 1)
+        for share in (1e-3, 1e-2, 0.1):
+            where = f"n = {trials}, p = {share:g}"
+            yield Row("Clopper-Pearson, upper", where, 0.95, covered(none, upper, share), 0)
+            yield Row("Wald, upper (broken)", where, 0.95, covered(none, wald, share), 0, exact=False)
+        for name, low, high in (
+            ("Clopper-Pearson, upper", none, upper),
+            ("Clopper-Pearson, two-sided", ends[:, 0], ends[:, 1]),
+        ):
+            least = min(covered(low, high, share) for share in worst)
+            yield Row(name, f"n = {trials}, worst of 800 p", 0.95, least, 0)
+
+
+def families(times: int) -> Iterator[Row]:
+    """All bounds of a plan at once: eight, of claims that are nested in each other."""
+    rng, shares = np.random.default_rng(1), np.array([0.001, 0.003, 0.01, 0.03])
+    together = 0
+    samples = 2 * times
+    for _ in range(samples):
+        drawn = [np.where(rng.random(400)[:, None] < shares, VIOLATED, HELD) for _ in range(2)]
+        bounds = bounds_of([sample_of(one[:, k]) for one in drawn for k in range(4)], 0.95, Sides.BOTH)
+        together += all(b.low <= p <= b.high for b, p in zip(bounds, np.tile(shares, 2), strict=True))
+    yield Row("Bonferroni, 16 ends", "2 strata x 4 claims, n = 400", 0.95, together / samples, samples)
+
+
+def sequences(times: int) -> Iterator[Row]:
+    """Looked at after every trial of 5,000, by an adversary who stops where it is worst."""
+    trials = np.arange(1, 5001)
+    limit = np.log(20.0)
+    for share in (0.5, 0.1, 0.01, 0.001):
+        rng, wrong = np.random.default_rng(2), np.zeros(4, np.int64)
+        for _ in range(times):
+            counts = np.cumsum(rng.random(len(trials)) < share)
+            below = evidence_below(share, counts, trials)
+            apart = evidence_apart(share, counts, trials)
+            peeked = stats.binom.cdf(counts, trials, share) <= 0.05
+            stopped = evidence_below(share / 1.02, counts, trials) >= limit
+            wrong += [
+                bool((below >= limit).any()),
+                bool(((apart >= limit) & (counts > share * trials)).any()),
+                bool(stopped.any()),
+                bool(peeked.any()),
+            ]
+        held = 1.0 - wrong / times
+        where = f"p = {share:g}, every n up to 5,000"
+        yield Row("anytime, upper", where, 0.95, held[0], times)
+        yield Row("anytime, lower", where, 0.95, held[1], times)
+        yield Row("anytime, stopped once p/1.02 seems shown", where, 0.95, held[2], times)
+        yield Row("Clopper-Pearson, peeked at (broken)", where, 0.95, held[3], times, exact=False)
+
+
+def rare(times: int) -> Iterator[Row]:
+    """The intervals over replications, of problems with known answers."""
+    runs = max(times // 10, 20)
+
+    def tail(points: Floats) -> Floats:
+        return np.asarray(ndtri(np.maximum(points[:, 0], 1e-300)))
+
+    def radius(points: Floats) -> Floats:
+        return np.asarray(np.linalg.norm(ndtri(np.maximum(points, 1e-300)), axis=1))
+
+    known: list[tuple[str, Callable[[Floats], Floats], int, float]] = [
+        (f"{s} sigma", lambda u, s=s: s - tail(u), 2, float(stats.norm.sf(s)))  # type: ignore[misc]
+        for s in (2, 3, 4)
+    ]
+    known.append(("4 sigma, both tails", lambda u: 4.0 - np.abs(tail(u)), 2, 2.0 * float(stats.norm.sf(4))))
+    known.append(("outside r = 8, 30-d", lambda u: 8.0 - radius(u), 30, float(stats.chi2.sf(64, 30))))
+    for name, margins, dimensions, truth in known:
+        found = [split(margins, dimensions, seed=k, how=Splitting(particles=200)) for k in range(runs)]
+        held = sum(one.low <= truth <= one.high for one in found) / runs
+        values = np.array([one.value for one in found]) / truth
+        spent = np.mean([one.evaluations for one in found])
+        where = (
+            f"{name}, p = {truth:.2g}; mean {values.mean():.3f} p, deviation {values.std():.3f} p, "
+            f"{spent:,.0f} points"
+        )
+        yield Row("splitting, 20 of 200 particles, 10 steps", where, 0.95, held, runs, exact=False)
+    few = Splitting(particles=100, steps=3, replications=8)
+    found = [split(known[2][1], 2, seed=k, how=few) for k in range(runs)]
+    held = sum(one.low <= known[2][3] <= one.high for one in found) / runs
+    yield Row("splitting, 8 of 100 particles, 3 steps", known[2][0], 0.95, held, runs, exact=False)
+
+
+def pairs(times: int) -> Iterator[Row]:
+    """Differences of violation probabilities and of margins."""
+    for first, second in ((0.01, 0.01), (0.05, 0.01), (0.2, 0.1), (0.002, 0.0)):
+        rng, held, rejected = np.random.default_rng(3), 0, 0
+        for _ in range(times):
+            drawn = rng.choice(3, 500, p=[first, second, 1.0 - first - second])
+            codes = [np.where(drawn == which, VIOLATED, HELD) for which in (0, 1)]
+            found = compare(sample_of(codes[0]), sample_of(codes[1]))
+            held += found.low <= first - second <= found.high
+            rejected += found.p_value <= 0.05
+        where = f"n = 500, only first {first:g}, only second {second:g}"
+        yield Row("difference in violations", where, 0.95, held / times, times)
+        if first == second:
+            yield Row("McNemar, no false alarm", where, 0.95, 1.0 - rejected / times, times)
+    shapes: dict[str, Callable[[np.random.Generator, int], Floats]] = {
+        "normal": lambda rng, n: rng.normal(size=n),
+        "exponential": lambda rng, n: rng.exponential(size=n) - 1.0,
+        "lognormal": lambda rng, n: rng.lognormal(size=n) - np.exp(0.5),
+        "mostly equal, 5 % far": lambda rng, n: np.where(rng.random(n) < 0.05, 1.0, 0.0) - 0.05,
+    }
+    runs = max(times // 2, 50)
+    for n in (30, 300):
+        for name, draw in shapes.items():
+            rng, held = np.random.default_rng(4), np.zeros(3, np.int64)
+            true_median = float(np.median(draw(np.random.default_rng(5), 10**6)))
+            for _ in range(runs):
+                drawn = draw(rng, n)
+                each = compare_margins(with_margins(drawn), with_margins(np.zeros(n)))
+                half = stats.t.isf(0.025, n - 1) * drawn.std(ddof=1) / np.sqrt(n)
+                held += [
+                    each.mean_low <= 0.0 <= each.mean_high,
+                    abs(drawn.mean()) <= half,
+                    each.median_low <= true_median <= each.median_high,
+                ]
+            where = f"n = {n}, {name}"
+            yield Row("mean difference of margins", where, 0.95, held[0] / runs, runs, exact=False)
+            yield Row("the same by Student's t (not used)", where, 0.95, held[1] / runs, runs, exact=False)
+            yield Row("median difference of margins", where, 0.95, held[2] / runs, runs)
+    rng, inside = np.random.default_rng(10), 0
+    for _ in range(times):
+        drawn = shapes["mostly equal, 5 % far"](rng, 30)
+        each = compare_margins(with_margins(drawn), with_margins(np.zeros(30)), limit=1.0)
+        inside += each.mean_low <= 0.0 <= each.mean_high
+    yield Row("mean difference, with a limit", "n = 30, mostly equal, 5 % far", 0.95, inside / times, times)
+
+
+def margins(times: int) -> Iterator[Row]:
+    """Tolerance bounds and the band."""
+    for n, content in ((300, 0.99), (3000, 0.99), (300, 0.9)):
+        rng, held = np.random.default_rng(6), 0
+        for _ in range(times):
+            found = tolerance_bound(with_margins(rng.lognormal(size=n)), content)
+            held += found.at_least <= stats.lognorm.ppf(1.0 - content, 1.0)
+        yield Row("tolerance bound", f"n = {n}, content {content:.0%}", 0.95, held / times, times)
+    for n in (50, 500):
+        rng, held = np.random.default_rng(7), 0
+        for _ in range(times):
+            found = distribution_of(with_margins(rng.random(n)))
+            half = float(np.max(found.high[: n // 2] - found.share[: n // 2]))
+            gap = np.maximum(found.share - found.margins, found.margins - (found.share - 1.0 / n))
+            held += bool(gap.max() <= half)
+        yield Row("band of the distribution", f"n = {n}", 0.95, held / times, times)
+
+
+def variances(times: int) -> Iterator[Row]:
+    """The scenarios' share of the variance."""
+    runs = max(times // 2, 50)
+    shapes: dict[str, Callable[[np.random.Generator, tuple[int, int]], Floats]] = {
+        "normal": lambda rng, shape: rng.normal(size=shape),
+        "Laplace": lambda rng, shape: rng.laplace(size=shape) / np.sqrt(2.0),
+        "exponential": lambda rng, shape: rng.exponential(size=shape) - 1.0,
+    }
+    for name, draw in shapes.items():
+        for m, k, share in ((20, 5, 0.2), (20, 5, 0.8), (100, 5, 0.2), (100, 5, 0.8)):
+            rng, f, bootstrap = np.random.default_rng(8), 0, 0
+            for _ in range(runs):
+                drawn = np.sqrt(share) * draw(rng, (m, 1)) + np.sqrt(1.0 - share) * draw(rng, (m, k))
+                codes = np.where(drawn < 0.0, VIOLATED, HELD)
+                found = variance_split(NestedSample.of_design(declared(m), np.arange(m), codes, drawn))
+                f += found.low <= share <= found.high
+                bootstrap += found.bootstrap_low <= share <= found.bootstrap_high
+            where = f"{m} scenarios x {k}, share {share:g}, {name}"
+            yield Row("variance share, F", where, 0.95, f / runs, runs, exact=name == "normal")
+            yield Row("variance share, bootstrap", where, 0.95, bootstrap / runs, runs, exact=False)
+
+
+def gaps(times: int) -> Iterator[Row]:
+    """Worlds that disagree: half of the violations of the reference world are unseen in the kinematic one."""
+    for scale in (1.0, 0.1):
+        rng, bridged, alone = np.random.default_rng(9), 0, 0
+        for _ in range(times):
+            codes = []
+            for n in (3000, 600):
+                u = rng.random(n)
+                there = np.where(u < 0.04 * scale, VIOLATED, np.where(u < 0.8, HELD, int(Outcome.UNTESTED)))
+                codes += [np.where(u < 0.02 * scale, VIOLATED, HELD), there]
+            samples = [sample_of(code, world="kinematic") for code in (codes[0], codes[2])]
+            found = bridged_bound(samples[0], samples[1], sample_of(codes[3]))
+            bridged += found.high >= 0.05 * scale
+            alone += upper_bound(samples[0].violations, 3000, 0.05) >= 0.05 * scale
+        where = f"p = {0.05 * scale:g}, 3,000 kinematic runs, 600 in both"
+        yield Row("kinematic bound and gap", where, 0.95, bridged / times, times)
+        yield Row("kinematic bound alone (broken)", where, 0.95, alone / times, times, exact=False)
+
+
+def main() -> int:
+    """Print the table; 1 if an exact interval covers too seldom."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a tenth of the samples")
+    times = 200 if parser.parse_args().quick else 2000
+    print("| interval | setting | nominal | measured | by |\n|---|---|---|---|---|")
+    broken = []
+    for part in (binomials, families, sequences, margins, pairs, variances, gaps, rare):
+        start = time.perf_counter()
+        for row in part(times):
+            print(row.markdown(), flush=True)
+            if row.exact and row.broken:
+                broken.append(row)
+        print(f"{part.__name__}: {time.perf_counter() - start:.0f} s", file=sys.stderr)
+    for row in broken:
+        print(f"exact, and too low: {row.interval}, {row.setting}", file=sys.stderr)
+    return 1 if broken else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""What does it cost that a user's avoider is asked in another process?  Run: python benchmarks/isolation.py.
+
+The same avoider here and there take turns, so that a busy machine slows both; values are median (least to
+greatest) over the turns.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+
+from safety_harness.avoidance.asking import Question, ask
+from safety_harness.avoidance.avoider import Avoider, Proposal
+from safety_harness.avoidance.isolation.host import host_of
+from safety_harness.avoidance.isolation.isolated import isolated_avoider
+from safety_harness.exceptions import Place
+
+FILE = Path(__file__).parents[1] / "examples" / "upwards.py"
+TURNS, ONE_BY_ONE, IN_ONE_MESSAGE, BEGUN = 9, 1_000, 256, 5
+HAND, TCP = np.array([0.9, 0.1, 0.3]), np.array([0.7, 0.0, 0.35])
+
+
+class Upwards:
+    """The avoider of the file, in this process."""
+
+    name = "straight up"
+
+    def propose(
+        self, *, hand_position_in_base_m: np.ndarray, tcp_position_in_base_m: np.ndarray, seed: int
+    ) -> Proposal:
+        """As there."""
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])
+
+
+def one_by_one(avoider: Avoider) -> None:
+    """As a run asks."""
+    for seed in range(ONE_BY_ONE):
+        ask(avoider, hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=seed, deadline_s=10.0)
+
+
+def microseconds(what: Callable[[], object], count: int) -> float:
+    """For one of ``count``."""
+    begun_s = time.perf_counter()
+    what()
+    return (time.perf_counter() - begun_s) / count * 1e6
+
+
+def row(what: str, found: list[float], unit: str) -> str:
+    """One line of the table."""
+    return f"{what:<44} {median(found):8.1f} {unit} ({min(found):.1f} to {max(found):.1f})"
+
+
+def main() -> None:
+    """Print the table."""
+    here, there = Upwards(), isolated_avoider(FILE, "Upwards", Place())
+    questions = [Question(HAND, TCP, seed, 10.0, True) for seed in range(IN_ONE_MESSAGE)]
+    one_by_one(there)
+    turns = [
+        (
+            microseconds(lambda: one_by_one(here), ONE_BY_ONE),
+            microseconds(lambda: one_by_one(there), ONE_BY_ONE),
+            microseconds(lambda: there.answers(questions, together=True), IN_ONE_MESSAGE),
+        )
+        for _ in range(TURNS)
+    ]
+    host, begun = host_of(FILE, FILE.read_bytes()), []
+    for _ in range(BEGUN):
+        host.end()
+        begun.append(microseconds(lambda: there.answers(questions[:1], together=False), 1) / 1e3)
+    print(row("one question, in this process", [turn[0] for turn in turns], "us"))
+    print(row("one question, in another", [turn[1] for turn in turns], "us"))
+    print(row(f"one of {IN_ONE_MESSAGE} questions in one message", [turn[2] for turn in turns], "us"))
+    print(row("a process begun anew, up to its first answer", begun, "ms"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""How far the kinematic world and PyBullet agree: what ``benchmarks/agreement.py --write`` measured, as data.
+
+A measurement is about the source that it was made with.  ``present_source`` covers every file that a run and
+its judgement import, so that a change of a page or of a search does not make it old.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from safety_harness.compiled import PACKAGE, source_hash_of
+
+AGREEMENT_FILE = Path(__file__).with_name("agreement.json")
+FORMAT = "safety-harness agreement 1"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The largest difference of one quantity between the two worlds, and the scenario in which it was."""
+
+    what: str  # with its unit
+    largest: float
+    scenario: str
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Verdicts of the same scenarios in both worlds.
+
+    ``compared`` counts verdicts of which a margin is more than ``near_m`` from zero (or no length),
+    ``compared_near`` the others.  ``optimistic`` disagreements: only PyBullet sees a violation.
+    """
+
+    source: str
+    shipped: int
+    random: int
+    seed: int
+    near_m: float
+    compared: int
+    agreed: int
+    compared_near: int
+    agreed_near: int
+    optimistic: tuple[str, ...]
+    disagreements: tuple[str, ...]
+    differences: tuple[Difference, ...]
+    left_out: tuple[str, ...]
+
+    @property
+    def scenarios(self) -> int:
+        """How many were run in both worlds."""
+        return self.shipped + self.random
+
+    @property
+    def share(self) -> float:
+        """Of the verdicts away from a limit; NaN if there are none."""
+        return self.agreed / self.compared if self.compared else float("nan")
+
+    @property
+    def is_of_present_source(self) -> bool:
+        """Whether it was measured with the source that is running."""
+        return self.source == present_source()
+
+
+@lru_cache
+def present_source() -> str:
+    """The hash over every file that a run in either world and its judgement import."""
+    return source_hash_of(PACKAGE / "admission" / "kinematic.py", PACKAGE / "admission" / "trial.py")
+
+
+def to_json(agreement: Agreement) -> str:
+    """The text of ``AGREEMENT_FILE``."""
+    return json.dumps({"format": FORMAT, **asdict(agreement)}, indent=1) + "\n"
+
+
+def from_json(text: str) -> Agreement:
+    """What ``to_json`` wrote.  ValueError for anything else."""
+    try:
+        read: dict[str, Any] = json.loads(text)
+        if read["format"] != FORMAT:
+            raise ValueError(f"expected {FORMAT!r}, got {read['format']!r}")
+        del read["format"]
+        read["differences"] = [Difference(**one) for one in read["differences"]]
+        fields: dict[str, Any] = {
+            name: tuple(one) if isinstance(one, list) else one for name, one in read.items()
+        }
+        return Agreement(**fields)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"not an agreement of two worlds: {error}") from error
+
+
+@lru_cache
+def measured_agreement() -> Agreement:
+    """What was measured last and came with the package."""
+    return from_json(AGREEMENT_FILE.read_text(encoding="utf-8"))

@@ -1,0 +1,36 @@
+"""An avoider whose answer counts later than it was asked: a fault of the scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """Answers the question that was asked earlier, whatever it is asked now."""
+
+    avoider: Avoider
+    hand_position_in_base_m: Vector
+    tcp_position_in_base_m: Vector
+
+    @property
+    def name(self) -> str:
+        """The avoider's own."""
+        return self.avoider.name
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The avoider's own; AvoiderError as there."""
+        return spread_threshold_of(self.avoider)
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """What the avoider says of the hand and the TCP as they were then."""
+        return self.avoider.propose(
+            hand_position_in_base_m=self.hand_position_in_base_m.copy(),
+            tcp_position_in_base_m=self.tcp_position_in_base_m.copy(),
+            seed=seed,
+        )

@@ -1,0 +1,174 @@
+"""What runs in the process of a user's avoider: it makes avoiders of one file and answers questions.
+
+The same functions ask here as at home, so that an answer, a fault and a deadline are the same in both.
+It must start quickly: nothing imported here waits for a compiler.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import select
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+from safety_harness.avoidance.asking import Answer, Question, ask
+from safety_harness.avoidance.avoider import Avoider, described, printable, spread_threshold_of
+from safety_harness.avoidance.batches import answers_together, takes_many
+from safety_harness.avoidance.isolation.frames import (
+    HEADER,
+    Frame,
+    Kind,
+    answer_as_bytes,
+    packed,
+    questions_from,
+    unpacked_header,
+)
+from safety_harness.avoidance.python_file import PythonFile
+from safety_harness.exceptions import InadmissibleError, Place
+
+MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
+MOST_QUESTION_BYTES = 1 << 30
+
+
+def main(question_fd: int, answer_fd: int) -> None:
+    """Answer until the other side is gone."""
+    for fd in (question_fd, answer_fd):
+        os.set_inheritable(fd, False)
+    os.register_at_fork(after_in_child=lambda: _close(question_fd, answer_fd))
+    _limit(resource.RLIMIT_DATA, MEMORY_BYTES)
+    _limit(resource.RLIMIT_CORE, 0)
+    threading.Thread(target=_end_with, args=(question_fd,), daemon=True).start()
+    _Child(question_fd, answer_fd).serve()
+
+
+def _close(*fds: int) -> None:
+    """In a process that the avoider forks, which has nothing to say to us."""
+    for fd in fds:
+        try:
+            os.close(fd)
+        except OSError:
+            continue
+
+
+def _limit(kind: int, most: int) -> None:
+    _, hard = resource.getrlimit(kind)
+    least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(kind, (least, least))
+
+
+def _end_with(question_fd: int) -> None:
+    """End, with all that was forked, when the other side is gone, even in the midst of an answer."""
+    gone = select.poll()
+    gone.register(question_fd, 0)  # a hang-up is told unasked
+    gone.poll()
+    os.killpg(0, signal.SIGKILL)
+
+
+class _Child:
+    """The avoiders made so far, by number."""
+
+    def __init__(self, question_fd: int, answer_fd: int) -> None:
+        self._question_fd = question_fd
+        self._answer_fd = answer_fd
+        self._process = os.getpid()
+        self._avoiders: dict[int, tuple[Avoider, str]] = {}  # and their file
+
+    def serve(self) -> None:
+        """One frame after another."""
+        while True:
+            frame = self._read()
+            if frame.kind is Kind.MAKE:
+                self._write(self._make(frame))
+            elif frame.kind is Kind.DROP:
+                self._avoiders.pop(frame.number, None)
+            else:
+                for k, answer in enumerate(self._answers(frame)):
+                    self._write(packed(Kind.ANSWER, k, answer_as_bytes(answer)))
+
+    def _read(self) -> Frame:
+        kind, number, length = unpacked_header(self._read_bytes(HEADER.size), MOST_QUESTION_BYTES)
+        return Frame(kind, number, self._read_bytes(length))
+
+    def _read_bytes(self, count: int) -> bytes:
+        parts = []
+        while count:
+            part = os.read(self._question_fd, count)
+            if not part:
+                os._exit(0)
+            parts.append(part)
+            count -= len(part)
+        return b"".join(parts)
+
+    def _write(self, frame: bytes) -> None:
+        if os.getpid() != self._process:
+            os._exit(0)  # a fork of the avoider's that came back from it
+        _flush()
+        view = memoryview(frame)
+        while view:
+            view = view[os.write(self._answer_fd, view) :]
+
+    def _make(self, frame: Frame) -> bytes:
+        """An avoider under the number of the frame."""
+        header, source = frame.payload.split(b"\0", 1)
+        asked = json.loads(header)
+        path, name, place = Path(asked["path"]), asked["name"], Place(field="avoider")
+        sys.path[:] = asked["sys_path"]
+        try:
+            os.chdir(asked["folder"])
+            avoider = PythonFile(path, source, place).avoider(name)
+            self._avoiders[frame.number] = avoider, str(path)
+            made = {
+                "name": str(avoider.name),
+                "spread_threshold_m": spread_threshold_of(avoider),
+                "takes_many": takes_many(avoider),
+            }
+            return packed(Kind.MADE, frame.number, json.dumps(made).encode())
+        except InadmissibleError as error:
+            expected, got, hint = error.expected, error.got, error.hint
+        except BaseException as error:  # a user's code may raise anything
+            expected, got, hint = f"{name} to be an avoider", described(error, str(path)), ""
+        words = {"expected": printable(expected), "got": printable(got), "hint": hint}
+        return packed(Kind.REFUSED, frame.number, json.dumps(words).encode())
+
+    def _answers(self, frame: Frame) -> Iterator[Answer]:
+        """All together if that is asked and it can, else each as soon as it is there."""
+        avoider, file = self._avoiders[frame.number]
+        questions = questions_from(frame.payload)
+        if frame.kind is Kind.ASK_TOGETHER and takes_many(avoider):
+            try:
+                found = answers_together(avoider, questions)
+            except BaseException:  # what raises shows when they are asked in turn
+                found = []
+            if found:
+                yield from found
+                return
+        for question in questions:
+            yield _answer(avoider, question, file)
+
+
+def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
+    try:
+        return ask(
+            avoider,
+            hand_position_in_base_m=question.hand_position_in_base_m,
+            tcp_position_in_base_m=question.tcp_position_in_base_m,
+            seed=question.seed,
+            deadline_s=question.deadline_s,
+            late=None if question.timed else False,
+        )
+    except BaseException as error:  # SystemExit, or the user's own: no reason to end
+        return Answer(fault=described(error, file))
+
+
+def _flush() -> None:
+    """What the avoider has printed; it may have closed its output."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except Exception:
+            continue

@@ -1,0 +1,177 @@
+"""One Python file of a user's and the process in which its avoiders are made; begun anew when it is gone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import sys
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.avoidance.asking import Answer, Question
+from safety_harness.avoidance.avoider import printable
+from safety_harness.avoidance.isolation.frames import (
+    Kind,
+    NonsenseError,
+    answer_from,
+    packed,
+    questions_as_bytes,
+    words_from,
+)
+from safety_harness.avoidance.isolation.process import GoneError, Process
+from safety_harness.scenario.fields import is_sentence
+
+GRACE_S = 2.0  # beyond a deadline, at which an avoider is interrupted if it can be
+LONGEST_S = 300.0  # to be made, and to answer for the first time
+UNTIMED_S = 30.0  # to answer where there is no deadline
+SEND_S = 10.0
+MOST_LINES, MOST_CHARACTERS = 5, 200
+KEPT = 2  # processes that are kept though no avoider lives in them
+LOGGER = logging.getLogger("safety_harness.avoider")
+
+
+@dataclass(frozen=True)
+class Made:
+    """What an avoider says of itself."""
+
+    name: str
+    spread_threshold_m: float | None
+    takes_many: bool
+
+
+class RefusedError(Exception):
+    """The file gives no avoider: what was expected, what came, and where to read on."""
+
+    def __init__(self, expected: str, got: str, hint: str) -> None:
+        self.expected, self.got, self.hint = expected, got, hint
+        super().__init__(f"expected {expected}; got {got}")
+
+
+class Host:
+    """``generation`` counts the processes; what was made in an earlier one is no more."""
+
+    def __init__(self, path: Path, source: bytes) -> None:
+        self.path = path
+        self.lock = threading.RLock()
+        self.generation = 0
+        self._source = source
+        self._process: Process | None = None
+        self._made = 0
+        self._dropped: deque[int] = deque()
+        self._heard = b""
+        self._lines = 0
+
+    def number(self) -> int:
+        """Another avoider's."""
+        self._made += 1
+        return self._made
+
+    @property
+    def alive(self) -> bool:
+        """Is there a process, and is it ours?"""
+        if self._process is not None and self._process.owner != os.getpid():
+            self._process = None  # of the process that we were forked from: it talks to it alone
+        return self._process is not None
+
+    def has(self, generation: int) -> bool:
+        """Is what was made in that generation still there?"""
+        return self.alive and generation == self.generation
+
+    def make(self, number: int, name: str) -> Made:
+        """The avoider ``name`` of the file; RefusedError, GoneError."""
+        if not self.alive:
+            try:
+                self._process = Process(self._hear)
+            except OSError as error:
+                raise GoneError(f"no process could be started: {error}") from error
+            self.generation += 1
+        asked = {"path": str(self.path), "name": name, "folder": os.getcwd(), "sys_path": sys.path}
+        self._send(packed(Kind.MAKE, number, json.dumps(asked).encode() + b"\0" + self._source))
+        assert self._process is not None
+        frame = self._process.receive(LONGEST_S)
+        try:
+            words = words_from(frame.payload)
+            if frame.kind is Kind.REFUSED:
+                expected, got, hint = (printable(str(words[key])) for key in ("expected", "got", "hint"))
+                raise RefusedError(expected, got, hint)
+            return _made(words)
+        except (NonsenseError, KeyError):
+            raise GoneError("its process answered nonsense") from None
+
+    def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
+        """The answers as they come, as they were sent; GoneError at the one that does not."""
+        kind = Kind.ASK_TOGETHER if together else Kind.ASK_IN_TURN
+        self._send(packed(kind, number, questions_as_bytes(questions)))
+        assert self._process is not None
+        whole_s = sum(limit_s(question) for question in questions)
+        for k, question in enumerate(questions):
+            frame = self._process.receive(whole_s if together else limit_s(question))
+            if frame.kind is not Kind.ANSWER or frame.number != k:
+                raise GoneError("its process answered nonsense")
+            try:
+                yield answer_from(frame.payload)
+            except NonsenseError:
+                raise GoneError("its process answered nonsense") from None
+
+    def drop(self, number: int) -> None:
+        """Forget an avoider, before the next thing is asked: this may be called amid another message."""
+        self._dropped.append(number)
+
+    def end(self) -> None:
+        """End the process, and all that was made in it."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
+
+    def _send(self, frame: bytes) -> None:
+        assert self._process is not None
+        while self._dropped:
+            self._process.send(packed(Kind.DROP, self._dropped.popleft()), SEND_S)
+        self._process.send(frame, SEND_S)
+
+    def _hear(self, written: bytes) -> None:
+        """Say the first lines that the avoider writes, once: not again what a new process repeats."""
+        if self._lines > MOST_LINES or self.generation > 1:
+            return
+        *lines, self._heard = (self._heard + written[:65_536]).split(b"\n")
+        if len(self._heard) > MOST_CHARACTERS or (not written and self._heard):
+            lines, self._heard = [*lines, self._heard], b""
+        for line in lines:
+            self._lines += 1
+            if self._lines > MOST_LINES:
+                LOGGER.warning("%s wrote more, which is not shown", self.path.name)
+                return
+            text = printable(line.decode(errors="replace")[:MOST_CHARACTERS])
+            LOGGER.warning("%s wrote: %s", self.path.name, text)
+
+
+def limit_s(question: Question) -> float:
+    """How long an answer is waited for before the process is ended."""
+    return question.deadline_s + GRACE_S if question.timed else UNTIMED_S
+
+
+def _made(words: dict[str, object]) -> Made:
+    name, threshold_m, many = (words[key] for key in ("name", "spread_threshold_m", "takes_many"))
+    if not isinstance(name, str) or not is_sentence(name) or not isinstance(many, bool):
+        raise NonsenseError
+    if threshold_m is not None and not (isinstance(threshold_m, float) and 0.0 <= threshold_m < float("inf")):
+        raise NonsenseError
+    return Made(name, threshold_m, many)
+
+
+_hosts: OrderedDict[tuple[Path, str], Host] = OrderedDict()
+
+
+def host_of(path: Path, source: bytes) -> Host:
+    """The one for this text of this file; a few stay ready though nobody uses them at the moment."""
+    key = path, hashlib.sha256(source).hexdigest()
+    host = _hosts.setdefault(key, Host(path, source))
+    _hosts.move_to_end(key)
+    while len(_hosts) > KEPT:
+        _hosts.popitem(last=False)  # its process ends when its last avoider is gone
+    return host

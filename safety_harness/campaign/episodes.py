@@ -1,0 +1,253 @@
+"""Episode k of a stratum: drawn, admitted, run and judged, the same wherever and in whatever order."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.avoiders import NAMES
+from safety_harness.admission.claims import property_of
+from safety_harness.admission.kinematic import run_many
+from safety_harness.admission.spaces import HOPELESS, why_refused
+from safety_harness.admission.trial import run_trial
+from safety_harness.avoidance.avoider import Avoider, described
+from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.exceptions import InputError
+from safety_harness.properties.base import Evaluation
+from safety_harness.properties.finite import bad_decisions, bad_ticks
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.references import MODEL_SUFFIX
+from safety_harness.search.coverage import cell_of
+from safety_harness.search.trials import WITHOUT_FILE, mishap_of
+from safety_harness.seeds import Branch, generator
+from safety_harness.seeds import seed as leaf
+from safety_harness.space.regions import Seen, seen_by
+from safety_harness.statistics.sample import Outcome
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.records import Check
+from safety_harness.trace.records import Outcome as Decided
+from safety_harness.trace.store import save_trace
+from safety_harness.trace.trace import Trace
+
+
+def root_seed(plan: Plan, stratum: int, episode: int) -> int:
+    """What every random number of the episode comes from."""
+    return leaf(plan.seed, Branch.CAMPAIGN, plan.strata[stratum].number, episode)
+
+
+def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
+    """The episodes of a stratum whose traces are kept whatever comes of them: drawn before any is run."""
+    one = plan.strata[stratum]
+    count = min(plan.random_traces, one.runs)
+    rng = generator(plan.seed, Branch.CAMPAIGN, one.number)
+    return frozenset(rng.choice(one.runs, count, replace=False).tolist()) if count else frozenset()
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An episode ready to be run, how many draws it took, and the root of its seeds."""
+
+    episode: int
+    seed: int
+    draws: int
+    admitted: Admitted
+
+
+@dataclass(eq=False)
+class Bench:
+    """Runs a plan's episodes in this process.
+
+    Avoiders of files are made once: one that remembers earlier runs gives episodes that are not independent,
+    and depend on which process ran which.
+    """
+
+    plan: Plan
+    worker: str = ""
+    _avoiders: dict[str, Avoider] = field(default_factory=dict)
+    _seen: dict[str, Seen] = field(default_factory=dict)
+    _random: dict[int, frozenset[int]] = field(default_factory=dict)
+
+    def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
+        """A row for each episode, in their order; InputError where the text of the plan is to blame.
+
+        ``keep_violations`` says whether traces of violations are still wanted.
+        """
+        if self.plan.world is PlannedWorld.KINEMATIC:
+            yield from self._together(stratum, episodes, keep_violations)
+            return
+        for episode in episodes:
+            begun_s = time.perf_counter()
+            drawn = self.draw(stratum, episode)
+            if isinstance(drawn, Row):
+                yield drawn
+                continue
+            run = _in_pybullet(drawn.admitted)
+            row = self._row(stratum, drawn, run, keep_violations)
+            yield replace(row, seconds=time.perf_counter() - begun_s)
+
+    def scenario(self, stratum: int, episode: int, draw: int) -> Scenario:
+        """A draw for an episode, with the plan's claims and avoider."""
+        space = self.plan.strata[stratum].space
+        scenario = space.draw(root_seed(self.plan, stratum, episode), draw)
+        claims = tuple(planned.claim for planned in self.plan.claims)
+        scenario = replace(scenario, name=f"{space.name}#{episode}", claims=claims)
+        return self.plan.with_avoider(scenario)
+
+    def draw(self, stratum: int, episode: int) -> Drawn | Row:
+        """The first draw that admission lets through; after HOPELESS refusals a row that says so."""
+        seed = root_seed(self.plan, stratum, episode)
+        refused: Counter[str] = Counter()
+        for k in range(HOPELESS):
+            try:
+                scenario = self.scenario(stratum, episode, k)
+                return Drawn(episode, seed, k + 1, self._admit(scenario))
+            except InputError as error:
+                refused[why_refused(error)] += 1
+        reason, count = refused.most_common(1)[0]
+        failure = f"none of {HOPELESS} draws can be tried; {count} times: {reason}"
+        return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=HOPELESS)
+
+    def _admit(self, scenario: Scenario) -> Admitted:
+        known = self._avoiders.get(scenario.avoider)
+        admitted = admit(scenario, avoider=known, rehearsed=known is not None)
+        if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
+            self._avoiders[scenario.avoider] = admitted.avoider
+        return admitted
+
+    def _together(self, stratum: int, episodes: Sequence[int], keep_violations: bool) -> Iterator[Row]:
+        begun_s = time.perf_counter()
+        drawn = [self.draw(stratum, episode) for episode in episodes]
+        ready = [one for one in drawn if isinstance(one, Drawn)]
+        runs = iter(_in_kinematic([one.admitted for one in ready]))
+        rows = [
+            one if isinstance(one, Row) else self._row(stratum, one, next(runs), keep_violations)
+            for one in drawn
+        ]
+        each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
+        yield from (replace(row, seconds=each_s) for row in rows)
+
+    def _row(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
+        claims = self.plan.claims
+        if isinstance(run, Exception):
+            failure = f"the run failed: {described(run)}"
+            return Row.failed(stratum, drawn.episode, drawn.seed, len(claims), failure, draws=drawn.draws)
+        broken = why_broken(run)
+        judgements = tuple(
+            judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken) for one in claims
+        )
+        decided = run.decisions["outcome"]
+        row = Row(
+            stratum=stratum,
+            episode=drawn.episode,
+            seed=drawn.seed,
+            judgements=judgements,
+            draws=drawn.draws,
+            decisions=len(decided),
+            proposed=int(np.count_nonzero(decided == Decided.PROPOSED)),
+            opposite=int(np.count_nonzero(decided == Decided.OPPOSITE)),
+            stopped=int(np.count_nonzero(decided == Decided.STOP)),
+            faults=int(np.count_nonzero(run.decisions["fault"] != "")),
+            late=int(np.count_nonzero(run.decisions["proposed_failed"] & Check.LATE)),
+            cell=self._cell(run),
+            mishap=mishap_of(run),
+            failure=broken,
+            worker=self.worker,
+        )
+        wanted = drawn.episode in self._kept_whatever(stratum) or (keep_violations and row.violates)
+        return replace(row, trace=trace_bytes(run)) if wanted else row
+
+    def _kept_whatever(self, stratum: int) -> frozenset[int]:
+        if stratum not in self._random:
+            self._random[stratum] = random_episodes(self.plan, stratum)
+        return self._random[stratum]
+
+    def _cell(self, run: Trace) -> str:
+        scenario = run.scenario
+        if scenario.avoider not in self._seen:
+            folder = scenario.file.parent if scenario.file else None
+            self._seen[scenario.avoider] = seen_by(
+                scenario.avoider, folder=folder, settings=scenario.settings
+            )
+        cell = cell_of(run, self._seen[scenario.avoider])
+        return "" if cell is None else str(cell)
+
+
+def why_broken(trace: Trace) -> str:
+    """Why a trace is no record of a whole run; empty if it is one."""
+    if not trace.complete:
+        return f"the run was cut short: {trace.ended}"
+    odd = first_inconsistency(trace)
+    if odd is not None:
+        return f"the trace contradicts itself: {odd}"
+    if bad_ticks(trace).any() or bad_decisions(trace).any():
+        return "the trace has numbers that are none"
+    return ""
+
+
+def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> Judgement:
+    """The outcome for estimates.
+
+    Only a whole run in which the claim was not put to the test says nothing of it; one that is broken counts
+    as a violation in upper bounds, whatever it would have shown.
+    """
+    if evaluation.verdict is Verdict.VIOLATED:
+        outcome = Outcome.VIOLATED
+    elif broken and not trace.complete:
+        outcome = Outcome.FAILED
+    elif evaluation.verdict is Verdict.HOLDS:
+        outcome = Outcome.HOLDS
+    elif evaluation.exercised or broken:
+        outcome = Outcome.INCONCLUSIVE
+    else:
+        outcome = Outcome.UNTESTED
+    margin, worst_s = evaluation.margin, evaluation.worst_time_s
+    return Judgement(
+        outcome,
+        np.nan if margin is None else float(margin),
+        np.nan if worst_s is None else float(worst_s),
+        int(evaluation.exercised),
+    )
+
+
+def trace_bytes(trace: Trace) -> bytes:
+    """The trace as ``save_trace`` writes it."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        file = Path(folder) / "one.trace"
+        save_trace(trace, file)
+        return file.read_bytes()
+
+
+def _answers_count(admitted: Admitted) -> bool:
+    """Is the avoider ours, whose answers never come too late, so that a run repeats on a busy machine?"""
+    reference = admitted.scenario.avoider
+    return reference in NAMES or reference.endswith(MODEL_SUFFIX)
+
+
+def _in_pybullet(admitted: Admitted) -> Trace | Exception:
+    try:
+        return run_trial(admitted, by_the_clock=not _answers_count(admitted))
+    except Exception as error:  # one run's failure is a result
+        return error
+
+
+def _in_kinematic(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+    """All together; one by one if any breaks."""
+    try:
+        return list(run_many(admitted))
+    except Exception:
+        return [_alone(one) for one in admitted]
+
+
+def _alone(admitted: Admitted) -> Trace | Exception:
+    try:
+        return next(iter(run_many([admitted])))
+    except Exception as error:
+        return error

@@ -1,0 +1,257 @@
+"""The ledger: one SQLite file with a row for every planned episode that was run, and never two.
+
+A commit is on the disk when ``record`` returns, so that nothing that happens later loses it; what happens
+before leaves no part of a batch.  Others may read while one process writes.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+
+from safety_harness.campaign import schema
+from safety_harness.campaign.declared import declare, read_declared
+from safety_harness.campaign.files import PlanFile
+from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.opening import connect, explained
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.rows import Row
+from safety_harness.exceptions import LedgerError, OutputError, Place
+from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
+
+_EPISODE = f"INSERT INTO episode VALUES ({', '.join('?' * 15)})"
+_JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
+
+
+class Ledger:
+    """Made by ``create`` or ``open``; close it, or use it in a ``with``.
+
+    Strata and claims are counted in the plan's order, which ``declared`` has.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._connection = connection
+        self._cells: dict[str, int] = {}
+        self.declared = read_declared(connection, path)
+
+    @classmethod
+    def create(cls, path: Path, plan: Plan) -> Ledger:
+        """A ledger without episodes at ``path``, where there must be none: whole or not at all."""
+        if path.exists():
+            raise LedgerError(place=Place(file=path), expected="no file there yet", got="one")
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            unfinished.unlink(missing_ok=True)
+            with explained(path):
+                connection = sqlite3.connect(unfinished, isolation_level=None)
+                try:
+                    connection.execute("BEGIN")
+                    schema.create(connection)
+                    declare(connection, plan)
+                    connection.execute("COMMIT")
+                finally:
+                    connection.close()
+            os.replace(unfinished, path)
+        except OSError as error:
+            raise OutputError.of(path, error) from error
+        finally:
+            with suppress(OSError):
+                unfinished.unlink(missing_ok=True)
+        return cls.open(path, write=True, check=False)
+
+    @classmethod
+    def open(cls, path: Path, *, write: bool = False, check: bool = True) -> Ledger:
+        """The ledger at ``path``; LedgerError when it cannot be used.  ``check`` looks at all its pages."""
+        connection = connect(path, write=write, check=check)
+        try:
+            return cls(path, connection)
+        except BaseException:
+            connection.close()
+            raise
+
+    def __enter__(self) -> Ledger:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._connection.close()
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """For questions of one's own."""
+        return self._connection
+
+    def refuse_other(self, identity: Identity) -> None:
+        """LedgerError that names what has changed since the ledger's plan was declared."""
+        changes = self.declared.identity.changes(identity)
+        if changes:
+            raise LedgerError(
+                place=Place(file=self.path),
+                expected="the plan, files and versions that it was begun with",
+                got="; ".join(changes),
+                hint="put them back as they were, or begin another ledger (--ledger FILE)",
+            )
+
+    @property
+    def files(self) -> tuple[PlanFile, ...]:
+        """The files of the plan as they were when it was declared, the plan's own first."""
+        return tuple(
+            PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
+        )
+
+    def record(self, rows: Iterable[Row]) -> None:
+        """Note episodes down, all of them or none; LedgerError if one of them is there already."""
+        with self.transaction():
+            for row in rows:
+                self._insert(row)
+
+    def _insert(self, row: Row) -> None:
+        execute = self._connection.execute
+        counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
+        words = (self._cell(row.cell) if row.cell else None, row.mishap or None, row.failure or None)
+        here = (row.seconds, row.worker)
+        execute(_EPISODE, (row.stratum, row.episode, row.seed, row.draws, *counts, *words, *here))
+        for claim, one in enumerate(row.judgements):
+            found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)  # a NaN becomes NULL
+            execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))
+        if row.trace is not None:
+            execute(
+                "INSERT INTO trace VALUES (?, ?, ?, ?)", (row.stratum, row.episode, row.violates, row.trace)
+            )
+
+    def _cell(self, words: str) -> int:
+        """The number of a cell of the coverage; none is remembered that a transaction may take back."""
+        found = self._connection.execute("SELECT id FROM cell WHERE words = ?", (words,)).fetchone()
+        if found is None:
+            return int(
+                self._connection.execute("INSERT INTO cell (words) VALUES (?)", (words,)).lastrowid or 0
+            )
+        return int(found[0])
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """All of what is written within, or none of it."""
+        with explained(self.path):
+            self._connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+                self._connection.execute("COMMIT")
+            except BaseException:
+                if self._connection.in_transaction:
+                    self._connection.execute("ROLLBACK")
+                raise
+
+    def begin_session(self, began: str, workers: str, machine: str) -> None:
+        """Note down who works on it, for people: nothing depends on it."""
+        with self.transaction():
+            insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
+            self._connection.execute(insert, (began, workers, machine))
+
+    def missing(self, stratum: int) -> Iterator[range]:
+        """The planned episodes that are not there yet, as ranges in their order."""
+        expected = 0
+        for (episode,) in self.all("SELECT episode FROM episode WHERE stratum = ? ORDER BY episode", stratum):
+            if episode > expected:
+                yield range(expected, episode)
+            expected = episode + 1
+        if expected < self.declared.planned[stratum]:
+            yield range(expected, self.declared.planned[stratum])
+
+    def violations_kept(self, stratum: int) -> list[int]:
+        """The episodes with a violation whose traces are there, in their order."""
+        question = "SELECT episode FROM trace WHERE stratum = ? AND violation ORDER BY episode"
+        return [episode for (episode,) in self.all(question, stratum)]
+
+    def drop_traces(self, stratum: int, episodes: Iterable[int]) -> None:
+        """Remove stored traces: of violations beyond those that the plan keeps."""
+        with self.transaction():
+            delete = "DELETE FROM trace WHERE stratum = ? AND episode = ?"
+            self._connection.executemany(delete, ((stratum, episode) for episode in episodes))
+
+    def stop(self, stratum: int, after: int) -> None:
+        """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
+        with self.transaction():
+            for table in ("trace", "judgement", "episode"):
+                delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
+                self._connection.execute(delete, (stratum, after))
+            self._connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
+
+    def stopped_after(self, stratum: int) -> int | None:
+        """The number of episodes after which the stratum was stopped; None if it was not."""
+        ((after,),) = self.all("SELECT stopped_after FROM stratum WHERE id = ?", stratum)
+        return None if after is None else int(after)
+
+    def traces(self) -> list[tuple[int, int, bool]]:
+        """(stratum, episode, whether it violates a claim) of every stored trace."""
+        rows = self.all("SELECT stratum, episode, violation FROM trace ORDER BY stratum, episode")
+        return [(stratum, episode, bool(violation)) for stratum, episode, violation in rows]
+
+    def trace(self, stratum: int, episode: int) -> bytes | None:
+        """A stored trace, as a .trace file has it; None if it was not kept."""
+        question = "SELECT data FROM trace WHERE stratum = ? AND episode = ?"
+        found: list[tuple[bytes]] = list(self.all(question, stratum, episode))
+        return found[0][0] if found else None
+
+    def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
+        """(n,) episodes, outcomes and margins of what is there now, in the order of the episodes."""
+        question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
+        rows = list(self.all(question, stratum, claim))
+        episodes, outcomes = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
+        return episodes, outcomes, np.array([np.nan if m is None else m for *_, m in rows], np.float64)
+
+    def sample(self, stratum: str, claim: str) -> IndependentSample:
+        """What estimates of a claim in a stratum are made of; StatisticsError while episodes are missing.
+
+        Both are named as the plan names them; KeyError for others.
+        """
+        declared = self.declared
+        number = _place(declared.strata, stratum)
+        episodes, outcomes, margins = self.outcomes(number, _place(declared.claims, claim))
+        after = self.stopped_after(number)
+        first = len(episodes) if after is None else int(np.searchsorted(episodes, after))
+        declaration = Declaration(
+            plan_sha256=declared.identity.sha256,
+            stratum=stratum,
+            seed=declared.seed,
+            planned=declared.planned[number],
+            world=declared.world,
+            stop_early=declared.stop_early,
+        )
+        rows = episodes[:first], outcomes[:first], margins[:first]
+        return IndependentSample.of_stream(declaration, *rows, claim=claim)
+
+    def execute(self, statement: str) -> None:
+        """One statement in SQL, within a transaction."""
+        self._connection.execute(statement)
+
+    @contextmanager
+    def attached(self, path: Path, name: str) -> Iterator[None]:
+        """Another ledger, to be read under a name in SQL."""
+        self._connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
+        try:
+            yield
+        finally:
+            self._connection.execute(f"DETACH {name}")
+
+    def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
+        """The rows of the answer to a question in SQL."""
+        with explained(self.path):
+            yield from self._connection.execute(question, values)
+
+
+def _place(names: tuple[str, ...], name: str) -> int:
+    if name not in names:
+        raise KeyError(f"{name!r} is none of {', '.join(names)}")
+    return names.index(name)

@@ -1,0 +1,148 @@
+"""Connections to a ledger: who may write, what is checked first, what SQLite's errors mean to people."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+from urllib.parse import quote
+
+from safety_harness.campaign.schema import APPLICATION_ID, VERSION, migrate
+from safety_harness.exceptions import InputError, LedgerError, OutputError, Place
+from safety_harness.scenario.files import refuse_no_file
+
+BUSY_MS = 30_000  # that others may keep the ledger from being written
+LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
+_MAGIC = b"SQLite format 3\0"
+_WHOLE = "a ledger, whole"
+
+
+def refuse_no_ledger(path: Path) -> None:
+    """LedgerError for what is no file, no SQLite, no ledger, or shorter than it says that it is."""
+    refuse_no_file(path, "a ledger", LedgerError)
+    try:
+        with path.open("rb") as stream:
+            header = stream.read(100)
+        size = path.stat().st_size
+    except OSError as error:
+        raise _error(path, "a ledger that can be read", error.strerror or str(error)) from error
+    if len(header) < 100 or not header.startswith(_MAGIC):
+        raise _error(path, "a ledger (an SQLite database)", "another file, or a part of one")
+    if int.from_bytes(header[68:72], "big") != APPLICATION_ID and not _unfinished(path):
+        raise _error(path, "a ledger", "an SQLite database of something else")
+    page = int.from_bytes(header[16:18], "big")
+    page = 65536 if page == 1 else page
+    pages = int.from_bytes(header[28:32], "big")
+    if size < page * pages and not _unfinished(path):
+        raise _error(path, f"{_WHOLE}: {page * pages:,} bytes", f"{size:,}: it has been truncated")
+
+
+def _unfinished(path: Path) -> bool:
+    """Is there a write-ahead log, which holds pages that the file has not got yet?"""
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and log.stat().st_size > 0
+
+
+def connect(path: Path, *, write: bool, check: bool = True) -> sqlite3.Connection:
+    """A connection to the ledger at ``path``; LedgerError for one that is damaged or of another version.
+
+    One that only reads may do so while another writes, and sees what was there when it began to look.
+    """
+    refuse_no_ledger(path)
+    with explained(path):
+        try:
+            connection = _open(path, "rw" if write else "ro")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        except sqlite3.OperationalError:
+            if write or _unfinished(path):
+                raise
+            connection = _open(path, "ro&immutable=1")  # a folder that cannot be written: no shared memory
+        try:
+            _refuse_other_version(connection, path)
+            if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
+                found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+                if found != "ok":
+                    raise _error(path, _WHOLE, f"damage: {' '.join(found.split())}")
+            if write:
+                migrate(connection)
+            else:
+                connection.execute("PRAGMA query_only = ON")
+        except BaseException:
+            connection.close()
+            raise
+    return connection
+
+
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    uri = f"file:{quote(str(path.absolute()))}?mode={mode}"
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_MS / 1e3)
+    if mode == "rw":
+        for_writing(connection)
+    return connection
+
+
+def for_writing(connection: sqlite3.Connection) -> None:
+    """A commit is on the disk when it returns, and readers read meanwhile."""
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    connection.execute("PRAGMA foreign_keys = OFF")
+
+
+def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
+    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+        raise _error(path, "a ledger", "an SQLite database of something else")
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if not 1 <= version <= VERSION:
+        raise _error(path, f"a ledger of version 1 to {VERSION}", f"version {version}, of a newer program")
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """SQLite's errors as ours: a full disk is an OutputError, anything else a LedgerError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        text = str(error)
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+            raise OutputError.of(path, OSError(f"{text}; what was committed before is safe")) from error
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise _error(path, "a ledger that nobody else keeps locked", text) from error
+        raise _error(path, "a ledger, whole and readable", text) from error
+
+
+@contextmanager
+def only_runner(path: Path) -> Iterator[None]:
+    """Nobody else runs episodes for this ledger meanwhile; LedgerError if somebody does.
+
+    The operating system lets go of the lock when the process ends, however it ends.
+    """
+    file = path.with_name(path.name + ".lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream = file.open("a+")
+    except OSError as error:
+        raise OutputError.of(file, error) from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            stream.seek(0)
+            raise _error(
+                path, "a ledger that no other runner is at work on", f"the process {stream.read().strip()}"
+            ) from error
+        _write_process(stream)
+        yield
+
+
+def _write_process(stream: IO[str]) -> None:
+    stream.truncate(0)
+    stream.write(f"{os.getpid()}\n")
+    stream.flush()
+
+
+def _error(path: Path, expected: str, got: str) -> InputError:
+    return LedgerError(place=Place(file=path), expected=expected, got=got)

@@ -1,0 +1,245 @@
+"""A plan: what is claimed, in which spaces, how often each is run, and what is kept of it.
+
+It is declared before anything runs, and its text is part of what its results are known by.
+docs/campaigns.md is the reference of the file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.claims import property_of
+from safety_harness.campaign.files import PlanFile, files_of_plan
+from safety_harness.campaign.identity import Identity, identity_of, stratum_number
+from safety_harness.exceptions import Place
+from safety_harness.properties.base import Unit
+from safety_harness.scenario.compose import Library
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.read import LARGEST_SEED
+from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.units import FRACTION
+from safety_harness.space.read import read_space
+from safety_harness.space.space import ScenarioSpace
+
+KEYS = (
+    "plan",
+    "about",
+    "avoider",
+    "world",
+    "confidence",
+    "seed",
+    "strata",
+    "claims",
+    "search",
+    "keep",
+    "stop early",
+)
+MOST_RUNS = 10**9  # of a stratum
+MOST_STRATA, MOST_CLAIMS = 64, 64
+MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
+
+
+class PlannedWorld(Enum):
+    """Where a plan's episodes run; the kinematic world says something of the model only."""
+
+    PYBULLET = "PyBullet"
+    KINEMATIC = "kinematic"
+
+
+class YesNo(Enum):
+    """A switch in a plan."""
+
+    YES = "yes"
+    NO = "no"
+
+
+@dataclass(frozen=True)
+class PlannedClaim:
+    """A claim as its author wrote it, which should hold; ``target`` bounds its chance of violation."""
+
+    claim: Claim
+    unit: Unit
+    target: float | None = None
+    hazard: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """As written in the plan."""
+        return self.claim.sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Stratum:
+    """``runs`` independent draws of a space; ``number`` stands for its name in the tree of seeds."""
+
+    name: str
+    space: ScenarioSpace
+    runs: int
+
+    @property
+    def number(self) -> int:
+        """Of the name, not of its position: a stratum more or less moves no other's episodes."""
+        return stratum_number(self.name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """Made by ``read_plan``.  ``confidence`` is that of all bounds of the plan together.
+
+    ``random_traces`` and ``violations_kept`` are whole traces kept of each stratum; ``search_runs`` is for
+    who looks for counterexamples besides, which no bound is ever made of.  ``avoider`` takes the place of
+    what the spaces name.  ``files`` are all the files that the plan is made of.
+    """
+
+    title: str
+    about: str
+    avoider: str | None
+    world: PlannedWorld
+    confidence: float
+    seed: int
+    strata: tuple[Stratum, ...]
+    claims: tuple[PlannedClaim, ...]
+    search_runs: int
+    random_traces: int
+    violations_kept: int
+    stop_early: bool
+    file: Path
+    files: tuple[PlanFile, ...]
+    identity: Identity
+    avoider_place: Place
+
+    @property
+    def name(self) -> str:
+        """The file's, without its suffix."""
+        return self.file.stem
+
+    @property
+    def sha256(self) -> str:
+        """Stands for everything that its results depend on."""
+        return self.identity.sha256
+
+    @property
+    def runs(self) -> int:
+        """Of all strata together."""
+        return sum(stratum.runs for stratum in self.strata)
+
+    def with_avoider(self, scenario: Scenario) -> Scenario:
+        """The scenario with the plan's avoider, if it names one."""
+        if self.avoider is None:
+            return scenario
+        return with_avoider(scenario, _from(self.file.parent, self.avoider), self.avoider_place)
+
+
+def read_plan(path: Path) -> Plan:
+    """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
+
+    No avoider is made: a user's own would be executed.
+    """
+    library = Library()
+    root = Field(library.tree(path), path, path="", line=1)
+    given = root.fields(KEYS)
+    title = given.required("plan").prose("a title on one line")
+    avoider = given.optional("avoider")
+    reference = avoider.sentence("the name of an avoider") if avoider else None
+    place = avoider.place if avoider else Place(field="avoider")
+    strata = _strata(given.required("strata"), path.parent, library)
+    if avoider and reference:
+        for stratum in strata:
+            with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
+    claims = _claims(given.required("claims"), strata)
+    keep = _optional(given, "keep", ("random traces", "violations"))
+    search = _optional(given, "search", ("runs",))
+    confidence = given.optional("confidence")
+    seed = given.optional("seed")
+    world = given.optional("world")
+    stop = given.optional("stop early")
+    about = given.optional("about")
+    stop_early = stop.choice(YesNo) is YesNo.YES if stop else False
+    if stop and stop_early and any(claim.target is None for claim in claims):
+        raise stop.error(
+            "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
+        )
+    planned_world = world.choice(PlannedWorld) if world else PlannedWorld.PYBULLET
+    files = files_of_plan(path, library, [stratum.space for stratum in strata], reference)
+    return Plan(
+        title=title,
+        about=about.prose("why, intended use, assumptions", lines=True) if about else "",
+        avoider=reference,
+        world=planned_world,
+        confidence=confidence.quantity(FRACTION, least=0.5, most=0.999999) if confidence else 0.95,
+        seed=seed.integer(least=0, most=LARGEST_SEED) if seed else 0,
+        strata=strata,
+        claims=claims,
+        search_runs=_count(search, "runs", 0),
+        random_traces=_count(keep, "random traces", 20),
+        violations_kept=_count(keep, "violations", 200),
+        stop_early=stop_early,
+        file=path,
+        files=files,
+        identity=identity_of(files, [s.space for s in strata], reference, planned_world.value),
+        avoider_place=place,
+    )
+
+
+def _from(folder: Path, reference: str) -> str:
+    """The reference to an avoider, its file as seen from the working directory."""
+    file, name = file_and_name(reference)
+    if not file:
+        return reference
+    return str(folder / Path(file).expanduser()) + (f":{name}" if name else "")
+
+
+def _optional(given: Fields, key: str, allowed: tuple[str, ...]) -> Fields | None:
+    field = given.optional(key)
+    return field.fields(allowed) if field else None
+
+
+def _count(fields: Fields | None, key: str, default: int) -> int:
+    field = fields.optional(key) if fields else None
+    return field.integer(least=0, most=MOST_RUNS if key == "runs" else MOST_TRACES) if field else default
+
+
+def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
+    strata: list[Stratum] = []
+    for item in at.items("a list of strata", least=1, most=MOST_STRATA):
+        given = item.fields(("stratum", "space", "runs"))
+        name = given.required("stratum").sentence("a name")
+        if any(name == other.name or stratum_number(name) == other.number for other in strata):
+            raise given.required("stratum").error("a name that no other stratum has")
+        runs = given.required("runs").integer(least=1, most=MOST_RUNS)
+        space = given.required("space")
+        file = folder / space.sentence("the file of a scenario space, relative to the plan")
+        if not file.is_file():
+            raise space.error(
+                "the file of a scenario space, relative to the plan", got=f"no such file: {file}"
+            )
+        strata.append(Stratum(name, read_space(file, library), runs))
+    return tuple(strata)
+
+
+def _claims(at: Field, strata: tuple[Stratum, ...]) -> tuple[PlannedClaim, ...]:
+    claims: list[PlannedClaim] = []
+    meant: set[str] = set()
+    for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
+        given = item.fields(("claim", "violated in at most", "hazard"))
+        sentence = given.required("claim")
+        text = sentence.sentence("a claim of the catalogue, or a formula")
+        claim = Claim(sentence=text, expected=Verdict.HOLDS, place=sentence.place)
+        properties = [property_of(claim, stratum.space.simplest) for stratum in strata]
+        if properties[0].sentence in meant:
+            raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")
+        meant.add(properties[0].sentence)
+        target, hazard = given.optional("violated in at most"), given.optional("hazard")
+        claims.append(
+            PlannedClaim(
+                claim,
+                properties[0].unit,
+                target.quantity(FRACTION, above=0.0, most=0.5) if target else None,
+                hazard.prose("what may happen to whom", lines=True) if hazard else "",
+            )
+        )
+    return tuple(claims)

@@ -1,0 +1,209 @@
+"""A crew of processes on this machine: those that crash, hang or leak are replaced, one by one.
+
+Each worker has a pipe of its own, so that one that is killed in the middle of a message harms no other.
+They are forked from one process that has imported everything already (forkserver), so that a new one is
+there at once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+
+from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost, MakesBench
+from safety_harness.campaign.rows import Row
+from safety_harness.campaign.worker import ONE_THREAD, Done, Mistake, Ready, resident_bytes, work
+from safety_harness.exceptions import CampaignError, InputError
+
+_MOST_FALSE_STARTS = 10
+_LOOK_S = 1.0  # between looks at clocks and memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """When a worker is replaced.
+
+    ``silence_s`` between two of its messages (a row at least) on a monotonic clock, ``first_s`` more for its
+    first chunk, in which machine code may be compiled; ``resident_bytes`` and ``episodes`` after which it
+    is replaced between chunks, and at once beyond twice the memory.
+    """
+
+    silence_s: float = 300.0
+    first_s: float = 900.0
+    resident_bytes: int = 2 * 2**30
+    episodes: int = 20_000
+
+
+LIMITS = Limits()
+
+
+@dataclass(eq=False)
+class _Worker:
+    process: ForkServerProcess
+    connection: Connection
+    lifeline: Connection
+    heard_s: float
+    ready: bool = False
+    chunk: Chunk | None = None
+    rows: int = 0
+    chunks: int = 0
+
+    def end(self) -> None:
+        """At once."""
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+        self.lifeline.close()
+
+
+@dataclass(eq=False)
+class Processes:
+    """A Crew of ``size`` processes, each with a bench that ``make`` makes."""
+
+    make: MakesBench
+    size: int
+    limits: Limits = LIMITS
+    replaced: int = 0
+    _workers: list[_Worker] = field(default_factory=list)
+    _false_starts: int = 0
+    _looked_s: float = 0.0
+    _mistake: InputError | None = None
+
+    def __post_init__(self) -> None:
+        for name in ONE_THREAD:  # before the workers import any library
+            os.environ.setdefault(name, "1")
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(["safety_harness.campaign.worker"])
+        self._workers += [self._started() for _ in range(self.size)]
+
+    @property
+    def free(self) -> int:
+        """Workers without a chunk."""
+        return sum(worker.chunk is None for worker in self._workers)
+
+    @property
+    def processes(self) -> list[int]:
+        """The workers' process numbers."""
+        return [worker.process.pid or 0 for worker in self._workers]
+
+    def give(self, chunk: Chunk) -> None:
+        """To a worker without one, rather one that is ready."""
+        worker = max((w for w in self._workers if w.chunk is None), key=lambda w: w.ready)
+        worker.chunk = chunk
+        worker.heard_s = time.monotonic()
+        if worker.ready:
+            self._send(worker, chunk)
+
+    def take(self, timeout_s: float) -> Sequence[Event]:
+        """Rows as they come, and chunks that are lost; a mistake in the plan once all before it was told."""
+        if self._mistake is not None:
+            raise self._mistake
+        by_connection = {worker.connection: worker for worker in self._workers}
+        events: list[Event] = []
+        for connection in wait(list(by_connection), timeout=min(timeout_s, _LOOK_S)):
+            assert isinstance(connection, Connection)
+            self._hear(by_connection[connection], events)
+        if time.monotonic() - self._looked_s > _LOOK_S:
+            self._looked_s = time.monotonic()
+            for worker in list(self._workers):
+                self._look_at(worker, events)
+        return events
+
+    def close(self) -> None:
+        """Kill all of them."""
+        for worker in self._workers:
+            worker.end()
+        self._workers.clear()
+
+    def _started(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        lifeline, other_end = self._context.Pipe()
+        process = self._context.Process(target=work, args=(theirs, other_end, self.make), daemon=True)
+        process.start()
+        theirs.close()
+        other_end.close()
+        return _Worker(process, ours, lifeline, time.monotonic())
+
+    def _send(self, worker: _Worker, message: Chunk | None) -> None:
+        with suppress(OSError):  # it is gone, which is heard next
+            worker.connection.send(message)
+
+    def _hear(self, worker: _Worker, events: list[Event]) -> None:
+        """All that a worker has said; its end, when there is nothing more to hear."""
+        rows: list[Row] = []
+        try:
+            while worker.connection.poll():
+                message = worker.connection.recv()
+                worker.heard_s = time.monotonic()
+                if isinstance(message, Mistake):
+                    self._mistake = message.error
+                if isinstance(message, Ready):
+                    worker.ready = True
+                    self._false_starts = 0
+                    if worker.chunk is not None:
+                        self._send(worker, worker.chunk)
+                elif isinstance(message, Row):
+                    rows.append(message)
+                elif isinstance(message, Done) and worker.chunk is not None:
+                    events.append(Arrived(worker.chunk, tuple(rows), last=True))
+                    self._finish_chunk(worker, message)
+                    return  # it has nothing more to say, and may be another by now
+        except (EOFError, OSError):
+            if rows and worker.chunk is not None:
+                events.append(Arrived(worker.chunk, tuple(rows), last=False))
+            self._replace(worker, _how_it_ended(worker.process), events)
+            return
+        if rows and worker.chunk is not None:
+            events.append(Arrived(worker.chunk, tuple(rows), last=False))
+
+    def _finish_chunk(self, worker: _Worker, done: Done) -> None:
+        assert worker.chunk is not None
+        worker.rows += len(worker.chunk.episodes)
+        worker.chunks += 1
+        worker.chunk = None
+        if worker.rows >= self.limits.episodes or done.resident_bytes > self.limits.resident_bytes:
+            self._send(worker, None)
+            worker.process.join(timeout=1.0)
+            self._renew(worker)
+
+    def _look_at(self, worker: _Worker, events: list[Event]) -> None:
+        """Has it been silent for too long, or grown too large?"""
+        limits = self.limits
+        allowed_s = limits.silence_s + (0.0 if worker.chunks else limits.first_s)
+        if (worker.chunk is not None or not worker.ready) and time.monotonic() - worker.heard_s > allowed_s:
+            self._replace(worker, f"no result within {limits.silence_s:g} s", events)
+        elif resident_bytes(worker.process.pid or 0) > 2 * limits.resident_bytes:
+            self._replace(worker, f"more than {2 * limits.resident_bytes / 2**30:.3g} GiB of memory", events)
+
+    def _replace(self, worker: _Worker, why: str, events: list[Event]) -> None:
+        if not worker.ready:
+            self._false_starts += 1
+            if self._false_starts >= _MOST_FALSE_STARTS:
+                raise CampaignError(
+                    f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}"
+                )
+        if worker.chunk is not None:
+            events.append(Lost(worker.chunk, why))
+        self.replaced += 1
+        self._renew(worker)
+
+    def _renew(self, worker: _Worker) -> None:
+        worker.end()
+        self._workers[self._workers.index(worker)] = self._started()
+
+
+def _how_it_ended(process: ForkServerProcess) -> str:
+    process.join(timeout=5.0)
+    code = process.exitcode
+    if code is None:
+        return "its process said no more"
+    if code < 0:
+        return f"its process was ended by {signal.Signals(-code).name}"
+    return f"its process ended with exit code {code}"

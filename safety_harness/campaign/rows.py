@@ -1,0 +1,62 @@
+"""What is noted down of one episode."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from safety_harness.statistics.sample import Outcome
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """One claim's word on one episode; the margin is SI, NaN where there is none."""
+
+    outcome: Outcome
+    margin: float = math.nan
+    worst_time_s: float = math.nan
+    exercised: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One episode, run or failed to run.  ``judgements`` are in the order of the plan's claims.
+
+    ``seed`` is the root of its draws, ``draws`` how many of them it took until admission let one through.
+    ``cell`` is where it falls in the coverage of the domain.  ``mishap`` says what the avoider did instead of
+    answering, ``failure`` why there is no run at all.  ``seconds`` and ``worker`` are of this machine:
+    everything else is the same wherever it runs.
+    """
+
+    stratum: int  # its place in the plan
+    episode: int
+    seed: int
+    judgements: tuple[Judgement, ...]
+    draws: int = 0
+    decisions: int = 0
+    proposed: int = 0
+    opposite: int = 0
+    stopped: int = 0
+    faults: int = 0
+    late: int = 0
+    cell: str = ""
+    mishap: str = ""
+    failure: str = ""
+    seconds: float = 0.0
+    worker: str = ""
+    trace: bytes | None = field(default=None, repr=False)
+
+    @property
+    def violates(self) -> bool:
+        """Any of the claims?"""
+        return any(judgement.outcome is Outcome.VIOLATED for judgement in self.judgements)
+
+    @classmethod
+    def failed(
+        cls, stratum: int, episode: int, seed: int, claims: int, failure: str, *, draws: int = 0
+    ) -> Row:
+        """An episode that could not be run, which counts for none of the claims."""
+        judgements = (Judgement(Outcome.FAILED),) * claims
+        return cls(
+            stratum=stratum, episode=episode, seed=seed, judgements=judgements, draws=draws, failure=failure
+        )

@@ -1,0 +1,215 @@
+"""The loop that gives episodes to a crew and notes down what comes of them.
+
+What a crew loses is tried again, one episode at a time, so that a culprit is found, and recorded as failed
+to run after ATTEMPTS.  Nothing here depends on the order in which rows arrive, or on a clock of the day.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+
+from safety_harness.campaign.crew import Arrived, Chunk, Crew, Lost
+from safety_harness.campaign.episodes import random_episodes, root_seed
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.rows import Row
+from safety_harness.campaign.stopping import Stopping
+from safety_harness.campaign.summary import tally_of
+from safety_harness.campaign.tally import Tally
+
+ATTEMPTS = 3
+CHUNK_S = 1.0  # of work, so that what it costs to hand it over and to commit is little beside it
+MOST_IN_CHUNK = {
+    PlannedWorld.PYBULLET: 1000,
+    PlannedWorld.KINEMATIC: 64,
+}  # a chunk's traces are held together
+_WAIT_S = 0.5
+_COMMIT_S = 0.2  # rows that come one by one are committed together
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What one watches: the tally, episodes a second in this session, and what went wrong."""
+
+    tally: Tally
+    done_now: int
+    seconds: float
+    retried: int
+    replaced: int
+
+    @property
+    def rate(self) -> float:
+        """Episodes a second."""
+        return self.done_now / self.seconds if self.seconds > 0.0 else 0.0
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that the rest will take at this rate; infinite while nothing is known."""
+        left = sum(s.planned - s.done for s in self.tally.strata if not s.complete)
+        return left / self.rate if self.rate > 0.0 else float("inf")
+
+
+def run_campaign(
+    plan: Plan,
+    ledger: Ledger,
+    crew: Crew,
+    *,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    enough: Callable[[], bool] = lambda: False,
+    part: tuple[int, int] = (0, 1),
+) -> bool:
+    """Run what is missing; whether the campaign is complete.
+
+    ``enough`` is asked in between: once it is true, chunks under way are finished and no more begun.
+    ``part`` (k, n) takes every n-th episode only, from k on: for machines that share nothing but the plan.
+    InputError and CampaignError as for ``Crew.take``, OutputError for a ledger that takes no more; every
+    episode that was finished before is in it.
+    """
+    runner = _Runner(plan, ledger, crew, on_progress, part)
+    try:
+        runner.run(enough)
+    finally:
+        runner.commit()
+    return runner.tally.complete
+
+
+@dataclass(eq=False)
+class _Runner:
+    plan: Plan
+    ledger: Ledger
+    crew: Crew
+    on_progress: Callable[[Progress], None]
+    part: tuple[int, int]
+    _out: dict[Chunk, set[int]] = field(default_factory=dict)  # episodes of which nothing has come yet
+    _again: deque[Chunk] = field(default_factory=deque)
+    _tried: Counter[tuple[int, int]] = field(default_factory=Counter)
+    _rows: list[Row] = field(default_factory=list)
+    _committed_s: float = 0.0
+    _spent_s: float = 0.0
+    _done: int = 0
+    _retried: int = 0
+
+    def __post_init__(self) -> None:
+        self.tally = tally_of(self.ledger)
+        self._begun_s = time.monotonic()
+        self._kept = [sorted(self.ledger.violations_kept(s)) for s in range(len(self.plan.strata))]
+        self._stopping = Stopping(self.plan, self.ledger)
+        self._episodes = [self._missing(s) for s in range(len(self.plan.strata))]
+        self._stratum = 0
+
+    def run(self, enough: Callable[[], bool]) -> None:
+        """Until nothing is left, or ``enough``."""
+        more = True
+        while more or self._out:
+            stopped = enough()
+            while not stopped and self.crew.free and (chunk := self._next_chunk()) is not None:
+                self._out[chunk] = set(chunk.episodes)
+                self.crew.give(chunk)
+            if not self._out:
+                more = False
+                continue
+            for event in self.crew.take(_WAIT_S):
+                if isinstance(event, Arrived):
+                    self._arrived(event)
+                else:
+                    self._lost(event)
+            now_s = time.monotonic()
+            if now_s - self._committed_s > _COMMIT_S or not self._out:
+                self.commit()
+                self._committed_s = now_s
+                self.on_progress(self._progress())
+            more = not stopped
+        self._drop_surplus()
+        self.on_progress(self._progress())
+
+    def commit(self) -> None:
+        """Note down what has come; kept for the next time if it cannot be written."""
+        rows = [row for row in self._rows if not self._is_beyond(row)]
+        if rows:
+            self.ledger.record(rows)
+        self._rows = []
+        for row in rows:
+            self.tally.strata[row.stratum].add(row)
+            if row.trace is not None and row.violates:
+                self._kept[row.stratum].append(row.episode)
+        self._stopping.add(rows)
+        for stratum, after in self._stopping.decided.items():
+            if self.tally.strata[stratum].stopped_after is None:
+                self.ledger.stop(stratum, after)
+                self.tally = tally_of(self.ledger)
+
+    def _is_beyond(self, row: Row) -> bool:
+        """Did its stratum end before it?"""
+        after = self.tally.strata[row.stratum].stopped_after
+        return after is not None and row.episode >= after
+
+    def _arrived(self, event: Arrived) -> None:
+        waiting = self._out[event.chunk]
+        for row in event.rows:
+            waiting.discard(row.episode)
+            self._rows.append(row)
+            self._done += 1
+            self._spent_s += row.seconds
+        if event.last:
+            del self._out[event.chunk]
+
+    def _lost(self, event: Lost) -> None:
+        """One at a time again; an episode that is lost alone too often has failed to run."""
+        waiting = sorted(self._out.pop(event.chunk))
+        alone = len(event.chunk.episodes) == 1
+        self._retried += len(waiting)
+        for episode in waiting:
+            key = (event.chunk.stratum, episode)
+            self._tried[key] += alone
+            if self._tried[key] >= ATTEMPTS:
+                seed = root_seed(self.plan, *key)
+                why = f"failed to run, {ATTEMPTS} times: {event.why}"
+                self._rows.append(Row.failed(*key, seed, len(self.plan.claims), why))
+                self._done += 1
+            else:
+                self._again.append(Chunk(event.chunk.stratum, (episode,), event.chunk.keep_violations))
+
+    def _next_chunk(self) -> Chunk | None:
+        if self._again:
+            return self._again.popleft()
+        while self._stratum < len(self.plan.strata):
+            stratum = self._stratum
+            if self.tally.strata[stratum].stopped_after is None:
+                episodes = tuple(islice(self._episodes[stratum], self._length))
+                if episodes:
+                    return Chunk(stratum, episodes, self._wants_violations(stratum, episodes[0]))
+            self._stratum += 1
+        return None
+
+    @property
+    def _length(self) -> int:
+        """Episodes of the next chunk: one until it is known how long they take."""
+        if not self._done:
+            return 1
+        each_s = self._spent_s / self._done
+        return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), MOST_IN_CHUNK[self.plan.world]))
+
+    def _missing(self, stratum: int) -> Iterator[int]:
+        first, of = self.part
+        ranges = list(self.ledger.missing(stratum))
+        return (episode for one in ranges for episode in one if episode % of == first)
+
+    def _wants_violations(self, stratum: int, first: int) -> bool:
+        """The first violations are kept, by their numbers, whatever the order in which they arrive."""
+        return sum(episode < first for episode in self._kept[stratum]) < self.plan.violations_kept
+
+    def _drop_surplus(self) -> None:
+        """Of violations, the traces of the first are kept: later ones may have come before it was known."""
+        for stratum, tally in enumerate(self.tally.strata):
+            surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
+            if tally.complete and surplus:
+                random = random_episodes(self.plan, stratum)
+                self.ledger.drop_traces(stratum, [one for one in surplus if one not in random])
+
+    def _progress(self) -> Progress:
+        seconds = time.monotonic() - self._begun_s
+        return Progress(self.tally, self._done, seconds, self._retried, self.crew.replaced)

@@ -1,0 +1,84 @@
+"""A campaign from beginning to end, or from where it was left: one runner, its ledger and its crew."""
+
+from __future__ import annotations
+
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from safety_harness.campaign.crew import Crew
+from safety_harness.campaign.files import unpacked
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.opening import only_runner
+from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.processes import LIMITS, Limits, Processes
+from safety_harness.campaign.runner import Progress, run_campaign
+from safety_harness.campaign.worker import PlanFromFile
+
+LEDGER = "ledger.sqlite"
+MakesCrew = Callable[[Plan], Crew]
+
+
+def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
+    """A crew on this machine: as many processes as cores, if not said otherwise."""
+    size = workers or len(os.sched_getaffinity(0))
+    return lambda plan: Processes(PlanFromFile(plan.file.resolve(), plan.identity), size, limits)
+
+
+def carry_on(
+    plan: Plan,
+    path: Path,
+    make_crew: MakesCrew,
+    *,
+    on_progress: Callable[[Progress], None] = lambda progress: None,
+    enough: Callable[[], bool] = lambda: False,
+    part: tuple[int, int] = (0, 1),
+) -> bool:
+    """Run what is missing in the ledger at ``path``, which is made if it is not there; is it complete now?
+
+    LedgerError if it is another plan's, or if another runner is at work on it; otherwise as ``run_campaign``.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(only_runner(path))
+        known = path.exists()
+        opened = Ledger.open(path, write=True) if known else Ledger.create(path, plan)
+        ledger = stack.enter_context(opened)
+        ledger.refuse_other(plan.identity)
+        if all(next(ledger.missing(k), None) is None for k in range(len(plan.strata))):
+            return True
+        crew = stack.enter_context(closing(make_crew(plan)))
+        machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
+        ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
+        return run_campaign(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
+
+
+@contextmanager
+def plan_of(ledger: Ledger) -> Iterator[Plan]:
+    """The plan that a ledger was begun with: its own file if that is still there, else the ledger's copy.
+
+    LedgerError that names what has changed since.
+    """
+    file = ledger.declared.plan_file
+    if file.is_file():
+        plan = read_plan(file)
+        ledger.refuse_other(plan.identity)
+        yield plan
+        return
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        plan = read_plan(unpacked(ledger.files, Path(folder)))
+        ledger.refuse_other(plan.identity)
+        yield plan
+
+
+def _processor() -> str:
+    """What the machine calls its processor; results are bit for bit the same within a family of these."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor() or "unknown processor")

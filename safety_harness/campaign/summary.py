@@ -1,0 +1,50 @@
+"""What a ledger says as a whole: how the campaign stands, and a fingerprint of its results."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.tally import ClaimTally, StratumTally, Tally
+from safety_harness.statistics.sample import Outcome
+
+_COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
+_FAILED = (
+    f"SELECT stratum, count(DISTINCT episode) FROM judgement WHERE outcome = {int(Outcome.FAILED)} GROUP BY 1"
+)
+# Everything that is the same wherever an episode runs, in an order that is.
+_SAME = (
+    "SELECT e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
+    "c.words, e.mishap, e.failure FROM episode e LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? "
+    "ORDER BY e.episode",
+    "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ? "
+    "ORDER BY claim, episode",
+    "SELECT episode FROM trace WHERE stratum = ? ORDER BY episode",
+)
+
+
+def tally_of(ledger: Ledger) -> Tally:
+    """Counts and worst margins of what is there now."""
+    declared = ledger.declared
+    strata = [StratumTally(planned, [ClaimTally() for _ in declared.claims]) for planned in declared.planned]
+    for stratum, done in ledger.all("SELECT stratum, count(*) FROM episode GROUP BY stratum"):
+        strata[stratum].done = done
+    for stratum, after in ledger.all("SELECT id, stopped_after FROM stratum"):
+        strata[stratum].stopped_after = after
+    for stratum, claim, outcome, count, margin, episode in ledger.all(_COUNTS):
+        least = math.nan if margin is None else margin
+        strata[stratum].claims[claim].add(Outcome(outcome), least, episode, count)
+    for stratum, count in ledger.all(_FAILED):
+        strata[stratum].failed = count
+    return Tally(strata)
+
+
+def fingerprint_of(ledger: Ledger) -> str:
+    """SHA-256 of every result, bit for bit: two ledgers of a plan with the same results have the same."""
+    digest = hashlib.sha256(ledger.declared.identity.sha256.encode())
+    for stratum in range(len(ledger.declared.strata)):
+        for question in _SAME:
+            for row in ledger.all(question, stratum):
+                digest.update(repr(row).encode())  # of a float: the shortest text that gives it again
+    return digest.hexdigest()

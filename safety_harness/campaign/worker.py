@@ -1,0 +1,112 @@
+"""The other end: a process that runs chunks, and says so."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import threading
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from safety_harness.campaign.crew import Chunk, MakesBench
+from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.plan import read_plan
+from safety_harness.exceptions import InputError, LedgerError, Place
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """An InputError on its way between processes: exceptions with keywords are not pickled."""
+
+    kind: type[InputError]
+    place: Place
+    expected: str
+    got: str
+    hint: str
+
+    @classmethod
+    def of(cls, error: InputError) -> Mistake:
+        """The same, to be sent."""
+        return cls(type(error), error.place, error.expected, error.got, error.hint)
+
+    @property
+    def error(self) -> InputError:
+        """The same, to be raised."""
+        return self.kind(place=self.place, expected=self.expected, got=self.got, hint=self.hint)
+
+
+@dataclass(frozen=True)
+class Ready:
+    """The worker has read the plan."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A chunk is finished; ``resident_bytes`` of the worker now."""
+
+    resident_bytes: int
+
+
+@dataclass(frozen=True)
+class PlanFromFile:
+    """Makes a Bench of the plan in a file; LedgerError if it is not the one that was declared any more."""
+
+    file: Path
+    identity: Identity
+
+    def __call__(self) -> Bench:
+        """Read the plan."""
+        plan = read_plan(self.file)
+        changes = self.identity.changes(plan.identity)
+        if changes:
+            raise LedgerError(
+                place=Place(file=self.file),
+                expected="the plan, files and versions that it was begun with, on every machine",
+                got="; ".join(changes),
+            )
+        return Bench(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
+
+
+def work(connection: Connection, lifeline: Connection, make: MakesBench) -> None:
+    """Answer chunks with their rows one by one, then Done; ends when nobody is there any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+    try:
+        bench = make()
+        connection.send(Ready())
+        while True:
+            chunk: Chunk | None = connection.recv()
+            if chunk is None:
+                return
+            for row in bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations):
+                connection.send(row)
+            connection.send(Done(resident_bytes(os.getpid())))
+    except InputError as error:
+        connection.send(Mistake.of(error))
+    except (EOFError, BrokenPipeError):
+        return
+
+
+def _end_with(lifeline: Connection) -> None:
+    """End this process when the one that started it has ended, whatever this one is at."""
+    try:
+        lifeline.recv()
+    except (EOFError, OSError):
+        os._exit(0)
+
+
+def resident_bytes(process: int) -> int:
+    """Memory that a process has now; 0 for one that is gone."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    except (OSError, IndexError, ValueError):
+        if process == os.getpid() and sys.platform == "darwin":
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")

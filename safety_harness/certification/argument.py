@@ -1,0 +1,171 @@
+"""The assurance argument in goal structuring notation, made from the evidence: what is claimed, on what.
+
+Goals are what should be true, strategies how a goal is broken down, solutions the evidence it rests on;
+contexts and assumptions stand beside.  A goal without a solution is undeveloped and is drawn so.  The words
+on goals are the evidence's own: an argument whose evidence fails shows it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import Enum
+
+from safety_harness.certification.evidence import ClaimEvidence, Evidence, Standing
+from safety_harness.certification.verdicts import percent
+
+DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
+STATE = {
+    Standing.SHOWN: DONE,
+    Standing.DOUBTED: DOUBT,
+    Standing.NOT_SHOWN: DOUBT,
+    Standing.INCOMPLETE: DOUBT,
+    Standing.UNTESTED: FAILS,
+    Standing.REFUTED: FAILS,
+    Standing.ESTIMATED: OPEN,
+}
+
+
+class Kind(Enum):
+    """The elements of the notation; the value is the letter of its keys."""
+
+    GOAL = "G"
+    STRATEGY = "S"
+    SOLUTION = "Sn"
+    CONTEXT = "C"
+    ASSUMPTION = "A"
+
+
+KIND_WORDS = {
+    Kind.GOAL: "goal",
+    Kind.STRATEGY: "strategy",
+    Kind.SOLUTION: "solution",
+    Kind.CONTEXT: "context",
+    Kind.ASSUMPTION: "assumption",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Element:
+    """One element: ``place`` is the id on the page that it leads to, ``state`` the colour of what it says.
+
+    ``below`` supports it, ``beside`` is what it is to be read in.
+    """
+
+    kind: Kind
+    key: str
+    text: str
+    place: str
+    state: str = OPEN
+    below: tuple[Element, ...] = ()
+    beside: tuple[Element, ...] = ()
+
+    @property
+    def undeveloped(self) -> bool:
+        """A goal or strategy that nothing supports."""
+        return self.kind in (Kind.GOAL, Kind.STRATEGY) and not self.below
+
+
+@dataclass
+class _Maker:
+    """Makes elements, numbered by kind in the order of making."""
+
+    counts: dict[Kind, int] = field(default_factory=dict)
+
+    def __call__(
+        self, kind: Kind, text: str, place: str, state: str = OPEN, *, beside: tuple[Element, ...] = ()
+    ) -> Element:
+        self.counts[kind] = self.counts.get(kind, 0) + 1
+        key = f"{kind.value}{self.counts[kind]}"
+        return Element(kind=kind, key=key, text=text, place=place, state=state, beside=beside)
+
+
+def argument_of(evidence: Evidence) -> Element:
+    """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
+    make = _Maker()
+    top = make(
+        Kind.GOAL,
+        f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks",
+        "claims",
+        STATE[evidence.standing],
+        beside=(
+            make(Kind.CONTEXT, _domain(evidence), "strata"),
+            make(Kind.CONTEXT, f"System: {evidence.system.avoider} on {evidence.system.robot}", "system"),
+            make(Kind.ASSUMPTION, "Hands, braking and arm are as the assumptions say", "assumptions"),
+        ),
+    )
+    by_claims = make(
+        Kind.STRATEGY,
+        "By claim and stratum, with exact bounds from independent runs",
+        "results",
+        beside=(make(Kind.CONTEXT, _confidence(evidence), "plan"),),
+    )
+    goals = []
+    for claim in evidence.claims:
+        place, state = f"claim-{claim.number}", STATE[claim.standing]
+        goal = make(Kind.GOAL, f"{claim.sentence}{_target(claim)}", place, state)
+        runs = sum(outcome.tested for outcome in claim.outcomes)
+        if runs:
+            words = f"{runs} runs put it to the test: {claim.standing.value}"
+            goal = replace(goal, below=(make(Kind.SOLUTION, words, place, state),))
+        goals.append(goal)
+    hunted = make(Kind.GOAL, "Ways to violate a claim are known and explained", "counterexamples", DOUBT)
+    hunted = replace(hunted, below=_hunt(evidence, make))
+    believed = make(Kind.GOAL, "The simulator may be believed for these claims", "credibility")
+    believed = replace(believed, below=_credibility(evidence, make))
+    tools = make(Kind.GOAL, "What judges would notice a fault", "tools")
+    tools = replace(tools, below=_tools(evidence, make))
+    by_means = make(Kind.STRATEGY, "By what could make the bounds misleading", "not-shown")
+    by_claims = replace(by_claims, below=tuple(goals))
+    by_means = replace(by_means, below=(hunted, believed, tools))
+    return replace(top, below=(by_claims, by_means))
+
+
+def _domain(evidence: Evidence) -> str:
+    names = ", ".join(stratum.name for stratum in evidence.strata)
+    return f"Domain: {names}"
+
+
+def _confidence(evidence: Evidence) -> str:
+    plan = evidence.plan
+    return f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
+
+
+def _target(claim: ClaimEvidence) -> str:
+    return "" if claim.target is None else f", violated in at most {percent(claim.target)}"
+
+
+def _hunt(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
+    found = []
+    if evidence.search is not None:
+        state = DOUBT if evidence.counterexamples else OPEN
+        distinct = len(evidence.counterexamples)
+        words = f"Search of {evidence.search.runs} runs; {distinct} distinct counterexamples in all"
+        found.append(make(Kind.SOLUTION, words, "counterexamples", state))
+    if evidence.coverage.runs:
+        words = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
+        found.append(make(Kind.SOLUTION, words, "coverage"))
+    return tuple(found)
+
+
+def _credibility(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
+    known, found = evidence.credibility, []
+    if known.agreement is not None:
+        agreement = known.agreement
+        state = DOUBT if agreement.optimistic or not agreement.present else DONE
+        words = f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ"
+        found.append(make(Kind.SOLUTION, words, "agreement", state))
+    for rerun in known.reruns:
+        words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
+        found.append(make(Kind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE))
+    if known.oracles:
+        found.append(make(Kind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles"))
+    return tuple(found)
+
+
+def _tools(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
+    test = evidence.selftest
+    if test is None:
+        return ()
+    whole = test.caught == len(test.faults) and not test.false_alarms and test.present
+    words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
+    return (make(Kind.SOLUTION, words, "tools", DONE if whole else DOUBT),)

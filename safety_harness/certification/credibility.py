@@ -1,0 +1,165 @@
+"""Why numbers from the simulator may be believed: runs made again, agreement of the worlds, oracles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.agreement import measured_agreement
+from safety_harness.admission.avoiders import is_a_program
+from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import judge, run_trial
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.stored import Stored
+from safety_harness.certification.tools import Agreement, Credibility, Oracle, Rerun
+from safety_harness.exceptions import SafetyHarnessError
+from safety_harness.properties.base import Evaluation
+from safety_harness.report.words import with_minus
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.trace.trace import Trace
+
+MOST_RERUNS = 12  # some seconds
+NO_CELL = "Nothing here was measured on a real cell."
+
+
+def credibility_of(
+    plan: Plan, stored: Sequence[Stored], *, oracles: tuple[Oracle, ...] = (), oracles_with: str = ""
+) -> Credibility:
+    """What is known, and what is not and why."""
+    reruns, absent = reruns_of(plan, stored)
+    try:
+        agreement = agreement_of()
+    except OSError:
+        agreement = None
+        absent.append("No measured agreement of the two worlds comes with this version.")
+    if not oracles:
+        absent.append(
+            "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
+            "of this report: the package's own tests measure them."
+        )
+    return Credibility(
+        agreement=agreement,
+        reruns=reruns,
+        oracles=oracles,
+        oracles_measured_with=oracles_with,
+        absent=(*absent, NO_CELL),
+    )
+
+
+def agreement_of() -> Agreement:
+    """What came with the package; OSError if nothing did."""
+    measured = measured_agreement()
+    verdicts = measured.compared + measured.compared_near
+    return Agreement(
+        scenarios=measured.scenarios,
+        verdicts=verdicts,
+        disagreements=verdicts - measured.agreed - measured.agreed_near,
+        optimistic=len(measured.optimistic),
+        differences=tuple((one.what, f"{one.largest:.3g} in {one.scenario}") for one in measured.differences),
+        source_hash=measured.source,
+        present=measured.is_of_present_source,
+    )
+
+
+def reruns_of(plan: Plan, stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], list[str]]:
+    """Declared random runs with smaller physics steps, and in the other world."""
+    chosen = _spread_over(plan, [one.trace for one in stored if one.random])
+    if not chosen:
+        return (), ["No declared random run was stored, so none was made again with other step sizes."]
+    if any(is_a_program(trace.scenario.avoider) for trace in chosen):
+        return (), ["Runs of a program of the user's are not made again here: verify does, when told to."]
+    found = []
+    if chosen[0].provenance.world == PyBulletWorld.name:
+        substeps = chosen[0].scenario.settings.clock.physics_substeps
+        found.append(
+            _rerun(
+                chosen,
+                _finer,
+                run_trial,
+                place="step-size",
+                title="Finer physics steps",
+                how=f"with {2 * substeps} physics steps a control tick in place of {substeps}",
+            )
+        )
+        found.append(
+            _rerun(
+                chosen,
+                lambda scenario: scenario,
+                run_kinematic,
+                place="other-world",
+                title="These runs in the kinematic world",
+                how="in the kinematic world in place of PyBullet",
+            )
+        )
+    else:
+        found.append(
+            _rerun(
+                chosen,
+                lambda scenario: scenario,
+                run_trial,
+                place="other-world",
+                title="These runs in PyBullet",
+                how="in PyBullet in place of the kinematic world",
+            )
+        )
+    return tuple(found), []
+
+
+def _spread_over(plan: Plan, traces: list[Trace]) -> list[Trace]:
+    """At most ``MOST_RERUNS``, evenly from all strata; complete ones."""
+    complete = [trace for trace in traces if trace.complete]
+    step = max(1, -(-len(complete) // MOST_RERUNS))
+    return complete[::step]
+
+
+def _finer(scenario: Scenario) -> Scenario:
+    clock = scenario.settings.clock
+    finer = replace(clock, physics_substeps=2 * clock.physics_substeps)
+    return replace(scenario, settings=replace(scenario.settings, clock=finer))
+
+
+def _rerun(
+    traces: Sequence[Trace],
+    change: Callable[[Scenario], Scenario],
+    run: Callable[[Admitted], Trace],
+    *,
+    place: str,
+    title: str,
+    how: str,
+) -> Rerun:
+    """A run that cannot be made again counts all of its verdicts as changed."""
+    verdicts = changed = optimistic = 0
+    largest: dict[str, tuple[float, str]] = {}
+    for trace in traces:
+        before = judge(trace)
+        verdicts += len(before)
+        try:
+            after = judge(run(admit(change(trace.scenario))))
+        except SafetyHarnessError:
+            changed += len(before)
+            continue
+        for old, new in zip(before, after, strict=True):
+            changed += old.verdict is not new.verdict
+            optimistic += old.verdict is Verdict.HOLDS and new.verdict is Verdict.VIOLATED
+            _note(largest, old, new)
+    return Rerun(
+        place=place,
+        title=title,
+        how=how,
+        runs=len(traces),
+        verdicts=verdicts,
+        changed=changed,
+        optimistic=optimistic,
+        largest=tuple((sentence, text) for sentence, (_, text) in largest.items()),
+    )
+
+
+def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:
+    if old.margin is None or new.margin is None:
+        return
+    difference = new.margin - old.margin
+    if abs(difference) >= largest.get(old.sentence, (0.0, ""))[0]:
+        shown = with_minus(f"{difference * old.unit.per_si:+.3g} {old.unit.symbol}".rstrip())
+        largest[old.sentence] = (abs(difference), shown)

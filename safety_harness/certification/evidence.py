@@ -1,0 +1,295 @@
+"""Everything that the evidence report shows, as frozen data: the page and the JSON are both made from it.
+
+Numbers are in SI; probabilities are of a violation in a run that put the claim to the test.  What is not
+known is None or an empty tuple, never a number that looks well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from safety_harness.certification.tools import Coverage, Credibility, SelfTest
+
+FORMAT = "safety-harness evidence 1"
+
+
+class Standing(Enum):
+    """The word on a claim.  Only the first one is ever shown in green."""
+
+    SHOWN = "shown"
+    DOUBTED = "shown with doubt"  # although runs without a verdict count against it, or in the model only
+    NOT_SHOWN = "not shown"
+    REFUTED = "refuted"
+    ESTIMATED = "estimated only"  # the plan sets no target
+    UNTESTED = "never put to the test"
+    INCOMPLETE = "runs missing"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bound:
+    """An exact interval of the probability of a violation, at ``confidence`` of its own."""
+
+    lower: float
+    upper: float
+    confidence: float
+    method: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantile:
+    """With the bound's confidence at least ``share`` of runs keep a margin of ``at_least_si``."""
+
+    share: float
+    at_least_si: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """One claim in one stratum.
+
+    ``runs`` is the sum of the five counts after it.  ``bound`` is None where there are no trials, or too few
+    runs of the plan.  ``margins_si`` are the least ones first, thinned to what a curve needs.
+    """
+
+    stratum: str
+    planned: int
+    runs: int
+    holds: int
+    violated: int
+    inconclusive: int
+    failed: int
+    untested: int
+    bound: Bound | None
+    standing: Standing
+    why: str
+    least_margin_si: float | None
+    margins_si: tuple[float, ...] = ()
+    shares: tuple[float, ...] = ()  # the share of margins that are no larger
+    quantiles: tuple[Quantile, ...] = ()
+
+    @property
+    def tested(self) -> int:
+        """Runs that put the claim to the test, whatever came out."""
+        return self.runs - self.untested
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """A term of a standard that a claim is traced to."""
+
+    standard: str
+    term: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaimEvidence:
+    """One claim of the plan over all strata; ``unit`` and ``per_si`` are how its margins are shown."""
+
+    number: int
+    sentence: str
+    target: float | None
+    hazard: str
+    hazard_is_authors: bool
+    terms: tuple[Term, ...]
+    rationale: str
+    exercised_when: str
+    unit: str
+    per_si: float
+    standing: Standing
+    why: str
+    outcomes: tuple[Outcome, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stratum:
+    """One part of the operational domain, and what came of running it.
+
+    ``decisions`` are (what, how many) over all runs; ``refused_draws`` those that admission refused.
+    """
+
+    name: str
+    space: str
+    about: str
+    space_sha256: str
+    planned: int
+    made: int
+    failed: int
+    refused_draws: int
+    decisions: tuple[tuple[str, int], ...]
+    random_traces: int
+    violation_traces: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What was declared before anything was run."""
+
+    name: str
+    about: str
+    file: str
+    sha256: str
+    text: str
+    world: str
+    model_only: bool
+    confidence: float
+    per_bound_confidence: float
+    bounds: int
+    seed: int
+    stop_early: bool
+    search_runs: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class System:
+    """The system under test.  Pairs are (label, value) in words."""
+
+    avoider: str
+    avoider_sha256: str
+    robot: str
+    robot_sha256: str
+    card: tuple[tuple[str, str], ...]
+    limits: tuple[str, ...]
+    gate: tuple[tuple[str, str], ...]
+    settings: tuple[tuple[str, str], ...]
+    changed: tuple[tuple[str, str, str], ...]  # setting, default, in this plan
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeparationTerm:
+    """One term of the protective separation distance."""
+
+    symbol: str
+    length_m: float
+    meaning: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeparationCase:
+    """The pair with least to spare in one stored run, at one assumed speed of the human."""
+
+    stratum: str
+    run: str
+    time_s: float
+    distance_m: float
+    required_m: float
+    hand_speed_mps: float
+    robot_speed_mps: float
+    terms: tuple[SeparationTerm, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """How often the avoider's own intervals held their target in a stratum's declared random runs.
+
+    ``decided`` is holds, violated or inconclusive.
+    """
+
+    stratum: str
+    sentence: str
+    decided: str
+    why: str
+    decisions: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class CounterexampleEvidence:
+    """One distinct violation.  ``independent``: met by a declared run and not by a search."""
+
+    number: int
+    claim: int | None
+    sentence: str
+    origin: str
+    independent: bool
+    like_it: int
+    margin: str
+    scenario_file: str
+    trace_file: str
+    command: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchEvidence:
+    """What the hunt for counterexamples did; it never enters a bound."""
+
+    runs: int
+    searcher: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Something that is open: an assessor has to look at it."""
+
+    text: str
+    place: str  # id on the page
+
+
+@dataclass(frozen=True, kw_only=True)
+class StoredFile:
+    """A file of the report's folder."""
+
+    path: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Where all of it comes from."""
+
+    package_version: str
+    source_hash: str
+    python: str
+    platform: str
+    machine: str
+    libraries: tuple[tuple[str, str], ...]
+    command: str
+    commands: tuple[str, ...]  # by which each part can be made again
+    began_at: str
+    ended_at: str
+    run_seconds_s: float
+    changes: tuple[str, ...]  # since the plan's first run
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence:
+    """The whole report."""
+
+    format: str
+    interrupted: bool
+    plan: Plan
+    standing: Standing
+    strata: tuple[Stratum, ...]
+    claims: tuple[ClaimEvidence, ...]
+    system: System
+    assumptions: tuple[str, ...]
+    exclusions: tuple[str, ...]
+    separation: tuple[SeparationCase, ...]
+    calibration: tuple[Calibration, ...]
+    coverage: Coverage
+    counterexamples: tuple[CounterexampleEvidence, ...]
+    search: SearchEvidence | None
+    credibility: Credibility
+    selftest: SelfTest | None
+    selftest_absent: str
+    findings: tuple[Finding, ...]
+    provenance: Provenance
+    files: tuple[StoredFile, ...]
+
+    @property
+    def graver_first(self) -> tuple[ClaimEvidence, ...]:
+        """The claims, those that need a reader first."""
+        return tuple(sorted(self.claims, key=lambda claim: GRAVITY.index(claim.standing)))
+
+
+GRAVITY = (
+    Standing.REFUTED,
+    Standing.UNTESTED,
+    Standing.INCOMPLETE,
+    Standing.NOT_SHOWN,
+    Standing.DOUBTED,
+    Standing.ESTIMATED,
+    Standing.SHOWN,
+)

@@ -1,0 +1,168 @@
+"""One self-contained HTML page of the evidence, for a reader in a hurry and for one with a day."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from markupsafe import Markup
+
+from safety_harness.certification import tables
+from safety_harness.certification.argument import KIND_WORDS, STATE, Element, argument_of
+from safety_harness.certification.argument_svg import argument_svg
+from safety_harness.certification.evidence import (
+    ClaimEvidence,
+    CounterexampleEvidence,
+    Evidence,
+    Standing,
+)
+from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
+from safety_harness.certification.replay3d import replay_json, seconds, start_s
+from safety_harness.certification.stored import cells_of
+from safety_harness.certification.tables import Table
+from safety_harness.certification.verdicts import percent
+from safety_harness.report.coverage_map import coverage_map
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.page_parts import render_page
+from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.text_file import write_whole
+from safety_harness.report.timeline import timeline
+
+MEANINGS = {
+    Standing.SHOWN: "the upper bound of the violation probability is at or below the target in every stratum",
+    Standing.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model only",
+    Standing.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
+    Standing.REFUTED: "even the lower bound is above the target",
+    Standing.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
+    Standing.UNTESTED: "no run gave it an occasion: nothing is known of it",
+    Standing.INCOMPLETE: "declared runs are missing, so there is no bound yet",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaimView:
+    """A claim with its table and figures."""
+
+    claim: ClaimEvidence
+    table: Table
+    quantiles: Table | None
+    bounds: Markup
+    margins: Markup
+
+
+@dataclass(frozen=True, kw_only=True)
+class CounterexampleView:
+    """A counterexample with its pictures; without a stored trace there are none."""
+
+    one: CounterexampleEvidence
+    run: JudgedRun | None
+    views: tuple[Markup, ...]
+    timeline: Markup
+    replay: Markup
+    first_s: float
+    last_s: float
+    from_s: float
+    moment: str
+
+
+def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
+    """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
+    write_whole(path, render(evidence, runs))
+
+
+def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
+    """The page as text; ``runs`` are those of counterexamples, by their numbers.
+
+    The same arguments give the same bytes.
+    """
+    top = argument_of(evidence)
+    views = [_counterexample(one, runs.get(one.number)) for one in evidence.counterexamples]
+    scripts = ("evidence.js", "three.js", "replay.js") if any(v.replay for v in views) else ("evidence.js",)
+    return render_page(
+        "evidence.html.j2",
+        style="evidence.css",
+        scripts=scripts,
+        evidence=evidence,
+        state=STATE,
+        counts=_counts(evidence),
+        meanings=MEANINGS,
+        tables=tables,
+        claims=[_claim(claim) for claim in evidence.claims],
+        counterexamples=views,
+        top=top,
+        kind_words=KIND_WORDS,
+        argument=Markup(argument_svg(top, prefix="argument-")),
+        separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
+        coverage_map=_coverage_map(evidence),
+        percent=percent,
+    )
+
+
+def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
+    """(words, class, claims) for the four numbers at the top."""
+    standings = [claim.standing for claim in evidence.claims]
+    open_ones = (Standing.NOT_SHOWN, Standing.INCOMPLETE, Standing.ESTIMATED, Standing.DOUBTED)
+    return [
+        ("shown", "holds", standings.count(Standing.SHOWN)),
+        ("refuted", "violated", standings.count(Standing.REFUTED)),
+        ("open", "inconclusive", sum(standings.count(one) for one in open_ones)),
+        ("never tested", "violated", standings.count(Standing.UNTESTED)),
+    ]
+
+
+def _claim(claim: ClaimEvidence) -> ClaimView:
+    prefix = f"claim-{claim.number}-"
+    return ClaimView(
+        claim=claim,
+        table=tables.outcomes(claim),
+        quantiles=tables.quantiles(claim),
+        bounds=Markup(bounds_figure(claim, prefix=f"{prefix}bounds-")),
+        margins=Markup(margins_figure(claim, prefix=f"{prefix}margins-")),
+    )
+
+
+def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> CounterexampleView:
+    if run is None or len(run.trace.ticks) == 0:
+        return CounterexampleView(
+            one=one,
+            run=None,
+            views=(),
+            timeline=Markup(""),
+            replay=Markup(""),
+            first_s=0.0,
+            last_s=0.0,
+            from_s=0.0,
+            moment="",
+        )
+    prefix = f"counterexample-{one.number}-"
+    views = path_views(run, prefix=prefix)
+    first_s, last_s = seconds(run.trace)
+    moment = shown_moment(run)
+    return CounterexampleView(
+        one=one,
+        run=run,
+        views=tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close)),
+        timeline=Markup(timeline(run, prefix=f"{prefix}time-")),
+        replay=Markup(replay_json(run)),
+        first_s=first_s,
+        last_s=last_s,
+        from_s=start_s(run),
+        moment="" if moment is None else f"{moment.time_s:.3f}",
+    )
+
+
+def leaves(element: Element) -> list[Element]:
+    """Every element of an argument that nothing supports."""
+    return [element] if not element.below else [leaf for one in element.below for leaf in leaves(one)]
+
+
+def _coverage_map(evidence: Evidence) -> Markup:
+    if not evidence.coverage.cells:
+        return Markup("")
+    cells, violating = cells_of(evidence.coverage)
+    return Markup(
+        coverage_map(
+            cells, violating, prefix="coverage-map-", title="Coverage of the domain by the declared runs"
+        )
+    )

@@ -1,0 +1,126 @@
+"""What the 3-D replay of a run needs, as JSON: the arm's frames and capsules, and columns of the trace.
+
+The viewer turns the joints itself, so that arm, hands and distances are those of the trace; columns are
+32-bit floats in base64.  Long runs are thinned evenly, with every worst moment and every decision kept; the
+viewer goes straight from one kept tick to the next.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.path_views import shown_moment
+from safety_harness.report.svg import plain
+from safety_harness.report.words import MODE_WORDS
+from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.description import load_arm
+from safety_harness.settings import Object
+from safety_harness.simulation.truth import cell_capsules
+from safety_harness.trace.trace import Trace
+
+MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
+LITTLE_ENDIAN = "<f4"
+
+
+def replay_json(run: JudgedRun) -> str:
+    """The replay of a run with at least one tick, safe to stand within a ``script`` element."""
+    trace = run.trace
+    settings = trace.scenario.settings
+    arm = load_arm(trace.scenario.robot.arm_name)
+    capsules = cell_capsules(load_capsules(arm.name), settings)
+    kept = kept_ticks(run)
+    ticks = trace.ticks[kept]
+    hands = len(trace.scenario.hands)
+    predicted = np.where(ticks["track_valid"][:, :, None], ticks["predicted_hand_in_base_m"], np.nan)
+    used = int(np.max(np.flatnonzero(ticks["track_valid"].any(axis=0)) + 1, initial=0))
+    found: dict[str, Any] = {
+        "joint_origins": [_rows(origin) for origin in arm.joint_origins],
+        "joint_axes": arm.joint_axes.tolist(),
+        "flange": _rows(arm.flange),
+        "capsules": [
+            {"link": int(link), "start": _rounded(start), "end": _rounded(end), "radius_m": float(radius)}
+            for link, start, end, radius in zip(
+                capsules.link_index,
+                capsules.start_in_link,
+                capsules.end_in_link,
+                capsules.radius_m,
+                strict=True,
+            )
+        ],
+        "hands": [plain(hand.name, longest=40) for hand in trace.scenario.hands],
+        "hand_radius_m": settings.hand.radius_m,
+        "forearm_radius_m": settings.hand.forearm_radius_m,
+        "forearm_length_m": settings.hand.forearm_length_m,
+        "critical_distance_m": settings.avoidance.critical_distance_m,
+        "table_height_m": settings.cell.table_height_m,
+        "desired_tcp_in_base_m": list(settings.cell.desired_tcp_position_in_base_m),
+        "object_in_base_m": _object(settings.object),
+        "tracks": used,
+        "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()},
+        "decisions": [_decision(decision) for decision in trace.decisions],
+        "columns": {
+            "time_s": _column(ticks["time_s"]),
+            "joint_position_rad": _column(ticks["joint_position_rad"]),
+            "tcp_in_base_m": _column(ticks["transform_tcp_to_base"][:, :3, 3]),
+            "hand_in_base_m": _column(ticks["hand_position_in_base_m"][:, :hands]),
+            "elbow_in_base_m": _column(ticks["elbow_position_in_base_m"][:, :hands]),
+            "hand_distance_m": _column(ticks["hand_distance_m"][:, :hands]),
+            "nearest_capsule": _column(ticks["hand_distance_capsule"][:, :hands]),
+            "predicted_in_base_m": _column(predicted[:, :used]),
+            "mode": _column(ticks["mode"]),
+        },
+    }
+    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
+    """Which ticks the replay shows."""
+    count = len(run.trace.ticks)
+    step = -(-count // MOST_TICKS)
+    worst = [e.worst_time_s for e in run.evaluations if e.worst_time_s is not None]
+    at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst]
+    decided = run.trace.decisions["tick"].tolist()[:MOST_TICKS]
+    kept = {*range(0, count, step), count - 1, *at_worst, *decided}
+    return np.array(sorted(kept), np.int64)
+
+
+def start_s(run: JudgedRun) -> float:
+    """Where the replay stands at first: a little before the moment that matters."""
+    moment = shown_moment(run)
+    return float(run.trace.time_s[0]) if moment is None else moment.time_s
+
+
+def _object(shape: Object) -> list[list[float]]:
+    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
+    corners = np.zeros((len(shape.polygon_m), 3))
+    corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
+    return [_rounded(corner) for corner in corners + shape.position_in_base_m]
+
+
+def _decision(decision: np.void) -> dict[str, Any]:
+    chosen = decision["chosen_position_in_base_m"]
+    finite = bool(np.all(np.isfinite(chosen)))
+    return {"time_s": float(decision["time_s"]), "chosen_in_base_m": _rounded(chosen) if finite else None}
+
+
+def _column(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, LITTLE_ENDIAN).tobytes()).decode()
+
+
+def _rows(matrix: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), 9) for value in matrix.ravel()]
+
+
+def _rounded(vector: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), 5) for value in vector]
+
+
+def seconds(trace: Trace) -> tuple[float, float]:
+    """The first and the last time of a trace."""
+    return float(trace.time_s[0]), float(trace.time_s[-1])

@@ -1,0 +1,225 @@
+"""From a ledger to the results of a report: claims with their bounds, strata with their counts.
+
+Every bound holds with 1 - (1 - confidence) / m alone, m the number of claims times strata.  A verdict can be
+wrong in one way only, for a target is either met in truth, or not: so all verdicts are right together with
+the plan's confidence, *shown* by upper bounds and *refuted* by lower ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from safety_harness.admission.claims import property_of
+from safety_harness.campaign.episodes import random_episodes
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan, PlannedClaim
+from safety_harness.certification.evidence import Bound, ClaimEvidence, Outcome, Quantile, Stratum
+from safety_harness.certification.standards import entry_of, traced
+from safety_harness.certification.verdicts import overall, standing_of
+from safety_harness.exceptions import StatisticsError
+from safety_harness.statistics.binomial import Sides, bounds_of
+from safety_harness.statistics.distances import tolerance_bound
+from safety_harness.statistics.planning import Aim, refuse_if_impossible
+from safety_harness.statistics.sample import Floats, IndependentSample
+from safety_harness.statistics.sample import Outcome as Code
+
+CONTENTS = (0.9, 0.99, 0.999)
+MOST_POINTS = 240  # of a curve
+
+
+def refuse_hopeless(plan: Plan) -> None:
+    """InputError, with the number of runs that would do, for a target that the plan's runs cannot show."""
+    for claim in plan.claims:
+        for stratum in plan.strata:
+            if claim.target is not None:
+                aim = Aim(
+                    target=claim.target,
+                    confidence=plan.confidence,
+                    family=bounds(plan),
+                    stop_early=plan.stop_early,
+                )
+                refuse_if_impossible(aim, stratum.runs, place=claim.claim.place)
+
+
+def bounds(plan: Plan) -> int:
+    """How many upper bounds the plan asks for."""
+    return len(plan.claims) * len(plan.strata)
+
+
+def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
+    """Every claim of the plan, with what the ledger says of it now."""
+    samples = {
+        (claim.sentence, stratum.name): _sample(ledger, stratum.name, claim.sentence)
+        for claim in plan.claims
+        for stratum in plan.strata
+    }
+    known = [sample for sample in samples.values() if sample is not None]
+    bounded = dict(zip(map(id, known), _bounds(known, plan), strict=True))
+    return tuple(
+        _claim(plan, ledger, number, claim, [samples[claim.sentence, s.name] for s in plan.strata], bounded)
+        for number, claim in enumerate(plan.claims, start=1)
+    )
+
+
+def _sample(ledger: Ledger, stratum: str, claim: str) -> IndependentSample | None:
+    """None while episodes are missing."""
+    try:
+        return ledger.sample(stratum, claim)
+    except StatisticsError:
+        return None
+
+
+def _bounds(samples: Sequence[IndependentSample], plan: Plan) -> list[Bound | None]:
+    """Each end at 1 - (1 - confidence) / m, even where samples are missing yet; None without a trial."""
+    if not samples:
+        return []
+    chance = (1.0 - plan.confidence) / bounds(plan)
+    family = 2 * len(samples)  # of which bounds_of takes a chance for each end
+    joint = max(1.0 - chance * family, 1e-12)
+    return [
+        Bound(lower=one.low, upper=one.high, confidence=1.0 - chance, method=one.method.value)
+        if one.trials
+        else None
+        for one in bounds_of(samples, joint, Sides.BOTH)
+    ]
+
+
+def _claim(
+    plan: Plan,
+    ledger: Ledger,
+    number: int,
+    claim: PlannedClaim,
+    samples: Sequence[IndependentSample | None],
+    bounded: dict[int, Bound | None],
+) -> ClaimEvidence:
+    entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
+    prop = property_of(claim.claim, plan.strata[0].space.simplest)
+    outcomes = tuple(
+        _outcome(plan, ledger, place, number - 1, sample, bounded.get(id(sample)))
+        for place, sample in enumerate(samples)
+    )
+    standing, why = overall(outcomes)
+    return ClaimEvidence(
+        number=number,
+        sentence=claim.sentence,
+        target=claim.target,
+        hazard=claim.hazard or tracing.hazard,
+        hazard_is_authors=bool(claim.hazard),
+        terms=tracing.terms,
+        rationale=_sentence(entry.rationale if entry else f"A formula of its author's: {prop.sentence}"),
+        exercised_when="" if entry is None else entry.exercised,
+        unit=prop.unit.symbol,
+        per_si=prop.unit.per_si,
+        standing=standing,
+        why=why,
+        outcomes=outcomes,
+    )
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:].rstrip(".") + "."
+
+
+def _outcome(
+    plan: Plan, ledger: Ledger, place: int, claim: int, sample: IndependentSample | None, bound: Bound | None
+) -> Outcome:
+    stratum = plan.strata[place]
+    _, codes, margins = ledger.outcomes(place, claim)
+    if sample is not None:
+        codes, margins = sample.outcomes, sample.margins
+    counts = {code: int(np.count_nonzero(codes == code)) for code in Code}
+    without = counts[Code.INCONCLUSIVE] + counts[Code.FAILED]
+    standing, why = standing_of(
+        target=plan.claims[claim].target,
+        bound=bound,
+        runs=len(codes),
+        planned=stratum.runs,
+        tested=len(codes) - counts[Code.UNTESTED],
+        violated=counts[Code.VIOLATED],
+        without_verdict=without,
+        may_stop_early=sample is not None,
+        model_only=plan.world.value != "PyBullet",
+    )
+    sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
+    shown, shares = _curve(np.sort(margins[sure]), without)
+    return Outcome(
+        stratum=stratum.name,
+        planned=stratum.runs,
+        runs=len(codes),
+        holds=counts[Code.HOLDS],
+        violated=counts[Code.VIOLATED],
+        inconclusive=counts[Code.INCONCLUSIVE],
+        failed=counts[Code.FAILED],
+        untested=counts[Code.UNTESTED],
+        bound=bound,
+        standing=standing,
+        why=why,
+        least_margin_si=float(margins[sure].min()) if sure.any() else None,
+        margins_si=shown,
+        shares=shares,
+        quantiles=() if sample is None or bound is None else _quantiles(sample, bound.confidence),
+    )
+
+
+def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Margins that ascend, and the share of runs with none larger; without a verdict is the least of all."""
+    n = len(margins)
+    if n == 0:
+        return (), ()
+    few = np.arange(min(n, MOST_POINTS // 2))
+    rest = np.geomspace(max(len(few), 1), n, MOST_POINTS // 2).astype(np.int64) - 1
+    kept = np.unique(np.concatenate([few, rest, [n - 1]]))
+    shares = (kept + 1 + without) / (n + without)
+    return tuple(margins[kept].tolist()), tuple(shares.tolist())
+
+
+def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, ...]:
+    if sample.declaration.stop_early:
+        return ()
+    found = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
+    return tuple(
+        Quantile(share=one.content, at_least_si=one.at_least) for one in found if np.isfinite(one.at_least)
+    )
+
+
+_SUMS = (
+    "SELECT count(*), coalesce(sum(draws - 1), 0), coalesce(sum(proposed), 0), coalesce(sum(opposite), 0), "
+    "coalesce(sum(stopped), 0), coalesce(sum(faults), 0), coalesce(sum(failure IS NOT NULL), 0) "
+    "FROM episode WHERE stratum = ?"
+)
+
+
+def strata_of(plan: Plan, ledger: Ledger) -> tuple[Stratum, ...]:
+    """The operational domain as it was run."""
+    hashes = {file.name: file.sha256 for file in ledger.files}
+    return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
+
+
+def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> Stratum:
+    stratum = plan.strata[place]
+    ((made, again, proposed, opposite, stopped, faults, failed),) = ledger.all(_SUMS, place)
+    stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
+    random = random_episodes(plan, place) & stored.keys()
+    file = stratum.space.file
+    name = "" if file is None else next((one for one in hashes if one.endswith(f"/{file.name}")), file.name)
+    decisions = (
+        ("proposed positions", int(proposed)),
+        ("opposite poses", int(opposite)),
+        ("protective stops", int(stopped)),
+        ("decision faults", int(faults)),
+    )
+    return Stratum(
+        name=stratum.name,
+        space=name or stratum.space.name,
+        about=stratum.space.name.replace("-", " "),
+        space_sha256=hashes.get(name, ""),
+        planned=stratum.runs,
+        made=int(made),
+        failed=int(failed),
+        refused_draws=int(again),
+        decisions=tuple((what, many) for what, many in decisions if many),
+        random_traces=len(random),
+        violation_traces=sum(stored.values()),
+    )

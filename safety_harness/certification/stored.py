@@ -1,0 +1,163 @@
+"""The traces that a ledger keeps, and what they say besides the plan's claims."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.admission.trial import judge
+from safety_harness.campaign.episodes import random_episodes
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.evidence import Calibration, SeparationCase, SeparationTerm
+from safety_harness.certification.system import model_of
+from safety_harness.certification.tools import CellCount, Coverage
+from safety_harness.exceptions import TraceError
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.spread_calibration import Intervals, SpreadCalibration
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.search.coverage import Cell
+from safety_harness.search.coverage import Coverage as Cells
+from safety_harness.trace.store import load_trace
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """A trace of a declared run; ``random``: kept whatever came of it."""
+
+    stratum: int
+    episode: int
+    random: bool
+    trace: Trace
+
+
+def stored_traces(plan: Plan, ledger: Ledger) -> Iterator[Stored]:
+    """One after another; TraceError for one that cannot be read."""
+    random = [random_episodes(plan, stratum) for stratum in range(len(plan.strata))]
+    for stratum, episode, _ in ledger.traces():
+        data = ledger.trace(stratum, episode)
+        if data is not None:
+            yield Stored(stratum, episode, episode in random[stratum], trace_from(data))
+
+
+def trace_from(data: bytes) -> Trace:
+    """The trace in these bytes, as ``load_trace`` reads it."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        file = Path(folder) / "stored.trace"
+        file.write_bytes(data)
+        return load_trace(file)
+
+
+def judged_run(trace: Trace, command: str = "", file: Path | None = None) -> JudgedRun:
+    """Judged again by its scenario's claims."""
+    return JudgedRun(trace=trace, evaluations=judge(trace), replay_command=command, trace_file=file)
+
+
+def separation_of(plan: Plan, stored: Sequence[Stored]) -> tuple[SeparationCase, ...]:
+    """In each stratum the random run whose pair has least to spare, for a person who walks."""
+    prop, found = ProtectiveSeparation(), []
+    for place, stratum in enumerate(plan.strata):
+        worst = [
+            (case.margin_m, one.episode, case, one.trace)
+            for one in stored
+            if one.stratum == place and one.random and one.trace.scenario.hands and len(one.trace.ticks)
+            if (case := prop.worst(one.trace)) is not None
+        ]
+        if not worst:
+            continue
+        _, episode, case, trace = min(worst, key=lambda item: item[:2])
+        found.append(
+            SeparationCase(
+                stratum=stratum.name,
+                run=f"run {episode}",
+                time_s=float(trace.time_s[case.tick]),
+                distance_m=case.distance_m,
+                required_m=case.required_m,
+                hand_speed_mps=case.hand_speed_mps,
+                robot_speed_mps=case.robot_speed_mps,
+                terms=tuple(
+                    SeparationTerm(symbol=term.symbol, length_m=term.length_m, meaning=term.assumption)
+                    for term in case.terms
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def calibration_of(plan: Plan, stored: Sequence[Stored]) -> tuple[Calibration, ...]:
+    """How often the avoider's intervals held, by stratum."""
+    found = []
+    for place, stratum in enumerate(plan.strata):
+        model = model_of(plan.with_avoider(stratum.space.simplest))
+        prop = SpreadCalibration(intervals=None if model is None else Intervals.of(model))
+        evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place and one.random)
+        found.append(
+            Calibration(
+                stratum=stratum.name,
+                sentence=evaluation.sentence,
+                decided=evaluation.verdict.value,
+                why=evaluation.reason,
+                decisions=evaluation.exercised,
+            )
+        )
+    return tuple(found)
+
+
+_CELLS = (
+    "SELECT c.words, count(*), sum(EXISTS (SELECT 1 FROM judgement j WHERE j.stratum = e.stratum AND "
+    "j.episode = e.episode AND j.outcome = 1)) "
+    "FROM episode e JOIN cell c ON c.id = e.cell GROUP BY c.words ORDER BY c.words"
+)
+
+
+def coverage_of(ledger: Ledger) -> Coverage:
+    """Of all runs of the plan; a run is in one cell."""
+    rows = [(words.split(", "), int(runs), int(bad)) for words, runs, bad in ledger.all(_CELLS)]
+    cells = tuple(
+        CellCount(
+            direction=words[0],
+            speed=words[1],
+            distance=words[2],
+            seen=words[3],
+            outcome=words[4],
+            runs=runs,
+            violating=bad,
+        )
+        for words, runs, bad in rows
+        if len(words) == 5
+    )
+    ((every,),) = ledger.all("SELECT count(*) FROM episode")
+    runs = sum(cell.runs for cell in cells)
+    return Coverage(
+        runs=runs,
+        without_hand=int(every) - runs,
+        cells=cells,
+        about=f"All declared runs: {runs} of {every} had a hand and fall into {len(cells)} of 1,536 cells, "
+        "by the direction of the approach, the hand's speed, the least distance, whether hand and TCP were "
+        "where the training data are, and the outcome of the gravest decision. "
+        "Many cells cannot be reached by any run.",
+    )
+
+
+def cells_of(coverage: Coverage) -> tuple[Cells, dict[Cell, int]]:
+    """As the coverage map draws them: all runs, and those that violate a claim."""
+    found, violating = Cells(without=coverage.without_hand), {}
+    for one in coverage.cells:
+        cell = Cell(one.direction, one.speed, one.distance, one.seen, one.outcome)
+        found.counts[cell] += one.runs
+        if one.violating:
+            violating[cell] = one.violating
+    return found, violating
+
+
+def readable(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
+    """All stored traces, and what is wrong with those that cannot be read."""
+    found: list[Stored] = []
+    try:
+        found.extend(stored_traces(plan, ledger))
+    except TraceError as error:
+        return found, [f"a stored trace cannot be read: {error.got}"]
+    return found, []

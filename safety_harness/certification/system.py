@@ -1,0 +1,115 @@
+"""The system under test in words: the avoider with its card, the gate, the settings, the robot, hashes."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from safety_harness.admission.avoiders import avoider_sha256
+from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.evidence import System
+from safety_harness.report.words import changed_settings, setting_words
+from safety_harness.robot.description import urdf_file
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import MODEL_SUFFIX
+from safety_harness.settings import Settings
+
+
+def system_of(plan: Plan) -> System:
+    """What the plan's strata have in common is taken from each one's simplest scenario."""
+    scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
+    first = scenarios[0]
+    avoiders = list(dict.fromkeys(scenario.avoider for scenario in scenarios))
+    robots = list(dict.fromkeys(scenario.robot.value for scenario in scenarios))
+    model = model_of(first)
+    changed = dict.fromkeys(row for scenario in scenarios for row in changed_settings(scenario.settings))
+    return System(
+        avoider=" and ".join(avoiders),
+        avoider_sha256=avoider_sha256(first) if len(avoiders) == 1 else "",
+        robot=" and ".join(robots),
+        robot_sha256=hashlib.sha256(urdf_file(first.robot.arm_name).read_bytes()).hexdigest(),
+        card=() if model is None else tuple(card_of(model)),
+        limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
+        gate=tuple(_gate(first.settings, model)),
+        settings=tuple(_settings("", first.settings)),
+        changed=tuple(changed),
+    )
+
+
+def model_of(scenario: Scenario) -> Model | None:
+    """The network of a scenario's avoider; None for one that is no file of this package's format."""
+    if scenario.avoider in SHIPPED:
+        return load_model(shipped_model(scenario.avoider))
+    if scenario.avoider.endswith(MODEL_SUFFIX):
+        folder = scenario.file.parent if scenario.file else Path()
+        return load_model((folder / Path(scenario.avoider).expanduser()).resolve())
+    return None
+
+
+def card_of(model: Model) -> Iterator[tuple[str, str]]:
+    """What the model's own file says of it."""
+    yield "Network", f"regression ResNet, {model.members} member(s), dropout {model.dropout.value}"
+    if model.passes > 1:
+        yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
+    for title, key in (("Made by", "command"), ("Training data", "data"), ("Recipe", "recipe")):
+        if key in model.card:
+            yield title, _plain(model.card[key])
+    for title, key in (("Software", "software"), ("Seed", "seed"), ("Metrics", "metrics")):
+        if key in model.card:
+            yield title, _plain(model.card[key])
+    seen = model.seen
+    yield "Seen hands", f"{_corner(seen.hand_low_m)} to {_corner(seen.hand_high_m)} mm in the base frame"
+    yield "Seen TCPs", f"{_corner(seen.tcp_low_m)} to {_corner(seen.tcp_high_m)} mm in the base frame"
+    if model.calibration is not None:
+        known = model.calibration
+        residual = " / ".join(f"{value * 1e3:.1f}" for value in known.residual_std_m)
+        yield (
+            "Calibration",
+            f"{known.samples} held-out samples: intervals of {known.interval_multiplier:.3f} times the "
+            f"spread and the residual {residual} mm together",
+        )
+
+
+def _corner(point_m: tuple[float, ...]) -> str:
+    return "(" + ", ".join(f"{value * 1e3:.0f}" for value in point_m) + ")"
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(name).replace('_', ' ')} {_plain(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _gate(settings: Settings, model: Model | None) -> Iterator[tuple[str, str]]:
+    avoidance = settings.avoidance
+    yield (
+        "Asks",
+        f"{avoidance.gate.value}: "
+        + (
+            "certain, reachable with margin, away from every hand, clear of table and robot, in time"
+            if avoidance.gate.value == "full"
+            else "finite, reachable, above the table"
+        ),
+    )
+    if model is not None and model.calibration is not None and model.calibration.spread_threshold_m > 0.0:
+        yield "Largest spread", f"{model.calibration.spread_threshold_m * 1e3:.2f} mm"
+    yield "Otherwise", "the opposite pose under the same checks, and else a protective stop"
+    for name in ("critical_distance_m", "decision_deadline_s", "table_clearance_m", "restart_delay_s"):
+        label = name.rpartition("_")[0].replace("_", " ").capitalize()
+        yield label, setting_words(name, getattr(avoidance, name))
+
+
+def _settings(prefix: str, part: Any) -> Iterator[tuple[str, str]]:
+    for item in fields(part):
+        value = getattr(part, item.name)
+        if is_dataclass(value):
+            yield from _settings(f"{prefix}{item.name}.", value)
+        else:
+            yield f"{prefix}{item.name}", setting_words(item.name, value)

@@ -1,0 +1,361 @@
+"""The tables of the evidence report, as cells of text: one macro of the page draws them all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safety_harness.certification.argument import STATE
+from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome, Standing
+from safety_harness.certification.tools import Rerun
+from safety_harness.certification.verdicts import percent
+from safety_harness.report.words import count_words, with_minus
+from safety_harness.search.coverage import AXES
+
+DASH = "\u2013"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict."""
+
+    text: str
+    sort: str = ""
+    number: bool = False
+    state: str = ""
+    href: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """``head`` names the columns; the first cell of each row names the row."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+
+def words(text: str, *, href: str = "", note: str = "") -> Cell:
+    """A cell of words."""
+    return Cell(text=text, href=href, note=note)
+
+
+def number(text: str, sort: float | None = None) -> Cell:
+    """A cell of a number, sorted by ``sort``."""
+    return Cell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
+
+
+def count(value: int) -> Cell:
+    """A cell of a whole number."""
+    return number(f"{value:,}".replace(",", "\u202f"), value)
+
+
+def standing(value: Standing) -> Cell:
+    """A cell of a claim's standing."""
+    return Cell(text=value.value, state=STATE[value])
+
+
+def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
+    """A margin with its sign, in the claim's unit."""
+    if margin_si is None:
+        return DASH
+    shown = margin_si * claim.per_si
+    digits = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
+    return with_minus(f"{digits} {claim.unit}".rstrip())
+
+
+def verdicts(evidence: Evidence) -> Table:
+    """The first page: every claim with its verdict, bound and how often it was exercised."""
+    return Table(
+        caption="One row for each claim over all strata of the plan: the largest upper bound, and the counts "
+        "of all strata together; each in full under the claim.",
+        head=(
+            "Claim",
+            "Verdict",
+            "May be violated in up to",
+            "Target",
+            "Put to the test",
+            "Without verdict",
+            "Why",
+        ),
+        rows=tuple(_verdict_row(claim) for claim in evidence.claims),
+    )
+
+
+def _verdict_row(claim: ClaimEvidence) -> tuple[Cell, ...]:
+    uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
+    upper = max(uppers) if uppers and len(uppers) == len(claim.outcomes) else None
+    runs = sum(outcome.runs for outcome in claim.outcomes)
+    tested = sum(outcome.tested for outcome in claim.outcomes)
+    without = sum(outcome.inconclusive + outcome.failed for outcome in claim.outcomes)
+    return (
+        words(claim.sentence, href=f"claim-{claim.number}"),
+        standing(claim.standing),
+        number("not bounded" if upper is None else percent(upper), upper),
+        number(DASH if claim.target is None else percent(claim.target), claim.target),
+        number(f"{tested} of {runs} runs", tested),
+        count(without),
+        words(claim.why),
+    )
+
+
+def outcomes(claim: ClaimEvidence) -> Table:
+    """One claim by stratum."""
+    return Table(
+        caption="Trials are the runs that put the claim to the test. The upper bound counts runs without a "
+        "verdict and runs that could not be carried on as violations, the lower bound counts none of them.",
+        head=(
+            "Stratum",
+            "Verdict",
+            "Runs",
+            "Trials",
+            "Violated",
+            "No verdict",
+            "Could not run",
+            "Untested",
+            "Bounds",
+            "Least margin",
+        ),
+        rows=tuple(
+            (
+                words(outcome.stratum),
+                standing(outcome.standing),
+                count(outcome.runs),
+                count(outcome.tested),
+                count(outcome.violated),
+                count(outcome.inconclusive),
+                count(outcome.failed),
+                count(outcome.untested),
+                _bounds(outcome),
+                number(margin_words(outcome.least_margin_si, claim), outcome.least_margin_si),
+            )
+            for outcome in claim.outcomes
+        ),
+    )
+
+
+def _bounds(outcome: Outcome) -> Cell:
+    if outcome.bound is None:
+        return number("none")
+    return number(f"{percent(outcome.bound.lower)} to {percent(outcome.bound.upper)}", outcome.bound.upper)
+
+
+def quantiles(claim: ClaimEvidence) -> Table | None:
+    """How much at least most runs keep; None where no stratum has any."""
+    rows = tuple(
+        (
+            words(outcome.stratum),
+            number(percent(quantile.share), quantile.share),
+            number(margin_words(quantile.at_least_si, claim), quantile.at_least_si),
+        )
+        for outcome in claim.outcomes
+        for quantile in outcome.quantiles
+    )
+    if not rows:
+        return None
+    return Table(
+        caption="With the confidence of one bound at least this share of the runs with a margin keeps at "
+        "least this margin (order statistics, whatever the distribution).",
+        head=("Stratum", "Share of runs", "Margin of at least"),
+        rows=rows,
+    )
+
+
+def hazards(evidence: Evidence) -> Table:
+    """What each claim is about, in the terms of the standards."""
+    return Table(
+        caption="Terms of the standards, so that an assessor finds the way; no statement of conformity. The "
+        "performance level that ISO 13849-1 would ask of a safety function is claimed for none of them.",
+        head=("Claim", "Hazard", "Traced to", "Performance level"),
+        rows=tuple(
+            (
+                words(claim.sentence, href=f"claim-{claim.number}"),
+                words(claim.hazard, note="in the plan's own words" if claim.hazard_is_authors else ""),
+                words("; ".join(f"{term.standard}: {term.term}" for term in claim.terms) or "nothing"),
+                words("none claimed"),
+            )
+            for claim in evidence.claims
+        ),
+    )
+
+
+def strata(evidence: Evidence) -> Table:
+    """The operational domain, part by part."""
+    return Table(
+        caption="Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
+        "out of reach, ...) are drawn again and counted.",
+        head=(
+            "Stratum",
+            "Space",
+            "Runs made",
+            "Planned",
+            "Could not run",
+            "Draws refused",
+            "Decisions",
+            "Stored traces",
+        ),
+        rows=tuple(
+            (
+                words(stratum.name, note=stratum.about),
+                words(stratum.space, note=f"sha256 {stratum.space_sha256[:12]}\u2026"),
+                count(stratum.made),
+                count(stratum.planned),
+                count(stratum.failed),
+                count(stratum.refused_draws),
+                words(
+                    ", ".join(f"{how_many} {what}" for what, how_many in stratum.decisions) or "none recorded"
+                ),
+                words(f"{stratum.random_traces} at random, {stratum.violation_traces} of violations"),
+            )
+            for stratum in evidence.strata
+        ),
+    )
+
+
+def separation(evidence: Evidence) -> Table:
+    """The cases of the figure, number by number."""
+    return Table(
+        caption="The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
+        "its terms; the margin is the distance less S_p.",
+        head=("Stratum", "Run", "At", "Distance", "S_p", "Margin", "Human", "Robot", "Terms"),
+        rows=tuple(
+            (
+                words(case.stratum),
+                words(case.run),
+                number(f"{case.time_s:.3f} s", case.time_s),
+                _mm(case.distance_m),
+                _mm(case.required_m),
+                _mm(case.distance_m - case.required_m),
+                number(f"{case.hand_speed_mps:.2f} m/s", case.hand_speed_mps),
+                number(f"{case.robot_speed_mps:.2f} m/s", case.robot_speed_mps),
+                words(", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in case.terms)),
+            )
+            for case in evidence.separation
+        ),
+    )
+
+
+def _mm(length_m: float) -> Cell:
+    return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)
+
+
+def calibration(evidence: Evidence) -> Table:
+    """How often the avoider's intervals held what they promise, by stratum."""
+    return Table(
+        caption="The first answered decision of each declared random run whose trace is stored; a verdict "
+        "takes a hundred of them.",
+        head=("Stratum", "Verdict", "Decisions", "Claim", "Why"),
+        rows=tuple(
+            (
+                words(one.stratum),
+                Cell(text=one.decided, state=one.decided),
+                count(one.decisions),
+                words(one.sentence),
+                words(one.why),
+            )
+            for one in evidence.calibration
+        ),
+    )
+
+
+def coverage(evidence: Evidence) -> tuple[Table, ...]:
+    """Runs for each word of each axis of the coverage map, none left out."""
+    tables = []
+    for axis, known in AXES.items():
+        counts = dict.fromkeys(known, 0)
+        for cell in evidence.coverage.cells:
+            counts[getattr(cell, axis)] = counts.get(getattr(cell, axis), 0) + cell.runs
+        rows = tuple((words(word), count(runs)) for word, runs in counts.items())
+        tables.append(Table(caption=f"By {axis}", head=(axis.capitalize(), "Runs"), rows=rows))
+    return tuple(tables)
+
+
+def counterexamples(evidence: Evidence) -> Table:
+    """All of them, with where they came from."""
+    return Table(
+        caption="Those of the declared runs are part of the bounds; those of the search are not, for it "
+        "looks where violations are.",
+        head=("No.", "Violates", "Margin", "Met by", "Like it", "Files"),
+        rows=tuple(
+            (
+                words(str(one.number), href=f"counterexample-{one.number}"),
+                words(one.sentence),
+                words(one.margin),
+                words(one.origin),
+                count(one.like_it),
+                words(", ".join(file for file in (one.scenario_file, one.trace_file) if file)),
+            )
+            for one in evidence.counterexamples
+        ),
+    )
+
+
+def agreement(evidence: Evidence) -> Table | None:
+    """The largest differences between the two worlds."""
+    known = evidence.credibility.agreement
+    if known is None:
+        return None
+    present = "this very source" if known.present else f"another source, {known.source_hash}"
+    return Table(
+        caption=f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
+        f"{count_words(known.disagreements, 'verdict', 'verdicts')} of {known.verdicts} differ, "
+        f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
+        "violated).",
+        head=("What", "Largest difference"),
+        rows=tuple((words(what), number(largest)) for what, largest in known.differences),
+    )
+
+
+def rerun(known: Rerun) -> Table:
+    """What changes when declared random runs are made again with something else."""
+    return Table(
+        caption=f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
+        f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
+        f"{known.optimistic} of them from holds to violated.",
+        head=("Claim", "Largest change of the margin"),
+        rows=tuple((words(sentence), number(largest)) for sentence, largest in known.largest),
+    )
+
+
+def oracles(evidence: Evidence) -> Table | None:
+    """What was checked against software that we did not write."""
+    rows = evidence.credibility.oracles
+    if not rows:
+        return None
+    return Table(
+        caption="Parts checked against software that is not ours, with the largest disagreement seen "
+        f"({evidence.credibility.oracles_measured_with}).",
+        head=("Part", "Against", "Largest disagreement"),
+        rows=tuple((words(row.part), words(row.against), words(row.largest)) for row in rows),
+    )
+
+
+def kills(evidence: Evidence) -> Table | None:
+    """Every seeded fault and what caught it."""
+    test = evidence.selftest
+    if test is None:
+        return None
+    return Table(
+        caption=f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
+        "caught.",
+        head=("Fault", "Part", "Hazard", "Caught by", "Smallest caught"),
+        rows=tuple(
+            (
+                words(fault.name),
+                words(fault.part),
+                words(fault.hazard),
+                Cell(text=fault.caught_by) if fault.caught_by else Cell(text="survived", state="violated"),
+                words(fault.smallest or DASH, note=fault.known_limit),
+            )
+            for fault in test.faults
+        ),
+    )
+
+
+def files(evidence: Evidence) -> Table:
+    """Everything in the folder, with its hash."""
+    return Table(
+        caption="Files of the report's folder beside this page; safety-harness verify checks them.",
+        head=("File", "Bytes", "sha256"),
+        rows=tuple((words(file.path), count(file.bytes), words(file.sha256)) for file in evidence.files),
+    )

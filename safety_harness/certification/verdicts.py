@@ -1,0 +1,78 @@
+"""The word on a claim, from what is bounded and what is not.  Green is for one case only.
+
+For each stratum: *refuted* if even the lower bound is above the target; *shown* if the upper bound is at or
+below it.  Runs without a verdict, or that could not be carried on, count as violations in the upper bound,
+and a claim that has any is *shown with doubt* at best; so is one whose runs were made in the kinematic world
+only.  The claim gets the gravest of its strata.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from safety_harness.certification.evidence import GRAVITY, Bound, Outcome, Standing
+
+
+def standing_of(
+    *,
+    target: float | None,
+    bound: Bound | None,
+    runs: int,
+    planned: int,
+    tested: int,
+    violated: int,
+    without_verdict: int,
+    may_stop_early: bool,
+    model_only: bool,
+) -> tuple[Standing, str]:
+    """The standing of one claim in one stratum, and why in a sentence."""
+    if runs < planned and not may_stop_early:
+        return Standing.INCOMPLETE, f"{runs} of {planned} declared runs were made, so there is no bound yet"
+    if tested == 0:
+        return Standing.UNTESTED, f"none of {runs} runs put it to the test"
+    if bound is None:
+        return Standing.INCOMPLETE, "there is no bound"
+    counted = f"{violated} of {tested} tested runs violate it"
+    if without_verdict:
+        counted += f", {without_verdict} had no verdict"
+    if target is None:
+        return Standing.ESTIMATED, f"{counted}; the plan sets no target"
+    limit = percent(target)
+    if bound.lower > target:
+        return Standing.REFUTED, f"{counted}: more often than {limit} beyond doubt"
+    if bound.upper > target:
+        return (
+            Standing.NOT_SHOWN,
+            f"{counted}: it may be up to {percent(bound.upper)} of them, and {limit} was the target",
+        )
+    if without_verdict:
+        return Standing.DOUBTED, f"{counted}; they count as violations, and the target is still met"
+    if model_only:
+        return Standing.DOUBTED, f"{counted}: model only, the kinematic world"
+    return Standing.SHOWN, f"{counted}: at most {percent(bound.upper)} of them do, and {limit} was the target"
+
+
+def gravest(standings: Iterable[Standing]) -> Standing:
+    """The one that a reader has to know first; UNTESTED of nothing at all."""
+    return min(standings, key=GRAVITY.index, default=Standing.UNTESTED)
+
+
+def overall(outcomes: Sequence[Outcome]) -> tuple[Standing, str]:
+    """A claim's standing over its strata, and why: the gravest stratum's own reason."""
+    standing = gravest(outcome.standing for outcome in outcomes)
+    if not outcomes:
+        return standing, "the plan has no stratum"
+    worst = [outcome for outcome in outcomes if outcome.standing is standing]
+    worst.sort(key=lambda outcome: -outcome.bound.upper if outcome.bound else 0.0)
+    where = "" if len(outcomes) == 1 else f"{worst[0].stratum}: "
+    others = len(worst) - 1
+    more = f" ({others} more {'stratum' if others == 1 else 'strata'} likewise)" if others else ""
+    return standing, f"{where}{worst[0].why}{more}"
+
+
+def percent(share: float) -> str:
+    """A probability in per cent with two or three significant digits, and never 0 % of something."""
+    shown = 100.0 * share
+    if shown == 0.0 or shown >= 99.95:
+        return f"{shown:.4g} %"
+    return f"{shown:.3g} %" if shown >= 0.01 else f"{shown:.2g} %"

@@ -1,0 +1,154 @@
+"""What is said of a campaign: while it runs, and of its ledger afterwards."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from safety_harness.campaign.declared import Declared
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.runner import Progress
+from safety_harness.campaign.tally import Tally
+from safety_harness.cli.console import say
+from safety_harness.properties.base import Unit
+from safety_harness.statistics.binomial import bounds_of
+from safety_harness.statistics.paired import Comparison
+from safety_harness.statistics.sample import Outcome
+
+_EVERY_S = 30.0  # where there is no terminal
+
+
+def margin_text(unit: Unit, margin: float | None) -> str:
+    """A margin in the unit that people read; a dash for none."""
+    if margin is None or math.isnan(margin):
+        return "-"
+    shown = margin * unit.per_si
+    return (
+        f"{shown:+.1f} {unit.symbol}".rstrip()
+        if abs(shown) >= 1.0
+        else f"{shown:+.3g} {unit.symbol}".rstrip()
+    )
+
+
+def summary(declared: Declared, tally: Tally) -> str:
+    """How many episodes of each stratum are done."""
+    parts = []
+    for name, stratum in zip(declared.strata, tally.strata, strict=True):
+        words = f"{name} {stratum.done}/{stratum.planned}"
+        if stratum.stopped_after is not None:
+            words += f" (decided after {stratum.stopped_after})"
+        if stratum.failed:
+            words += f", {stratum.failed} FAILED TO RUN"
+        parts.append(words)
+    return f"episodes {tally.done}/{tally.planned} in {declared.world}: " + "; ".join(parts)
+
+
+def claim_lines(declared: Declared, tally: Tally) -> list[str]:
+    """Of each claim over all strata the worst margin, and how often it was violated, tested, ..."""
+    return _lines(declared.claims, declared.units, tally)
+
+
+def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Tally) -> list[str]:
+    lines = []
+    for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
+        one = tally.of_claim(k)
+        counts = one.counts
+        tested = sum(counts.values()) - counts[Outcome.UNTESTED]
+        words = f"violated in {counts[Outcome.VIOLATED]} of {tested} tested"
+        others = ((Outcome.UNTESTED, "not put to the test"), (Outcome.INCONCLUSIVE, "inconclusive"))
+        words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
+        lines.append(f"  {margin_text(unit, one.worst):>14}  {claim}: {words}")
+    return lines
+
+
+def bound_lines(ledger: Ledger) -> list[str]:
+    """Upper bounds of the chance of a violation, all of them together at the plan's confidence."""
+    declared = ledger.declared
+    pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
+    bounds = bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence)
+    targets = dict(zip(declared.claims, declared.targets, strict=True))
+    lines = [f"violated in at most (all together at {declared.confidence:g}):"]
+    for one in bounds:
+        target = targets[one.claim]
+        asked = (
+            "" if target is None else f", asked {target:.4g}: {'shown' if one.shows(target) else 'NOT shown'}"
+        )
+        model = ", model only" if one.model_only else ""
+        known = f"{rounded_up(one.high)} of runs that test it ({one.trials} did{asked}{model})"
+        lines.append(
+            f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
+        )
+    return lines
+
+
+def rounded_up(share: float) -> str:
+    """A bound with three digits, none of which makes it look better than it is."""
+    if not 0.0 < share < 1.0:
+        return f"{share:g}"
+    digit = 10.0 ** (math.floor(math.log10(share)) - 2)
+    return f"{min(math.ceil(share / digit - 1e-9) * digit, 1.0):.3g}"
+
+
+def difference_line(one: Comparison, confidence: float) -> str:
+    """One claim in one stratum: second campaign minus first."""
+    how = f"from {one.low:+.3%} to {one.high:+.3%}, all together at {confidence:g}; p {one.p_value:.3g}"
+    counts = (
+        f"both {one.both}, only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
+    )
+    model = ", model only" if one.model_only else ""
+    return (
+        f"{one.stratum}: {one.claim}: violated {one.seen:+.3%} more often ({how}); of {one.episodes}: "
+        f"{counts}{model}"
+    )
+
+
+@dataclass
+class CampaignProgress:
+    """Told of the progress: a display that changes on a terminal, a line now and then elsewhere."""
+
+    plan: Plan
+    _live: Live | None = None
+    _said_s: float = -math.inf
+
+    @contextmanager
+    def running(self) -> Iterator[CampaignProgress]:
+        """While the campaign lasts."""
+        console = Console(stderr=True)
+        if not console.is_terminal:
+            yield self
+            return
+        with Live(console=console, refresh_per_second=4, transient=True) as self._live:
+            yield self
+        self._live = None
+
+    def show(self, progress: Progress) -> None:
+        """Rate, time left, worst margins, violations."""
+        head = (
+            f"{progress.tally.done}/{progress.tally.planned} episodes, {progress.rate:.1f} a second, "
+            f"{_time_left(progress.left_s)}"
+        )
+        if progress.retried or progress.replaced:
+            head += f"; {progress.replaced} workers replaced, {progress.retried} episodes tried again"
+        claims = tuple(claim.sentence for claim in self.plan.claims)
+        lines = [head, *_lines(claims, tuple(claim.unit for claim in self.plan.claims), progress.tally)]
+        if self._live is not None:
+            self._live.update(Text("\n".join(lines)))
+        elif time.monotonic() - self._said_s > _EVERY_S:
+            self._said_s = time.monotonic()
+            say(head)
+
+
+def _time_left(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return "time left unknown"
+    if seconds < 90.0:
+        return f"{seconds:.0f} s left"
+    return f"{seconds / 60.0:.0f} min left" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h left"

@@ -1,0 +1,172 @@
+"""``safety-harness certify`` and ``verify``: a plan's evidence as a report, and whether a report stands."""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.session import LEDGER, carry_on, processes
+from safety_harness.certification.argument import STATE
+from safety_harness.certification.counterexamples import SEARCH, slug
+from safety_harness.certification.evidence import Evidence, Standing
+from safety_harness.certification.folder import PAGE, PDF, write_folder, write_manifest
+from safety_harness.certification.gather import Trials, gather
+from safety_harness.certification.pdf import browser, write_pdf
+from safety_harness.certification.results import refuse_hopeless
+from safety_harness.certification.selftest_file import read_selftest
+from safety_harness.certification.verify import verify as verify_report
+from safety_harness.cli.campaign_lines import CampaignProgress
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    explain,
+    one_more_ctrl_c,
+    result,
+    say,
+)
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.fuzz_page import FINDINGS
+from safety_harness.exceptions import InputError, SafetyHarnessError
+
+
+def certify(
+    file: Path,
+    *,
+    out: Path | None = None,
+    pdf: bool = False,
+    workers: int | None = None,
+    selftest: Path | None = None,
+) -> int:
+    """Run or resume the plan, search, write the report; returns the exit code."""
+    try:
+        plan = read_plan(file)
+        refuse_hopeless(plan)
+        if pdf:
+            browser()
+        trials = Trials(selftest=None if selftest is None else read_selftest(selftest))
+        job = _Job(plan, out or Path("reports") / plan.name, trials, _command(file, out, pdf, selftest))
+        return job.run(workers, pdf)
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except SafetyHarnessError as error:
+        explain(error)
+        return DIFFERS
+    except KeyboardInterrupt:
+        say("interrupted: every finished run is kept, and the same command goes on from there")
+        return INTERRUPTED
+
+
+def _command(file: Path, out: Path | None, pdf: bool, selftest: Path | None) -> str:
+    words = ["safety-harness", "certify", str(file)]
+    words += ["--out", str(out)] if out else []
+    words += ["--selftest", str(selftest)] if selftest else []
+    return shlex.join(words + (["--pdf"] if pdf else []))
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    """One plan and the folder that its report goes to."""
+
+    plan: Plan
+    folder: Path
+    trials: Trials
+    command: str
+
+    def run(self, workers: int | None, pdf: bool) -> int:
+        """All of it; what is there already is not made again."""
+        complete = self._campaign(workers)
+        if complete:
+            self._search()
+        with Ledger.open(self.folder / LEDGER) as ledger:
+            evidence, runs = gather(self.plan, ledger, self.folder, command=self.command, trials=self.trials)
+            evidence = write_folder(self.folder, evidence, runs, ledger)
+        if pdf:
+            write_pdf(self.folder / PAGE, self.folder / PDF)
+        write_manifest(self.folder)
+        _tell(evidence, self.folder)
+        if not complete:
+            say("interrupted: the report says what is missing; the same command goes on from there")
+            return INTERRUPTED
+        return AS_EXPECTED if evidence.standing is Standing.SHOWN else DIFFERS
+
+    def _campaign(self, workers: int | None) -> bool:
+        progress = CampaignProgress(self.plan)
+        remark = "what is under way is finished and kept; Ctrl-C again drops it"
+        with one_more_ctrl_c(remark) as interrupted, progress.running():
+            return carry_on(
+                self.plan,
+                self.folder / LEDGER,
+                processes(workers),
+                on_progress=progress.show,
+                enough=interrupted,
+            )
+
+    def _search(self) -> None:
+        """The plan's search, shared among its strata, with standard output kept for the verdicts."""
+        share = self.plan.search_runs // len(self.plan.strata)
+        for stratum in self.plan.strata if share else ():
+            out = self.folder / SEARCH / slug(stratum.name)
+            if (out / FINDINGS).is_file() or stratum.space.file is None:
+                continue
+            say(f"searching {stratum.name} for counterexamples, {share} runs")
+            simplest = self.plan.with_avoider(stratum.space.simplest)
+            with contextlib.redirect_stdout(sys.stderr):
+                code = fuzz(
+                    stratum.space.file,
+                    out=out,
+                    avoider=None if self.plan.avoider is None else _named(self.plan, simplest.avoider),
+                    budget=share,
+                    seed=self.plan.seed,
+                    claims=[claim.sentence for claim in self.plan.claims],
+                )
+            if code == INTERRUPTED:
+                raise KeyboardInterrupt
+
+
+def _named(plan: Plan, reference: str) -> str:
+    """The plan's avoider as the working directory sees it."""
+    own = plan.avoider or reference
+    path = plan.file.parent / own.partition(":")[0]
+    return str(plan.file.parent / own) if path.is_file() else own
+
+
+def _tell(evidence: Evidence, folder: Path) -> None:
+    """A line a claim, then where the report is."""
+    for claim in evidence.claims:
+        mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
+        result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
+    result(f"{folder / PAGE}")
+
+
+def verify(folder: Path, *, runs: int, seed: int | None, execute_avoider: bool) -> int:
+    """Does the report stand?  Returns the exit code."""
+    seed = secrets.randbelow(2**31) if seed is None else seed
+    stands = True
+    try:
+        for check in verify_report(
+            folder, runs=runs, seed=seed, execute_avoider=execute_avoider, on_progress=say
+        ):
+            stands = stands and check.stands
+            result(f"{'ok  ' if check.stands else 'DIFF'} {check.looked_at}")
+            for line in (*check.faults, *check.notes):
+                result(f"     {line}")
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    except SafetyHarnessError as error:
+        explain(error)
+        return DIFFERS
+    except KeyboardInterrupt:
+        say("interrupted: what was not checked yet is not known to stand")
+        return INTERRUPTED
+    result("the report stands" if stands else "the report does not stand")
+    return AS_EXPECTED if stands else DIFFERS

@@ -1,0 +1,217 @@
+"""The coverage of a set of runs as a picture: a square for each of the 1,536 cells, the larger the more runs.
+
+Rows are directions by speeds, columns distances by what was seen by outcomes.  A cell with violations has
+another colour and a frame; nothing is told by colour alone.  A pure function of counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import product
+from xml.etree import ElementTree
+
+from safety_harness.report.palette import Ink
+from safety_harness.search.coverage import AXES, DIRECTIONS, DISTANCES, OUTCOMES, SEEN, SPEEDS, Cell, Coverage
+
+CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 76, 54, 118
+GAPS_PX = {"direction": 7, "distance": 10, "seen": 3}  # before each group but the first
+SIZES_PX = (3, 5, 7, 9, 11)  # of squares, by decades
+CLASSES = ("1", "2 to 9", "10 to 99", "100 to 999", "1,000 and more")
+LETTERS = dict(zip(OUTCOMES, ("n", "p", "o", "s"), strict=True))
+NOTHING: Mapping[Cell, int] = {}
+
+
+def size_class(count: int) -> int:
+    """Which of CLASSES a number of runs (at least 1) is in."""
+    return 0 if count == 1 else min(len(str(count)), len(CLASSES) - 1)
+
+
+def coverage_map(
+    coverage: Coverage, violations: Mapping[Cell, int] = NOTHING, *, prefix: str, title: str
+) -> str:
+    """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
+    x, y = _columns(), _rows()
+    width, height = max(x.values()) + CELL_PX + RIGHT_PX, max(y.values()) + CELL_PX + BELOW_PX
+    root = ElementTree.Element(
+        "svg",
+        {
+            "viewBox": f"0 0 {width} {height}",
+            "width": str(width),
+            "height": str(height),
+            "role": "img",
+            "aria-labelledby": f"{prefix}title {prefix}desc",
+            "font-size": "11",
+        },
+    )
+    ElementTree.SubElement(root, "title", {"id": f"{prefix}title"}).text = title
+    ElementTree.SubElement(root, "desc", {"id": f"{prefix}desc"}).text = _description(coverage, violations)
+    _draw_empty(root, coverage, x, y)
+    for cell, count in sorted(coverage.counts.items()):
+        if count > 0:
+            where = (x[cell.distance, cell.seen, cell.outcome], y[cell.direction, cell.speed])
+            _draw_cell(root, cell, count, violations.get(cell, 0), where)
+    _name_rows(root, coverage, y, width)
+    _name_columns(root, coverage, x, max(y.values()) + CELL_PX)
+    _draw_key(root, height - BELOW_PX + 66)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _columns() -> dict[tuple[str, str, str], int]:
+    """The left edge of each column [px]."""
+    found, left = {}, LEFT_PX
+    for distance, seen in product(DISTANCES, SEEN):
+        if seen != SEEN[0]:
+            left += GAPS_PX["seen"]
+        elif distance != DISTANCES[0]:
+            left += GAPS_PX["distance"]
+        for outcome in OUTCOMES:
+            found[distance, seen, outcome] = left
+            left += CELL_PX
+    return found
+
+
+def _rows() -> dict[tuple[str, str], int]:
+    """The upper edge of each row [px]."""
+    found, top = {}, TOP_PX
+    for direction in DIRECTIONS:
+        top += GAPS_PX["direction"] if direction != DIRECTIONS[0] else 0
+        for speed in SPEEDS:
+            found[direction, speed] = top
+            top += CELL_PX
+    return found
+
+
+def _draw_empty(
+    root: ElementTree.Element,
+    coverage: Coverage,
+    x: Mapping[tuple[str, str, str], int],
+    y: Mapping[tuple[str, str], int],
+) -> None:
+    """A dot for every cell without a run, all in one path."""
+    middle = CELL_PX // 2
+    dots = [
+        f"M{x[cell.distance, cell.seen, cell.outcome] + middle} {y[cell.direction, cell.speed] + middle}h0"
+        for cell in coverage.holes
+    ]
+    attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
+    ElementTree.SubElement(root, "path", {"d": "".join(dots), "fill": "none", **attributes})
+
+
+def _draw_cell(
+    parent: ElementTree.Element, cell: Cell, count: int, violated: int, where: tuple[int, int]
+) -> None:
+    group = ElementTree.SubElement(parent, "g")
+    words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
+    ElementTree.SubElement(group, "title").text = words
+    _draw_square(group, SIZES_PX[size_class(count)], where, violated=bool(violated))
+
+
+def _draw_square(
+    parent: ElementTree.Element, size_px: int, where: tuple[int, int], *, violated: bool
+) -> None:
+    """A square in the middle of a cell, with the cell's frame if something was violated there."""
+    ink = _colour(Ink.LIMIT if violated else Ink.TCP)
+    size_px = min(size_px, CELL_PX - 5) if violated else size_px
+    inset = (CELL_PX - size_px) / 2
+    attributes = {"x": f"{where[0] + inset:g}", "y": f"{where[1] + inset:g}", "fill": ink}
+    ElementTree.SubElement(parent, "rect", {**attributes, "width": str(size_px), "height": str(size_px)})
+    if violated:
+        side = str(CELL_PX - 2)
+        frame = {"x": str(where[0] + 1), "y": str(where[1] + 1), "width": side, "height": side}
+        ElementTree.SubElement(
+            parent, "rect", {**frame, "fill": "none", "stroke": ink, "stroke-width": "1.2"}
+        )
+
+
+def _name_rows(
+    root: ElementTree.Element, coverage: Coverage, y: Mapping[tuple[str, str], int], width: int
+) -> None:
+    speeds = coverage.table("direction", "speed")
+    for direction, runs in coverage.along("direction").items():
+        top = y[direction, SPEEDS[0]]
+        _text(root, 0, top + 20, direction, weight="600", size=12.5)
+        _text(root, 0, top + 34, _runs(runs), ink=Ink.MUTED)
+        for speed in SPEEDS:
+            _text(root, LEFT_PX - 8, y[direction, speed] + 10, speed, anchor="end", ink=Ink.MUTED, size=10)
+            if speeds[direction][speed]:
+                total = f"{speeds[direction][speed]:,}"
+                _text(root, width, y[direction, speed] + 10, total, anchor="end", ink=Ink.MUTED, size=10)
+
+
+def _name_columns(
+    root: ElementTree.Element, coverage: Coverage, x: Mapping[tuple[str, str, str], int], bottom: int
+) -> None:
+    for distance, runs in coverage.along("distance").items():
+        left = x[distance, SEEN[0], OUTCOMES[0]]
+        _text(root, left, 14, distance, weight="600", size=12.5)
+        right = x[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
+        _text(root, right, 14, _runs(runs), anchor="end", ink=Ink.MUTED)
+        for seen in SEEN:
+            for line, word in enumerate(seen.split()):
+                _text(root, x[distance, seen, OUTCOMES[0]], 34 + 12 * line, word, ink=Ink.MUTED, size=10)
+            for outcome in OUTCOMES:
+                middle = x[distance, seen, outcome] + CELL_PX / 2
+                letter = LETTERS[outcome]
+                _text(root, middle, TOP_PX - 10, letter, anchor="middle", ink=Ink.MUTED, size=10)
+    for column, total in _column_totals(coverage):
+        if total:
+            at = f"rotate(-90 {x[column] + 10} {bottom + 8})"
+            _text(
+                root, x[column] + 10, bottom + 8, f"{total:,}", anchor="end", ink=Ink.MUTED, size=10, turn=at
+            )
+
+
+def _column_totals(coverage: Coverage) -> Iterator[tuple[tuple[str, str, str], int]]:
+    for column in product(DISTANCES, SEEN, OUTCOMES):
+        cells = (Cell(direction, speed, *column) for direction, speed in product(DIRECTIONS, SPEEDS))
+        yield column, sum(coverage.counts[cell] for cell in cells)
+
+
+def _draw_key(root: ElementTree.Element, top: int) -> None:
+    _text(root, 0, top + 10, "Runs in a cell:", ink=Ink.MUTED)
+    left = LEFT_PX
+    for size_px, words in zip(SIZES_PX, CLASSES, strict=True):
+        _draw_square(root, size_px, (left, top), violated=False)
+        _text(root, left + 17, top + 10, words)
+        left += 36 + 7 * len(words)
+    _draw_square(root, 7, (left + 10, top), violated=True)
+    _text(root, left + 27, top + 10, "violations among them")
+    letters = ",  ".join(f"{letter} {outcome}" for outcome, letter in LETTERS.items())
+    _text(root, 0, top + 34, "Gravest decision:", ink=Ink.MUTED)
+    _text(root, LEFT_PX, top + 34, letters)
+
+
+def _text(
+    parent: ElementTree.Element,
+    x: float,
+    y: float,
+    words: str,
+    *,
+    anchor: str = "start",
+    ink: Ink = Ink.TEXT,
+    size: float = 11,
+    weight: str = "",
+    turn: str = "",
+) -> None:
+    attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
+    optional = {"text-anchor": anchor if anchor != "start" else "", "font-weight": weight, "transform": turn}
+    attributes |= {name: value for name, value in optional.items() if value}
+    ElementTree.SubElement(parent, "text", attributes).text = words
+
+
+def _runs(count: int) -> str:
+    return f"{count:,} {'run' if count == 1 else 'runs'}"
+
+
+def _colour(ink: Ink) -> str:
+    return f"var({ink.variable})"
+
+
+def _description(coverage: Coverage, violations: Mapping[Cell, int]) -> str:
+    """For those who cannot see it: totals by axis."""
+    parts = [str(coverage).split("\n")[0]]
+    for axis in AXES:
+        parts.append(f"{axis}: " + ", ".join(f"{word} {runs}" for word, runs in coverage.along(axis).items()))
+    if violations:
+        parts.append(f"{len(violations)} cells have violations")
+    return ". ".join(parts) + "."

@@ -1,0 +1,26 @@
+for (const table of document.querySelectorAll("table[data-copy]")) {
+  const button = document.createElement("button");
+  button.type = "button";
+  button.className = "copy-button copy-table";
+  button.textContent = "Copy table";
+  table.before(button);
+  button.addEventListener("click", async () => {
+    const cells = (row) => [...row.cells].map((cell) => (cell.querySelector(".cell") ?? cell).textContent.trim().replace(/\s+/g, " "));
+    const text = [...table.rows].map((row) => cells(row).join("\t")).join("\n");
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "Copied";
+    } catch {
+      getSelection().selectAllChildren(table);
+      button.textContent = "Selected";
+    }
+    button.dataset.copied = text;
+    setTimeout(() => { button.textContent = "Copy table"; }, 2000);
+  });
+}
+const unfold = () => {
+  const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  for (let part = target; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
+};
+addEventListener("hashchange", unfold);
+unfold();

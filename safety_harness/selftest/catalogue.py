@@ -1,0 +1,21 @@
+"""Every seeded fault, and the changes that are declared harmless."""
+
+from __future__ import annotations
+
+from safety_harness.selftest.avoider_faults import AVOIDER_FAULTS
+from safety_harness.selftest.gate_faults import GATE_FAULTS
+from safety_harness.selftest.harmless import HARMLESS
+from safety_harness.selftest.motion_faults import MOTION_FAULTS
+from safety_harness.selftest.perception_faults import PERCEPTION_FAULTS
+from safety_harness.selftest.servoing_faults import SERVOING_FAULTS
+from safety_harness.selftest.timing_faults import TIMING_FAULTS
+
+FAULTS = (
+    *AVOIDER_FAULTS,
+    *GATE_FAULTS,
+    *PERCEPTION_FAULTS,
+    *SERVOING_FAULTS,
+    *MOTION_FAULTS,
+    *TIMING_FAULTS,
+)
+EVERY = (*FAULTS, *HARMLESS)

@@ -1,0 +1,69 @@
+"""The outcome of a self-test as JSON: for the certification page and other programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from safety_harness.report.text_file import write_whole
+from safety_harness.selftest.outcome import Outcome, tally_of
+
+FORMAT = "safety-harness selftest 1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class About:
+    """How it came about.  ``planned`` faults, of which an interruption may leave some untried."""
+
+    profile: str
+    avoider: str | None
+    scenarios: str
+    episodes: int
+    pool: int
+    planned: int
+    seconds: float
+    command: str
+    package_version: str
+    source_hash: str
+    platform: str
+    generated_at: datetime
+    remarks: tuple[str, ...] = ()
+    interrupted: bool = False
+
+
+def document(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
+    """Plain JSON; a magnitude that is not finite is null, its words are there."""
+    tally = tally_of(outcomes)
+    return {
+        "format": FORMAT,
+        "about": asdict(about) | {"generated_at": about.generated_at.isoformat()},
+        "tally": asdict(tally) | {"kill_rate": tally.kill_rate},
+        "faults": [_outcome(one) for one in outcomes],
+    }
+
+
+def write_document(path: Path, outcomes: Sequence[Outcome], about: About) -> None:
+    """Whole or not at all.  Raises OSError."""
+    text = json.dumps(document(outcomes, about), indent=1, allow_nan=False, ensure_ascii=False)
+    write_whole(path, text + "\n")
+
+
+def _outcome(one: Outcome) -> dict[str, Any]:
+    plain = asdict(one)
+    for rung in plain["rungs"]:
+        if abs(rung["magnitude"]) == float("inf"):
+            rung["magnitude"] = None
+    alarm, smallest, survivor = one.alarm, one.smallest, one.survivor
+    return plain | {
+        "state": one.state.value,
+        "caught_by": alarm.claim if alarm else None,
+        "scenario": alarm.scenario if alarm else None,
+        "after_episodes": smallest.episodes if smallest else None,
+        "slightest_caught": smallest.words if smallest else None,
+        "survives": survivor.words if survivor else None,
+        "confirmed_in_pybullet": one.confirmed,
+    }

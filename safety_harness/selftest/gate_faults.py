@@ -1,0 +1,319 @@
+"""What can be wrong with the gate between avoider and arm.
+
+A gate's mistake shows only where it has something to keep back, so most are tried with an avoider that errs
+in one way; the sound gate is tried with the same one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.asking import Answer
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.avoidance.gate import Gate, Query, Ruling
+from safety_harness.controller.controller import AvoidingServo
+from safety_harness.selftest.avoider_faults import Spoilt, turned
+from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part
+from safety_harness.selftest.system import System
+from safety_harness.trace.records import Check, Mode, Outcome
+
+SURE_BELOW_M = 0.02  # the threshold of the avoiders below
+
+
+@dataclass(frozen=True, eq=False)
+class Erring:
+    """An avoider that always proposes the same displacement (``aside``: away from the hand, plus that)."""
+
+    by_m: tuple[float, float, float]
+    towards_hand_m: float = 0.0
+    spread_m: float = 0.0
+    spread_threshold_m: float | None = None
+    name: str = "erring"
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """The same mistake every time."""
+        way = hand_position_in_base_m - tcp_position_in_base_m
+        towards = self.towards_hand_m / np.linalg.norm(way) * way
+        return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
+
+
+def with_an(name: str, avoider: Erring) -> Circumstance:
+    """An avoider that errs in one way, for the sound gate as well."""
+    return Circumstance(
+        f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider, timed=False)
+    )
+
+
+IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))
+TO_THE_HAND = with_an("heads for the hand", Erring((0.0, 0.0, 0.0), 0.1))
+TO_THE_TABLE = with_an("heads for the table", Erring((0.0, 0.0, -0.7)))
+TOO_FAR = with_an("proposes positions too far away", Erring((0.0, 2.0, 0.0)))
+ACROSS = with_an("proposes the other side of the arm", Erring((-1.4, 0.0, 0.0)))
+CERTAIN = with_an("is certain", Erring((0.0, 0.05, 0.08), 0.0, 0.01, SURE_BELOW_M))
+
+
+def _nan(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+    return Proposal(np.full(3, np.nan))
+
+
+NO_NUMBER = Circumstance(
+    "with an avoider that answers NaN",
+    lambda s: s.with_avoider(lambda avoider: Spoilt(avoider, _nan), timed=False),
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LaxThreshold(Gate):
+    """Takes the avoider's threshold times a factor."""
+
+    factor: float
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """The ruling says the true threshold all the same."""
+        true_m = proposed.spread_threshold_m
+        lax = replace(proposed, spread_threshold_m=self.factor * true_m)
+        return replace(super().rule_on(lax, query), spread_threshold_m=true_m)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Blind(Gate):
+    """Does not look at some of the checks."""
+
+    to: Check
+
+    def check(self, position_in_base_m: Vector, query: Query) -> Check:
+        """What is left of them."""
+        return super().check(position_in_base_m, query) & ~self.to
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OneHandOnly(Gate):
+    """Minds the nearest hand and no other."""
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """As if there were only one."""
+        nearest = query.hand_position_in_base_m[None]
+        return super().rule_on(proposed, replace(query, hands_in_base_m=nearest))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WrongPose(Gate):
+    """Hands over another position than the one that it has checked, turned about the TCP."""
+
+    angle_rad: float
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """The ruling tells what was handed over."""
+        ruling = super().rule_on(proposed, query)
+        tcp = query.tcp_position_in_base_m
+        wrong = tcp + turned(ruling.chosen_position_in_base_m - tcp, self.angle_rad)
+        return replace(ruling, chosen_position_in_base_m=wrong)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PassesNaN(Gate):
+    """Takes no number for a position like any other."""
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """NaN is neither above a threshold nor out of reach."""
+        ruling = super().rule_on(proposed, query)
+        if not ruling.proposed_failed & Check.NOT_FINITE:
+            return ruling
+        chosen = ruling.proposed.position_in_base_m
+        return replace(ruling, outcome=Outcome.PROPOSED, chosen_position_in_base_m=chosen)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Refusing(Gate):
+    """Lets no proposal pass."""
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """The opposite pose, if that can be had."""
+        ruling = super().rule_on(proposed, query)
+        if ruling.outcome is not Outcome.PROPOSED or ruling.opposite_failed:
+            return ruling
+        opposite = ruling.opposite.position_in_base_m
+        return replace(ruling, outcome=Outcome.OPPOSITE, chosen_position_in_base_m=opposite)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GivesUp(Gate):
+    """Stops where it should fall back."""
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """No opposite pose."""
+        ruling = super().rule_on(proposed, query)
+        if ruling.outcome is not Outcome.OPPOSITE:
+            return ruling
+        return replace(ruling, outcome=Outcome.STOP, chosen_position_in_base_m=np.full(3, np.nan))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NeverStops(Gate):
+    """Where nothing can be used it takes the opposite pose nevertheless."""
+
+    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+        """No stop."""
+        ruling = super().rule_on(proposed, query)
+        if ruling.outcome is not Outcome.STOP:
+            return ruling
+        opposite = ruling.opposite.position_in_base_m
+        return replace(ruling, outcome=Outcome.OPPOSITE, chosen_position_in_base_m=opposite)
+
+
+@dataclass(frozen=True, eq=False)
+class Fallback:
+    """A fallback that heads for the hand, in place of the opposite pose."""
+
+    way_m: float
+    radius_m: float = 0.1
+    name: str = "wrong fallback"
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """Towards the hand."""
+        way = hand_position_in_base_m - tcp_position_in_base_m
+        return Proposal(tcp_position_in_base_m + self.way_m / np.linalg.norm(way) * way)
+
+
+class Late:
+    """The gate's refusal counts some cycles late: until then the arm heads for what was refused."""
+
+    def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
+        self._pilot, self._cycles = pilot, int(cycles)
+        self._left = 0
+        self._chosen: Vector = np.full(3, np.nan)
+        self.name = pilot.name
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """As the controller does, but for the position that it heads for."""
+        command = self._pilot.step(observation)
+        state, question = self._pilot.records.state[0], self._pilot.records.question[0]
+        if question["made_now"]:
+            decision = self._pilot.decisions[-1]
+            refused = decision["outcome"] == Outcome.OPPOSITE and np.all(
+                np.isfinite(decision["proposed_position_in_base_m"])
+            )
+            self._left = self._cycles if refused else 0
+            if refused:
+                self._chosen = decision["chosen_position_in_base_m"].copy()
+                state["target_in_base_m"] = decision["proposed_position_in_base_m"]
+        elif self._left > 0:
+            self._left -= 1
+            if self._left == 0 and state["mode"] == Mode.REPULSING:
+                state["target_in_base_m"] = self._chosen
+        return command
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """The controller's own."""
+        self._pilot.report(tick)
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """The controller's own."""
+        return self._pilot.decisions
+
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """The controller's own."""
+        return self._pilot.decision_latencies_s
+
+
+def _blind_to(checks: Check) -> partial[System]:
+    return partial(_with_blind, checks)
+
+
+def _with_blind(checks: Check, system: System, magnitude: float) -> System:
+    return system.with_gate(Blind, to=checks)
+
+
+_gate = partial(Fault, part=Part.GATE)
+
+GATE_FAULTS = (
+    _gate(
+        name="threshold ignored",
+        hazard="the arm goes where the network only guesses",
+        seed_into=lambda s, factor: s.with_gate(LaxThreshold, factor=factor),
+        ladder=Ladder((np.inf, 4.0, 2.0, 1.6), "times the threshold"),
+        circumstance=IN_DOUBT,
+    ),
+    _gate(
+        name="off by some cycles",
+        hazard="the refusal comes late: meanwhile the arm heads for what was refused",
+        seed_into=lambda s, cycles: s.with_pilot(lambda pilot: Late(pilot, cycles)),
+        ladder=Ladder((40.0, 20.0, 10.0, 5.0, 3.0), "cycles"),
+        circumstance=IN_DOUBT,
+    ),
+    _gate(
+        name="wrong pose handed over",
+        hazard="one position is checked and another one is gone to",
+        seed_into=lambda s, angle: s.with_gate(WrongPose, angle_rad=angle),
+        ladder=Ladder((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi),
+    ),
+    _gate(
+        name="checks the end and not the way",
+        hazard="the arm stops half-way, or bumps into itself",
+        seed_into=_blind_to(Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF),
+        circumstance=ACROSS,
+    ),
+    _gate(
+        name="reach not checked",
+        hazard="the arm is stretched to its limits and stops before the hand",
+        seed_into=_blind_to(Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT),
+        circumstance=TOO_FAR,
+    ),
+    _gate(
+        name="table not checked",
+        hazard="what is held is crushed between arm and table",
+        seed_into=_blind_to(Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF),
+        circumstance=TO_THE_TABLE,
+    ),
+    _gate(
+        name="direction not checked",
+        hazard="the arm goes to the hand that it gives way to",
+        seed_into=_blind_to(Check.TOWARDS_A_HAND),
+        circumstance=TO_THE_HAND,
+    ),
+    _gate(
+        name="minds one hand only",
+        hazard="the arm gives way to one hand and goes to the other",
+        seed_into=lambda s, _: s.with_gate(OneHandOnly),
+    ),
+    _gate(
+        name="passes NaN",
+        hazard="no number becomes a position, and then a speed",
+        seed_into=lambda s, _: s.with_gate(PassesNaN),
+        circumstance=NO_NUMBER,
+    ),
+    _gate(
+        name="lets no proposal pass",
+        hazard="the system in use is not the one whose avoider was tested",
+        seed_into=lambda s, _: s.with_gate(Refusing),
+        circumstance=CERTAIN,
+    ),
+    _gate(
+        name="stops where it could fall back",
+        hazard="an arm that stands still before a hand that comes",
+        seed_into=lambda s, _: s.with_gate(GivesUp),
+        circumstance=IN_DOUBT,
+    ),
+    _gate(
+        name="never stops",
+        hazard="the arm heads for where it cannot go",
+        seed_into=lambda s, _: s.with_gate(NeverStops),
+    ),
+    _gate(
+        name="fallback towards the hand",
+        hazard="doubt ends in the worst of all places",
+        seed_into=lambda s, way_m: s.with_gate(Blind, to=Check.TOWARDS_A_HAND, fallback=Fallback(way_m)),
+        ladder=Ladder((0.2, 0.1, 0.03), "mm", 1e3),
+        circumstance=IN_DOUBT,
+    ),
+)

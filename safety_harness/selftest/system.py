@@ -1,0 +1,158 @@
+"""The system under test with everything that can be spoilt in it: avoider, gate, controller, world.
+
+A fault never changes the system's own code: it wraps the avoider, the gate or the world, or edits the
+records that one run's controller and world read.  Every ``with_`` gives another system; the one that it
+is asked of stays sound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.batches import takes_many
+from safety_harness.avoidance.gate import Gate
+from safety_harness.controller.controller import AvoidingServo, Controller
+from safety_harness.controller.cycle import ControllerRecords
+from safety_harness.simulation.kinematic_world import KinematicWorld
+from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.simulate import INTERRUPTED, simulate
+from safety_harness.simulation.world import World
+from safety_harness.trace.trace import Trace
+
+Records = NDArray[np.void]
+Change = Callable[[Records], Records]  # of an observation (1,) or a command (1,), each tick
+MakesChange = Callable[[Admitted], Change]  # afresh for each run, for what remembers
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """An admitted scenario, and what is changed in its controller and its world when it is run.
+
+    ``timed``: decisions are late by the wall's clock; otherwise never by it, as in ``run_many``.
+    """
+
+    admitted: Admitted
+    timed: bool
+    edits: tuple[Callable[[AvoidingServo], None], ...] = ()
+    pilot: Callable[[AvoidingServo], Controller] | None = None
+    worlds: tuple[Callable[[Any], World], ...] = ()
+
+    @classmethod
+    def of(cls, admitted: Admitted) -> System:
+        """The sound one; an avoider that cannot be asked for many at once is timed."""
+        return cls(admitted, timed=not takes_many(admitted.avoider))
+
+    def with_avoider(self, wrap: Callable[[Avoider], Avoider], *, timed: bool | None = None) -> System:
+        """With another avoider, made of this one."""
+        admitted = replace(self.admitted, avoider=wrap(self.admitted.avoider))
+        return replace(self, admitted=admitted, timed=self.timed if timed is None else timed)
+
+    def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> System:
+        """With a gate of another class or with other fields."""
+
+        def edit(pilot: AvoidingServo) -> None:
+            gate = pilot.gate
+            values = {field.name: getattr(gate, field.name) for field in fields(gate)}
+            pilot.gate = cls(**(values | changed))
+
+        return replace(self, edits=(*self.edits, edit))
+
+    def with_records(self, edit: Callable[[ControllerRecords], None]) -> System:
+        """With the parameters or the memory of each run's controller edited before it starts."""
+        return replace(self, edits=(*self.edits, lambda pilot: edit(pilot.records)))
+
+    def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> System:
+        """With a controller around the one that it has."""
+        return replace(self, pilot=wrap)
+
+    def with_world(self, wrap: Callable[[Any], World]) -> System:
+        """With another world around the one that it runs in."""
+        return replace(self, worlds=(*self.worlds, wrap))
+
+    def seeing(self, make: MakesChange) -> System:
+        """With observations changed between the world and the controller."""
+        return self.with_world(lambda world: Between(world, see=make(self.admitted)))
+
+    def obeying(self, make: MakesChange) -> System:
+        """With commands changed between the controller and the world."""
+        return self.with_world(lambda world: Between(world, obey=make(self.admitted)))
+
+    def starting_at(self, joint_position_rad: NDArray[np.float64]) -> System:
+        """With the arm at other joints (6,) at the start."""
+        return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
+
+    def run(self, *, in_pybullet: bool = False) -> Trace:
+        """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
+        admitted = self.admitted
+        scenario = admitted.scenario
+        never_late = () if self.timed else ("",) * (scenario.ticks + 1)
+        pilot = admitted.controller(never_late)
+        for edit in self.edits:
+            edit(pilot)
+        controller: Controller = pilot if self.pilot is None else self.pilot(pilot)
+        with ExitStack() as stack:
+            world: World
+            if in_pybullet:
+                world = stack.enter_context(
+                    PyBulletWorld(scenario, admitted.arm, admitted.joint_position_rad)
+                )
+            else:
+                world = KinematicWorld(scenario, admitted.arm, admitted.joint_position_rad)
+            for wrap in self.worlds:
+                world = wrap(world)
+            with np.errstate(all="ignore"):  # a fault may divide by zero; what comes of it is in the trace
+                trace = simulate(world, controller, scenario)
+        if trace.ended == INTERRUPTED:
+            raise KeyboardInterrupt
+        if self.timed:
+            return trace
+        return replace(trace, decision_latency_s=np.full(len(trace.decisions), np.nan))
+
+
+class Between:
+    """A world whose observations or commands are changed on their way."""
+
+    def __init__(self, world: World, *, see: Change | None = None, obey: Change | None = None) -> None:
+        self.world = world
+        self._see, self._obey = see, obey
+
+    @property
+    def name(self) -> str:
+        """The world's own."""
+        return self.world.name
+
+    @property
+    def time_s(self) -> float:
+        """The world's own."""
+        return self.world.time_s
+
+    @property
+    def acted_faults(self) -> int:
+        """Of the scenario; what is seeded from outside has no bit."""
+        return self.world.acted_faults
+
+    @property
+    def records(self) -> Any:
+        """Of the world within, for those who edit them."""
+        return self.world.records  # type: ignore[attr-defined]
+
+    def true_state(self, tick: Records) -> None:
+        """The truth stays the truth."""
+        self.world.true_state(tick)
+
+    def observe(self) -> Records:
+        """(1,) OBSERVATION, changed if that is what is changed."""
+        observation = self.world.observe()
+        return observation if self._see is None else self._see(observation.copy())
+
+    def step(self, command: Records) -> bool:
+        """The command (1,) COMMAND, changed if that is what is changed."""
+        return self.world.step(command if self._obey is None else self._obey(command.copy()))

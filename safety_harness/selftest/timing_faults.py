@@ -1,0 +1,144 @@
+"""What can be wrong with when things happen."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.controller.cycle import ControllerRecords
+from safety_harness.selftest.avoider_faults import Spoilt, asked
+from safety_harness.selftest.fault import Fault, Ladder, Part
+from safety_harness.selftest.perception_faults import parameters, seen
+from safety_harness.selftest.system import Change, Records, System
+
+
+def _late_commands(delay_s: float, admitted: Admitted) -> Change:
+    """The arm does what it was told some time ago."""
+    cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)
+    waiting: deque[Records] = deque()
+
+    def obey(command: Records) -> Records:
+        waiting.append(command)
+        if len(waiting) <= cycles:
+            return np.zeros_like(command)
+        return waiting.popleft()
+
+    return obey
+
+
+def _missed(pause_s: float, admitted: Admitted) -> Change:
+    """Once a second the controller is not heard: the drives go on with what they had."""
+    period_s = admitted.scenario.settings.clock.control_period_s
+    held: list[Records] = []
+    ticks = 0
+
+    def obey(command: Records) -> Records:
+        nonlocal ticks
+        ticks += 1
+        if (ticks * period_s) % 1.0 >= pause_s or not held:
+            held[:] = [command]
+        return held[0].copy()
+
+    return obey
+
+
+def _late_joints(delay_s: float, admitted: Admitted) -> Change:
+    cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)
+    waiting: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
+
+    def see(observation: Records) -> Records:
+        o = observation[0]
+        waiting.append((o["joint_position_rad"].copy(), o["joint_velocity_radps"].copy()))
+        if len(waiting) > cycles + 1:
+            waiting.popleft()
+        o["joint_position_rad"], o["joint_velocity_radps"] = waiting[0]
+        return observation
+
+    return see
+
+
+def _slow(seconds: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+    time.sleep(seconds)
+    return asked(avoider, hand, tcp, seed)
+
+
+def _slow_avoider(system: System, seconds: float) -> System:
+    return system.with_avoider(lambda avoider: Spoilt(avoider, partial(_slow, seconds)), timed=True)
+
+
+def _stamped_late(admitted: Admitted, by_s: float, observation: Records) -> None:
+    """Frames say that they were taken earlier than they were."""
+    if observation[0]["boxes_new"]:
+        observation[0]["boxes_time_s"] -= by_s
+
+
+def _fast_clock(admitted: Admitted, factor: float, observation: Records) -> None:
+    observation[0]["time_s"] *= factor
+
+
+def _forgetful(records: ControllerRecords, timeout_s: float) -> None:
+    records.filter_parameters["track_timeout_s"] = timeout_s
+
+
+def _restarts(records: ControllerRecords, delay_s: float) -> None:
+    records.parameters["restart_delay_s"] = delay_s
+
+
+_timing = partial(Fault, part=Part.TIMING)
+
+TIMING_FAULTS = (
+    _timing(
+        name="late commands",
+        hazard="the arm does what was right some time ago",
+        seed_into=lambda s, delay_s: s.obeying(partial(_late_commands, delay_s)),
+        ladder=Ladder((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
+    ),
+    _timing(
+        name="missed cycles",
+        hazard="a controller that is not heard for part of every second",
+        seed_into=lambda s, pause_s: s.obeying(partial(_missed, pause_s)),
+        ladder=Ladder((0.9, 0.5, 0.2, 0.05), "ms of a second", 1e3),
+    ),
+    _timing(
+        name="late encoders",
+        hazard="the controller takes the arm to be where it was",
+        seed_into=lambda s, delay_s: s.seeing(partial(_late_joints, delay_s)),
+        ladder=Ladder((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
+    ),
+    _timing(
+        name="slow avoider",
+        hazard="the hand moves on while the network thinks",
+        seed_into=_slow_avoider,
+        ladder=Ladder((0.3, 0.15, 0.11), "ms", 1e3),
+    ),
+    _timing(
+        name="frames stamped too early",
+        hazard="a hand is extrapolated over a time that has not passed",
+        seed_into=seen(_stamped_late),
+        ladder=Ladder((0.5, 0.2, 0.1, 0.05), "ms", 1e3),
+    ),
+    _timing(
+        name="fast clock",
+        hazard="the controller's time runs ahead of the sensor's",
+        seed_into=seen(_fast_clock),
+        ladder=Ladder((2.0, 1.2, 1.05, 1.02), "times"),
+    ),
+    _timing(
+        name="hands forgotten",
+        hazard="a hand that is hidden for a moment is taken to have gone",
+        seed_into=parameters(_forgetful),
+        ladder=Ladder((0.0, 0.05, 0.2), "ms", 1e3),
+    ),
+    _timing(
+        name="restart too soon",
+        hazard="the arm starts while the hand is still on its way out",
+        seed_into=parameters(_restarts),
+        ladder=Ladder((-100.0, 0.0, 0.2), "s after the hand has left"),
+    ),
+)

@@ -1,0 +1,112 @@
+"""Faults tried in several processes; what is finished is there at once, whatever happens to the rest."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from safety_harness.admission.kinematic import slower_because
+from safety_harness.scenario.model import Verdict
+from safety_harness.selftest.catalogue import EVERY
+from safety_harness.selftest.fault import Fault
+from safety_harness.selftest.outcome import Outcome, outcome_of
+from safety_harness.selftest.profile import Profile
+from safety_harness.selftest.suite import Suite
+from safety_harness.selftest.system import System
+from safety_harness.selftest.trial import SAME_TWICE, Rung, Trials, judged
+
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is tried, on what."""
+
+    profile: Profile
+    folder: Path
+    avoider: str | None
+
+    def suite(self) -> Suite:
+        """Read and admitted; InputError for what cannot be."""
+        profile = self.profile
+        return Suite.read(
+            self.folder,
+            first=profile.first,
+            others=profile.others,
+            avoider=self.avoider,
+            draws=profile.draws,
+            pool=profile.pool,
+        )
+
+
+def try_out(trials: Trials, fault: Fault) -> Outcome:
+    """Down the ladder until one survives, what is slighter still is not tried; the last catch in PyBullet.
+
+    A harmless one is tried on the whole suite, and all its alarms are kept.
+    """
+    if not trials.applies(fault):
+        return outcome_of(fault, (), applies=False)
+    if fault.harmless:
+        return outcome_of(fault, (trials.everywhere(fault),))
+    rungs: list[Rung] = []
+    for magnitude in fault.ladder.values:
+        rungs.append(trials.rung(fault, magnitude))
+        if not rungs[-1].caught:
+            break
+    caught = [rung for rung in rungs if rung.caught]
+    if caught:
+        confirmed = trials.confirmed(fault, caught[-1])
+        rungs[len(caught) - 1] = replace(caught[-1], confirmed=confirmed)
+    return outcome_of(fault, rungs)
+
+
+_TRIALS: list[Trials] = []  # of this process
+
+
+def _begin(plan: Plan) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C and ends the others
+    _TRIALS[:] = [Trials(plan.suite())]
+
+
+def _try(number: int) -> Outcome:
+    return try_out(_TRIALS[0], EVERY[number])
+
+
+def outcomes(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+    """The faults of these numbers in EVERY, each when it is finished; one job is done here."""
+    if jobs == 1:
+        trials = Trials(plan.suite())
+        yield from (try_out(trials, EVERY[number]) for number in numbers)
+        return
+    for name in ONE_THREAD:  # before the processes import any library
+        os.environ.setdefault(name, "1")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(plan,)) as pool:
+        running: set[Future[Outcome]] = {pool.submit(_try, number) for number in numbers}
+        try:
+            while running:
+                finished = wait(running, return_when=FIRST_COMPLETED).done
+                running -= finished
+                for future in finished:
+                    yield future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list((pool._processes or {}).values()):
+                process.terminate()
+            raise
+
+
+def sound_remarks(suite: Suite) -> list[str]:
+    """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
+    avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(suite.episodes)))}
+    said = [why for number in avoiders.values() if (why := slower_because(suite.episodes[number].avoider))]
+    for name, number in avoiders.items():
+        wrong = judged(System.of(suite.episodes[number]))[SAME_TWICE]
+        if wrong.verdict is not Verdict.HOLDS:
+            said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")
+    return said

@@ -1,0 +1,1 @@
+"""Statistics: estimates of declared, independent streams of episodes, with bounds of checked coverage."""

@@ -1,0 +1,119 @@
+"""Exact bounds of the probability that a run violates a claim, given that it puts the claim to the test.
+
+Upper bounds count inconclusive and failed runs as violations, lower bounds as none; untested runs are no
+trials, and are counted beside.  A stream of fixed length has Clopper and Pearson's (1934) bounds, one that
+may stop early those of ``sequential``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from safety_harness.exceptions import Place, StatisticsError
+from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.statistics.sample import IndependentSample, Outcome, independent
+from safety_harness.statistics.sequential import anytime_lower, anytime_upper
+
+
+class Sides(Enum):
+    """Which ends are bounds; the value is how many bounds that is."""
+
+    UPPER = 1  # how often at most: what a target asks for.  The lower end is 0, and no statement.
+    BOTH = 2
+
+
+class Method(Enum):
+    """Where a bound comes from."""
+
+    EXACT = "Clopper-Pearson"
+    ANYTIME = "at every time (mixture martingale)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """The violation probability of one claim in one stratum.
+
+    ``low`` and ``high`` both hold with ``confidence`` at least, and with the ``family`` - 1 other bounds of
+    the plan all together with ``joint_confidence``.  ``trials`` are the tested runs; of them ``violations``
+    were seen, ``inconclusive`` and ``failed`` may have been.  ``model_only``: of a simplified world.
+    """
+
+    stratum: str
+    claim: str
+    low: float
+    high: float
+    trials: int
+    violations: int
+    inconclusive: int
+    failed: int
+    untested: int
+    planned: int
+    confidence: float
+    joint_confidence: float
+    family: int
+    sides: Sides
+    method: Method
+    model_only: bool
+
+    @property
+    def share(self) -> float | None:
+        """Violations seen, of the tested runs; None if there is none."""
+        return self.violations / self.trials if self.trials else None
+
+    def shows(self, target: float) -> bool:
+        """Is it shown that ``target`` of the tested runs violate it at most, in the reference world?"""
+        return self.trials > 0 and not self.model_only and self.high <= target
+
+
+def bounds_of(
+    samples: Sequence[IndependentSample], confidence: float, sides: Sides = Sides.UPPER
+) -> tuple[Bounds, ...]:
+    """Bounds that all hold together with ``confidence`` (0 to 1), one for each sample, in their order.
+
+    Bonferroni: of m bounds each may fail with (1 - confidence) / m.  The samples need not be independent
+    of each other.  StatisticsError for no sample or an impossible confidence, TypeError for what is no
+    IndependentSample.
+    """
+    known = [independent(sample) for sample in samples]
+    chance = chance_of_each(confidence, len(known) * sides.value)
+    return tuple(_bounds(sample, chance, confidence, len(known) * sides.value, sides) for sample in known)
+
+
+def violation_bounds(sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER) -> Bounds:
+    """Of one sample alone: for two-sided bounds both ends hold together with ``confidence``."""
+    return bounds_of([sample], confidence, sides)[0]
+
+
+def chance_of_each(confidence: float, family: int) -> float:
+    """With what chance each of ``family`` bounds may fail, for all to hold with ``confidence``."""
+    if not 0.0 < confidence < 1.0:
+        place = Place(field="confidence")
+        raise StatisticsError(place=place, expected="a confidence between 0 and 1", got=f"{confidence:g}")
+    if family < 1:
+        raise StatisticsError(place=Place(field="claims"), expected="at least one sample", got="none")
+    return (1.0 - confidence) / family
+
+
+def _bounds(sample: IndependentSample, chance: float, joint: float, family: int, sides: Sides) -> Bounds:
+    early = sample.declaration.stop_early
+    upper, lower = (anytime_upper, anytime_lower) if early else (upper_bound, lower_bound)
+    return Bounds(
+        stratum=sample.declaration.stratum,
+        claim=sample.claim,
+        low=lower(sample.violations, sample.trials, chance) if sides is Sides.BOTH else 0.0,
+        high=upper(sample.at_worst, sample.trials, chance),
+        trials=sample.trials,
+        violations=sample.violations,
+        inconclusive=sample.count(Outcome.INCONCLUSIVE),
+        failed=sample.count(Outcome.FAILED),
+        untested=sample.count(Outcome.UNTESTED),
+        planned=sample.declaration.planned,
+        confidence=1.0 - chance,
+        joint_confidence=joint,
+        family=family,
+        sides=sides,
+        method=Method.ANYTIME if early else Method.EXACT,
+        model_only=sample.declaration.model_only,
+    )

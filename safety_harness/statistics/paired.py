@@ -1,0 +1,227 @@
+"""Two avoiders on the same episodes: which of them violates a claim more often, and by how much.
+
+Episode k is the same scenario for both (common random numbers), so that what differs is the avoiders'
+doing.  Shares are of all episodes drawn, tested or not: whether a claim is put to the test may hang on the
+avoider.  An inconclusive or failed run may have been a violation or none; every number here holds whichever
+it was.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import bdtr
+
+from safety_harness.exceptions import Place, StatisticsError
+from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.seeds import Branch, generator
+from safety_harness.statistics.binomial import chance_of_each
+from safety_harness.statistics.sample import Floats, IndependentSample, Ints, Outcome, fixed_length
+
+BOOTSTRAP_DRAWS = 2000
+_EQUAL = 1e-12  # relative: what is no difference but rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """First minus second: ``low`` to ``high`` holds the difference in violation probability.
+
+    ``only_first`` and ``only_second`` count episodes that for certain only one of them violates, ``both``
+    those that both do, ``unclear`` those that one of them could not be judged on.  ``p_value`` is of "both
+    violate equally often" (McNemar's exact test).  ``seen`` is the difference over the clear episodes.
+    """
+
+    claim: str
+    stratum: str
+    episodes: int
+    only_first: int
+    only_second: int
+    both: int
+    unclear: int
+    seen: float
+    low: float
+    high: float
+    p_value: float
+    confidence: float
+    model_only: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginComparison:
+    """First minus second, SI, over the ``pairs`` of episodes in which both have a margin.
+
+    ``mean`` lies in an interval that is exact if the differences' ``limit`` was given; otherwise it is the
+    bootstrap's t, whose confidence is approximate, and infinite where too few differences differ.  ``median``
+    lies in one by order statistics, which assumes nothing and is exact.  ``left_out`` episodes lack a margin.
+    """
+
+    pairs: int
+    left_out: int
+    limit: float | None
+    mean: float
+    mean_low: float
+    mean_high: float
+    median: float
+    median_low: float
+    median_high: float
+    confidence: float
+
+
+def compare(first: IndependentSample, second: IndependentSample, confidence: float = 0.95) -> Comparison:
+    """The difference in violation probability, exactly.
+
+    The difference is D = t (2 s - 1): t the probability that only one of the two violates, s that it is the
+    first of them then.  t and s have Clopper and Pearson's intervals with half of the error each, and D is
+    between its extremes over both: its confidence is at least what is said, and usually more.
+    StatisticsError for samples that are not of the same stream and claim.
+    """
+    _check_pair(first, second)
+    chance = chance_of_each(confidence, 4)
+    worst, best = _difference(first, second)
+    n = len(worst)
+    most = _extreme(int(np.sum(worst == 1)), int(np.sum(worst == -1)), n, chance)
+    least = -_extreme(int(np.sum(best == -1)), int(np.sum(best == 1)), n, chance)
+    clear = worst == best
+    violated = [one.outcomes == Outcome.VIOLATED for one in (first, second)]
+    return Comparison(
+        claim=first.claim,
+        stratum=first.declaration.stratum,
+        episodes=n,
+        only_first=int(np.sum(best == 1)),
+        only_second=int(np.sum(worst == -1)),
+        both=int(np.sum(violated[0] & violated[1])),
+        unclear=int(np.sum(~clear)),
+        seen=float(worst[clear].mean()) if clear.any() else math.nan,
+        low=least,
+        high=most,
+        p_value=_mcnemar(worst, best),
+        confidence=confidence,
+        model_only=first.declaration.model_only,
+    )
+
+
+def compare_margins(
+    first: IndependentSample,
+    second: IndependentSample,
+    confidence: float = 0.95,
+    *,
+    limit: float | None = None,
+) -> MarginComparison:
+    """Mean and median of the paired differences of margins.
+
+    ``limit`` (SI), if there is one, says that no difference can be greater or less than minus that: then the
+    mean has the exact interval of Maurer and Pontil (2009).  StatisticsError for fewer than two pairs, or a
+    difference beyond the limit.
+    """
+    _check_pair(first, second)
+    chance = chance_of_each(confidence, 2)
+    both = np.isfinite(first.margins) & np.isfinite(second.margins)
+    differences = np.sort(first.margins[both] - second.margins[both])
+    n = len(differences)
+    if n < 2:
+        place = Place(field="margins")
+        raise StatisticsError(place=place, expected="two episodes with margins of both", got=str(n))
+    if limit is None:
+        low, high = _bootstrap_t(differences, chance, generator(first.declaration.seed, Branch.STATISTICS, 3))
+    else:
+        low, high = _bounded(differences, chance, limit)
+    rank = _median_rank(n, chance)
+    ends = (differences[rank - 1], differences[n - rank]) if rank else (-math.inf, math.inf)
+    return MarginComparison(
+        pairs=n,
+        left_out=len(both) - n,
+        limit=limit,
+        mean=float(differences.mean()),
+        mean_low=low,
+        mean_high=high,
+        median=float(np.median(differences)),
+        median_low=float(ends[0]),
+        median_high=float(ends[1]),
+        confidence=confidence,
+    )
+
+
+def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
+    for one in (first, second):
+        fixed_length(one)
+    a, b = first.declaration, second.declaration
+    for field, mine, other in (
+        ("claim", first.claim, second.claim),
+        ("stratum", a.stratum, b.stratum),
+        ("seed", a.seed, b.seed),
+        ("runs", a.planned, b.planned),
+        ("world", a.world, b.world),
+    ):
+        if mine != other:
+            raise StatisticsError(
+                place=Place(field=field),
+                expected="two samples of the same episodes",
+                got=f"{mine!r} and {other!r}",
+                hint="only runs of the same stream can be compared in pairs",
+            )
+
+
+def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
+    """First minus second (n,), at its most and at its least: -1, 0 or 1 each."""
+    sure = [(one.outcomes == Outcome.VIOLATED).astype(np.int64) for one in (first, second)]
+    unknown = (Outcome.INCONCLUSIVE, Outcome.FAILED)
+    perhaps = [(own | np.isin(one.outcomes, unknown)) for own, one in zip(sure, (first, second), strict=True)]
+    return perhaps[0] - sure[1], sure[0] - perhaps[1]
+
+
+def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
+    """The upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n."""
+    discordant = more + fewer
+    lean = 2.0 * (upper_bound(more, discordant, chance) if discordant else 1.0) - 1.0
+    share = upper_bound if lean > 0.0 else lower_bound
+    return lean * share(discordant, n, chance)
+
+
+def _mcnemar(worst: Ints, best: Ints) -> float:
+    """Two-sided, with unclear episodes as they speak least for a difference."""
+    more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # at the least for the first
+    if more <= fewer:
+        fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))
+        if more <= fewer:
+            return 1.0
+    return min(1.0, 2.0 * float(bdtr(fewer, more + fewer, 0.5)))
+
+
+def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, float]:
+    """The empirical Bernstein bound: sqrt(2 V l / n) + 7 R l / 3 (n - 1) with l = log(2 / a), R the range."""
+    n, logarithm = len(differences), math.log(2.0 / chance)
+    largest = float(np.abs(differences).max())
+    if not largest <= limit:
+        got = f"{largest:g}"
+        raise StatisticsError(
+            place=Place(field="limit"), expected=f"differences of at most {limit:g}", got=got
+        )
+    variance = float(differences.var(ddof=1))
+    half = math.sqrt(2.0 * variance * logarithm / n) + 14.0 * limit * logarithm / (3.0 * (n - 1))
+    mean = float(differences.mean())
+    return max(mean - half, -limit), min(mean + half, limit)
+
+
+def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
+    """The mean by the redrawn t's quantiles (Efron, 1981); infinite of a redrawn sample without spread."""
+    n, mean, deviation = len(differences), float(differences.mean()), float(differences.std(ddof=1))
+    if deviation <= abs(mean) * _EQUAL:
+        return -math.inf, math.inf
+    redrawn, several = [], max(1, 500_000 // n)
+    for first in range(0, BOOTSTRAP_DRAWS, several):
+        rows = rng.integers(0, n, (min(several, BOOTSTRAP_DRAWS - first), n))
+        again = differences[rows]
+        spread = again.std(axis=1, ddof=1)
+        apart = spread > deviation * _EQUAL
+        redrawn.append(np.where(apart, (again.mean(axis=1) - mean) / np.where(apart, spread, 1.0), np.inf))
+    t = np.concatenate(redrawn)
+    least = float(np.quantile(np.where(np.isinf(t), -np.inf, t), chance, method="lower"))
+    most = float(np.quantile(t, 1.0 - chance, method="higher"))
+    return mean - most * deviation, mean - least * deviation
+
+
+def _median_rank(n: int, chance: float) -> int:
+    """The greatest r with P(Bin(n, 1/2) < r) <= chance; 0 if there is none."""
+    return int(np.count_nonzero(bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -1,0 +1,223 @@
+r"""Rare violations by multilevel splitting: the way there in steps, each of which is not rare.
+
+With levels l_1 > l_2 > ... > l_m = 0 of the margin,
+
+    P(margin < 0) = P(margin < l_1) P(margin < l_2 | margin < l_1) ... ,
+
+and each factor is estimated by N particles that live below the level before: those that are below the next
+one survive, are drawn from with replacement, and are moved by Metropolis steps that keep the distribution
+(Kahn and Harris, 1951; Au and Beck, 2001; Cerou, Del Moral, Furon and Guyader, 2012).  The moves are made
+in standard normal space: z' = sqrt(1 - b^2) z + b x with x standard normal, refused above the level; the
+cube's point is the normal distribution function of z.
+
+A pilot run fixes levels and step lengths; then R replications, independent of it and of each other, each
+give an estimate whose expectation is the probability, however badly the moves mix, since nothing in them
+adapts.  The interval is Student's t over the replications.  A region that hardly any replication finds
+makes most estimates too low and few much too high, and t too hopeful.  So there is an upper end below 1
+only where nine replications of ten found a violation, and none of them makes up half of the sum.  Of a
+region that none found nothing can be said.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, stdtrit
+
+from safety_harness.exceptions import Place, StatisticsError
+from safety_harness.seeds import Branch, generator
+from safety_harness.statistics.binomial import chance_of_each
+from safety_harness.statistics.sample import Floats
+
+Margins = Callable[[Floats], Floats]
+"""Points (n, d) of the unit cube -> margins (n,), negative where the claim is violated; never NaN."""
+
+_BELOW_ONE = math.nextafter(1.0, 0.0)
+_MOST_LEVELS = 60
+_FOUND = 0.9  # of the replications
+_MOST_OF_SUM = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Splitting:
+    """How it is done: ``particles`` N, ``steps`` of moving on each level, ``replications`` R.
+
+    ``survivors`` is the share that each level of the pilot lets through.
+    """
+
+    particles: int = 500
+    steps: int = 10
+    replications: int = 20
+    survivors: float = 0.25
+
+    def __post_init__(self) -> None:
+        if min(self.particles, self.steps) < 1 or self.replications < 2 or not 0.0 < self.survivors < 1.0:
+            raise StatisticsError(
+                place=Place(field="splitting"),
+                expected="particles, steps, at least two replications, and a share of survivors",
+                got=str(self),
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RareEstimate:
+    """The probability of a violation with an interval whose ``confidence`` is approximate (measured).
+
+    ``replicates`` are the replications' estimates, of which ``reached`` are above 0; ``levels`` the margins
+    of the steps (SI), ``evaluations`` how many points were judged.  ``model_only``: the margins came from a
+    simplified world.
+    """
+
+    value: float
+    low: float
+    high: float
+    confidence: float
+    replicates: tuple[float, ...]
+    reached: int
+    levels: tuple[float, ...]
+    evaluations: int
+    model_only: bool
+
+
+def split(
+    margins: Margins,
+    dimensions: int,
+    *,
+    seed: int,
+    how: Splitting | None = None,
+    confidence: float = 0.95,
+    model_only: bool = True,
+) -> RareEstimate:
+    """Estimate P(margin < 0) for a point drawn uniformly from the cube [0, 1)^d.
+
+    StatisticsError for margins that are NaN, or not one for each point.
+    """
+    chance = chance_of_each(confidence, 2)
+    judged = _Judged(margins)
+    settings = how or Splitting()
+    levels, lengths = _pilot(judged, dimensions, settings, generator(seed, Branch.STATISTICS, 2, 0))
+    replicates = np.array(
+        [
+            _replication(
+                judged, dimensions, settings, levels, lengths, generator(seed, Branch.STATISTICS, 2, r)
+            )
+            for r in range(1, settings.replications + 1)
+        ]
+    )
+    low, high = _interval(replicates, chance)
+    return RareEstimate(
+        value=float(replicates.mean()),
+        low=low,
+        high=high,
+        confidence=confidence,
+        replicates=tuple(float(one) for one in replicates),
+        reached=int(np.count_nonzero(replicates)),
+        levels=tuple(levels),
+        evaluations=judged.count,
+        model_only=model_only,
+    )
+
+
+class _Judged:
+    """Margins of points in standard normal space, checked and counted."""
+
+    def __init__(self, margins: Margins) -> None:
+        self._margins = margins
+        self.count = 0
+
+    def __call__(self, normal: Floats) -> Floats:
+        """Points (n, d) -> margins (n,)."""
+        found = np.asarray(self._margins(np.minimum(ndtr(normal), _BELOW_ONE)), np.float64)
+        self.count += len(normal)
+        if found.shape != (len(normal),) or np.isnan(found).any():
+            got = f"{np.count_nonzero(np.isnan(found))} that are no number, of shape {found.shape}"
+            raise StatisticsError(place=Place(field="margins"), expected=f"{len(normal)} margins", got=got)
+        return found
+
+
+def _interval(replicates: Floats, chance: float) -> tuple[float, float]:
+    """Student's t over the replications, cut to [0, 1]; up to 1 where they do not agree well enough."""
+    n, mean = len(replicates), float(replicates.mean())
+    half = float(stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
+    found = np.count_nonzero(replicates) >= _FOUND * n and float(replicates.max()) < _MOST_OF_SUM * n * mean
+    return max(mean - half, 0.0), min(mean + half, 1.0) if found else 1.0
+
+
+def _pilot(
+    judged: _Judged, dimensions: int, how: Splitting, rng: np.random.Generator
+) -> tuple[list[float], list[float]]:
+    """Levels down to 0, each as the particles suggest, and the step length for each but the last.
+
+    A plateau that no quantile gets below makes 0 the next level.
+    """
+    points = rng.standard_normal((how.particles, dimensions))
+    found = judged(points)
+    levels: list[float] = []
+    lengths: list[float] = []
+    length = 0.5
+    while True:
+        level = _next_level(found, how.survivors)
+        if level <= 0.0 or len(levels) == _MOST_LEVELS or (levels and level >= levels[-1]):
+            levels.append(0.0)
+            return levels, lengths
+        levels.append(level)
+        points, found = _resampled(points, found, found < level, rng)
+        for _ in range(how.steps):
+            points, found, moved = _moved(judged, points, found, level, length, rng)
+            length = float(np.clip(length * math.exp(moved - 0.4), 0.01, 0.99))
+        lengths.append(length)
+
+
+def _next_level(found: Floats, survivors: float) -> float:
+    """The margin below which that share of the particles is, or 0 if none is below it and above 0."""
+    level = float(np.quantile(found, survivors, method="higher"))
+    if not np.any(found < level):  # the least margins are all the same: whatever is not
+        level = float(np.min(found[found > level], initial=math.inf))
+    return level if math.isfinite(level) else 0.0
+
+
+def _replication(
+    judged: _Judged,
+    dimensions: int,
+    how: Splitting,
+    levels: list[float],
+    lengths: list[float],
+    rng: np.random.Generator,
+) -> float:
+    """The product of the shares that survive each level; 0 once none does."""
+    points = rng.standard_normal((how.particles, dimensions))
+    found = judged(points)
+    product = 1.0
+    for number, level in enumerate(levels):
+        alive = found < level
+        product *= float(alive.mean())
+        if product == 0.0 or number == len(lengths):
+            break
+        points, found = _resampled(points, found, alive, rng)
+        for _ in range(how.steps):
+            points, found, _ = _moved(judged, points, found, level, lengths[number], rng)
+    return product
+
+
+def _resampled(
+    points: Floats, found: Floats, alive: np.ndarray, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    chosen = rng.choice(np.flatnonzero(alive), len(points))
+    return points[chosen], found[chosen]
+
+
+def _moved(
+    judged: _Judged, points: Floats, found: Floats, level: float, length: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, float]:
+    """One Metropolis step of every particle below the level, and the share that moved."""
+    proposed = math.sqrt(1.0 - length**2) * points + length * rng.standard_normal(points.shape)
+    margins = judged(proposed)
+    accepted = margins < level
+    return (
+        np.where(accepted[:, None], proposed, points),
+        np.where(accepted, margins, found),
+        float(accepted.mean()),
+    )

@@ -1,0 +1,227 @@
+"""What estimates may be made of: a declared stream of independent episodes, all of it.
+
+A search finds, it does not estimate: its runs are no sample of anything.  So every estimator of this room
+takes an ``IndependentSample`` and nothing else, and the only way to one is ``of_stream``, which wants a
+declaration made beforehand and every episode from the first on, once each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import InitVar, dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.exceptions import Place, StatisticsError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+REFERENCE_WORLD = "PyBullet"
+_OF_STREAM = object()
+
+
+class Outcome(IntEnum):
+    """What one episode says of one claim.  The numbers are stored: never reuse one."""
+
+    HOLDS = 0
+    VIOLATED = 1
+    UNTESTED = 2  # the claim was never put to the test: no trial
+    INCONCLUSIVE = 3  # put to the test, and no verdict
+    FAILED = 4  # the run could not be carried on
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """What was said before the first episode was run.
+
+    ``plan_sha256`` is of the plan's text, ``planned`` the number of episodes, ``world`` where they run.
+    ``stop_early`` says that the runs may be looked at and stopped at any time, which only bounds that
+    hold at every time (``sequential``) allow.
+    """
+
+    plan_sha256: str
+    stratum: str
+    seed: int
+    planned: int
+    world: str = REFERENCE_WORLD
+    stop_early: bool = False
+
+    def __post_init__(self) -> None:
+        if self.planned < 1:
+            raise _refusal("planned", "at least one episode", str(self.planned))
+
+    @property
+    def model_only(self) -> bool:
+        """Whether the episodes ran in a simplified world, so that they say nothing of the reference."""
+        return self.world != REFERENCE_WORLD
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IndependentSample:
+    """One claim's outcomes (n,) and margins (n,) in the order of the episodes; made by ``of_stream`` only.
+
+    Margins are SI, NaN where there is none.  Both arrays are read-only.
+    """
+
+    declaration: Declaration
+    outcomes: Ints
+    margins: Floats
+    claim: str = ""
+    _made_by: InitVar[object] = None
+
+    def __post_init__(self, _made_by: object) -> None:
+        if _made_by is not _OF_STREAM:
+            raise TypeError(
+                "an IndependentSample is made by IndependentSample.of_stream, and by nothing else"
+            )
+
+    @classmethod
+    def of_stream(
+        cls,
+        declaration: Declaration,
+        episodes: ArrayLike,
+        outcomes: ArrayLike,
+        margins: ArrayLike,
+        *,
+        claim: str = "",
+    ) -> IndependentSample:
+        """The stream's episodes (n,) in any order, with their outcomes (n,) and margins (n,).
+
+        StatisticsError unless they are the episodes 0 to n - 1, once each, all that were planned (fewer only
+        if the declaration allows to stop early), and no margin contradicts its outcome.
+        """
+        codes, signed = checked_stream(declaration, episodes, outcomes, margins)
+        return cls(declaration=declaration, outcomes=codes, margins=signed, claim=claim, _made_by=_OF_STREAM)
+
+    def count(self, outcome: Outcome) -> int:
+        """How many episodes came out like that."""
+        return int(np.count_nonzero(self.outcomes == outcome))
+
+    @property
+    def trials(self) -> int:
+        """Episodes that put the claim to the test, or may have: all but the untested."""
+        return len(self.outcomes) - self.count(Outcome.UNTESTED)
+
+    @property
+    def violations(self) -> int:
+        """Episodes that violate the claim for certain: what a lower bound counts."""
+        return self.count(Outcome.VIOLATED)
+
+    @property
+    def at_worst(self) -> int:
+        """Violations, and whatever may have been one: what an upper bound counts."""
+        return self.violations + self.count(Outcome.INCONCLUSIVE) + self.count(Outcome.FAILED)
+
+    @property
+    def name(self) -> str:
+        """Stratum and claim, for messages."""
+        return f"{self.declaration.stratum}: {self.claim}" if self.claim else self.declaration.stratum
+
+
+def independent(sample: object) -> IndependentSample:
+    """The sample itself; TypeError for anything else, above all for what a search chose."""
+    if not isinstance(sample, IndependentSample):
+        raise TypeError(
+            f"estimates are made of an IndependentSample, a declared stream of independent episodes; "
+            f"got {type(sample).__name__}"
+        )
+    return sample
+
+
+def fixed_length(sample: object) -> IndependentSample:
+    """An IndependentSample whose length was fixed beforehand; StatisticsError for one that may stop early."""
+    known = independent(sample)
+    if known.declaration.stop_early:
+        raise _refusal(
+            "stop early",
+            f"a stream of fixed length ({known.name})",
+            "one that may stop at any time",
+            "bounds that hold at every time are in statistics.sequential",
+        )
+    return known
+
+
+def checked_stream(
+    declaration: Declaration,
+    episodes: ArrayLike,
+    outcomes: ArrayLike,
+    margins: ArrayLike,
+    *,
+    dimensions: int = 1,
+) -> tuple[Ints, Floats]:
+    """Outcomes and margins (n,), or (n, k) in two dimensions, in the order of the episodes (n,), read-only.
+
+    StatisticsError for what is no whole stream; see ``IndependentSample.of_stream``.
+    """
+    numbers, codes = np.asarray(episodes), np.asarray(outcomes)
+    signed = np.array(margins, np.float64)
+    for name, column, ndim in (("episodes", numbers, 1), ("outcomes", codes, dimensions)):
+        if column.ndim != ndim or (column.size and column.dtype.kind not in "iu"):
+            shape = "(n,)" if ndim == 1 else "(n, k)"
+            raise _refusal(name, f"whole numbers {shape}", f"{column.dtype} {column.shape}")
+    if not (numbers.shape[0] == codes.shape[0] and codes.shape == signed.shape):
+        shapes = f"{numbers.shape}, {codes.shape} and {signed.shape}"
+        raise _refusal("episodes", "as many episodes as outcomes and margins", shapes)
+    _check_complete(declaration, numbers)
+    order = np.argsort(numbers)
+    codes, signed = codes[order].astype(np.int64), signed[order]
+    _check_outcomes(declaration, codes, signed)
+    codes.flags.writeable = signed.flags.writeable = False
+    return codes, signed
+
+
+def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
+    """Episodes 0 to n - 1, once each, and as many as the declaration says."""
+    n, planned = len(numbers), declaration.planned
+    where = f"of stratum {declaration.stratum!r}"
+    if n == 0:
+        raise _refusal("episodes", f"at least one episode {where}", "none")
+    if n > planned:
+        raise _refusal(
+            "episodes", f"the {planned} planned episodes {where}", str(n), "more were run than declared"
+        )
+    found = np.unique(numbers)
+    if len(found) < n:
+        twice = int(numbers.size - found.size)
+        raise _refusal("episodes", f"every episode {where} once", f"{twice} more than once")
+    if found[0] != 0 or found[-1] != n - 1:
+        got = f"{n} episodes from {found[0]} to {found[-1]}"
+        raise _refusal(
+            "episodes", f"episodes 0 to {n - 1} {where}", got, "some are missing: a choice was made"
+        )
+    if n < planned and not declaration.stop_early:
+        raise _refusal(
+            "episodes", f"the {planned} planned episodes {where}", f"{n}: incomplete", "run the rest"
+        )
+
+
+def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
+    """Known outcomes, and margins whose sign is theirs."""
+    where = f"in stratum {declaration.stratum!r}"
+    unknown = ~np.isin(codes, [int(outcome) for outcome in Outcome])
+    if unknown.any():
+        k = _first(unknown)
+        raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
+    endless = np.isinf(margins)
+    if endless.any():
+        k = _first(endless)
+        expected = f"finite margins, NaN where there is none, {where}"
+        raise _refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
+    wrong = ((codes == Outcome.HOLDS) & (margins < 0.0)) | ((codes == Outcome.VIOLATED) & (margins > 0.0))
+    if wrong.any():
+        k = _first(wrong)
+        got = f"{margins[k]:+g} for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
+        expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
+        raise _refusal("margins", expected, got)
+
+
+def _first(having: Flags) -> tuple[int, ...]:
+    """The index of the first that has it."""
+    return tuple(int(k) for k in np.argwhere(having)[0])
+
+
+def _refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
+    return StatisticsError(place=Place(field=field), expected=expected, got=got, hint=hint)

@@ -1,0 +1,91 @@
+"""Benches that misbehave at chosen episodes: what a worker may meet."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.statistics.sample import Outcome
+
+
+def row_of(stratum: int, episode: int, *, claims: int = 2, trace: bytes | None = None) -> Row:
+    """Margins that hang on the episode alone: every seventh violates."""
+    margin = (episode % 7) - 0.5
+    outcome = Outcome.VIOLATED if margin < 0.0 else Outcome.HOLDS
+    return Row(
+        stratum=stratum,
+        episode=episode,
+        seed=episode,
+        judgements=(Judgement(outcome, margin, 0.1, 1),) * claims,
+        draws=1,
+        seconds=0.2,
+        worker=str(os.getpid()),
+        trace=trace if outcome is Outcome.VIOLATED else None,
+    )
+
+
+@dataclass(frozen=True)
+class Plain:
+    """Takes ``seconds`` for each episode."""
+
+    seconds: float = 0.0
+
+    def __call__(self) -> Plain:
+        return self
+
+    def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
+        for episode in episodes:
+            self.meet(stratum, episode)
+            time.sleep(self.seconds)
+            yield row_of(stratum, episode, trace=b"t" if keep_violations else None)
+
+    def meet(self, stratum: int, episode: int) -> None:
+        """What happens at an episode."""
+
+
+@dataclass(frozen=True)
+class Crashes(Plain):
+    """At episode ``at`` of the first stratum the process ends; only ``times``, as files count them."""
+
+    at: int = 5
+    times: int = 1_000
+    folder: Path = Path()
+
+    def meet(self, stratum: int, episode: int) -> None:
+        if (stratum, episode) == (0, self.at) and len(list(self.folder.glob("crash-*"))) < self.times:
+            (self.folder / f"crash-{time.monotonic_ns()}").touch()
+            self.misbehave()
+
+    def misbehave(self) -> None:
+        os._exit(3)
+
+
+@dataclass(frozen=True)
+class Hangs(Crashes):
+    def misbehave(self) -> None:
+        time.sleep(600.0)
+
+
+@dataclass(frozen=True)
+class Grows(Crashes):
+    def misbehave(self) -> None:
+        held = bytearray(700 * 2**20)
+        held[::4096] = b"x" * len(held[::4096])
+        time.sleep(600.0)
+
+
+@dataclass(frozen=True)
+class IsMistaken(Crashes):
+    def misbehave(self) -> None:
+        raise InadmissibleError(place=Place(field="avoider"), expected="one that is there", got="none")
+
+
+@dataclass(frozen=True)
+class NeverReady(Plain):
+    def __call__(self) -> Plain:
+        os._exit(9)

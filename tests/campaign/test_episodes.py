@@ -1,0 +1,190 @@
+"""Episode k: the same wherever it runs, refusals drawn again, outcomes that never flatter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from safety_harness.admission.spaces import HOPELESS
+from safety_harness.campaign.episodes import Bench, judgement_of, random_episodes, root_seed, why_broken
+from safety_harness.campaign.plan import read_plan
+from safety_harness.campaign.rows import Row
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.scenario.model import Verdict
+from safety_harness.statistics.sample import Outcome
+from safety_harness.trace.store import load_trace
+from safety_harness.trace.trace import Trace
+from tests.campaign.plans import PLAN, plan_in
+from tests.search.short_space import TEXT
+
+
+def without_place(row: Row) -> Row:
+    return replace(row, seconds=0.0, worker="", trace=None)
+
+
+@pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
+def test_an_episode_is_the_same_in_whatever_order_and_company(tmp_path: Path, world: str) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic", f"world: {world}"))
+    together = list(Bench(plan).run(0, range(6)))
+    backwards = [next(Bench(plan).run(0, [k])) for k in (5, 3, 0)]
+    assert [without_place(together[k]) for k in (5, 3, 0)] == [without_place(row) for row in backwards]
+    assert len({row.seed for row in together}) == 6
+    other = next(Bench(plan).run(1, [0]))
+    assert other.seed != together[0].seed
+
+
+def test_an_episode_does_not_hang_on_its_stratum_s_position(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path)
+    text = PLAN.replace("near\n", "X\n").replace("nearer", "near").replace("X", "nearer")
+    swapped = plan_in(tmp_path / "b", text)
+    assert swapped.strata[1].name == "near"
+    assert root_seed(plan, 0, 4) == root_seed(swapped, 1, 4)
+
+
+def test_the_row_says_what_the_run_was(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path)
+    rows = list(Bench(plan, worker="me").run(0, range(30)))
+    violating = [row for row in rows if row.violates]
+    assert violating
+    row = violating[0]
+    assert row.judgements[0].outcome is Outcome.VIOLATED
+    assert row.judgements[0].margin < 0.0
+    assert row.judgements[1].outcome is Outcome.HOLDS
+    assert row.draws == 1
+    assert row.worker == "me"
+    assert row.decisions == row.proposed + row.opposite + row.stopped
+    assert row.trace is not None
+    (tmp_path / "t.trace").write_bytes(row.trace)
+    trace = load_trace(tmp_path / "t.trace")
+    assert trace.scenario.name == f"short#{row.episode}"
+    assert [claim.sentence for claim in trace.scenario.claims] == [claim.sentence for claim in plan.claims]
+    kept = {row.episode for row in rows if row.trace is not None}
+    assert kept == {row.episode for row in violating} | random_episodes(plan, 0)
+    assert not any(row.trace for row in Bench(plan).run(0, [row.episode], keep_violations=False)) or (
+        row.episode in random_episodes(plan, 0)
+    )
+
+
+def test_the_random_sample_is_declared_before_and_within_the_stratum(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path)
+    drawn = random_episodes(plan, 0)
+    assert len(drawn) == 2
+    assert drawn <= set(range(30))
+    assert drawn == random_episodes(plan_in(tmp_path / "again"), 0)
+
+
+def test_what_admission_refuses_is_drawn_again_and_counted(tmp_path: Path) -> None:
+    space = TEXT.replace("[0 mm, from -40 mm", "[from 0 mm to 3 m, from -40 mm")
+    rows = list(Bench(plan_in(tmp_path, PLAN, space)).run(0, range(6)))
+    assert max(row.draws for row in rows) > 1
+    assert not any(row.failure for row in rows)
+
+
+def test_an_episode_of_which_every_draw_is_refused_has_failed_and_is_not_left_out(tmp_path: Path) -> None:
+    space = TEXT.replace("[0 mm, from -40 mm", "[from 2 m to 3 m, from -40 mm")
+    row = next(Bench(plan_in(tmp_path, PLAN, space)).run(0, [0]))
+    assert [one.outcome for one in row.judgements] == [Outcome.FAILED] * 2
+    assert row.draws == HOPELESS
+    assert "tcp start" in row.failure
+
+
+def test_a_mistake_in_the_plan_is_raised_and_not_counted(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("opposite pose", "nobody"))
+    with pytest.raises(InadmissibleError, match="nobody") as caught:
+        next(Bench(plan).run(0, [0]))
+    assert caught.value.place.line == 3
+
+
+def test_a_run_that_cannot_be_carried_on_has_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: object, **__: object) -> Trace:
+        raise RuntimeError("the physics gave up")
+
+    monkeypatch.setattr("safety_harness.campaign.episodes.run_trial", broken)
+    row = next(Bench(plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))).run(0, [0]))
+    assert [one.outcome for one in row.judgements] == [Outcome.FAILED] * 2
+    assert "the physics gave up" in row.failure
+
+
+def test_a_run_in_company_that_breaks_costs_the_others_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from safety_harness.campaign import episodes
+
+    whole = episodes.run_many
+    plan = plan_in(tmp_path)
+    expected = list(Bench(plan).run(0, range(3)))
+
+    def breaks(admitted: list[object]) -> object:
+        if any(one.scenario.name == "short#1" for one in admitted):  # type: ignore[attr-defined]
+            raise RuntimeError("a bad one")
+        return whole(admitted)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(episodes, "run_many", breaks)
+    rows = list(Bench(plan).run(0, range(3)))
+    assert [bool(row.failure) for row in rows] == [False, True, False]
+    assert without_place(rows[2]) == without_place(expected[2])
+
+
+def evaluation(verdict: Verdict, exercised: int, margin: float | None = 1.0) -> Evaluation:
+    return Evaluation(
+        sentence="", verdict=verdict, unit=Unit.LENGTH, margin=margin, worst_time_s=0.0, reason="",
+        exercised=exercised,
+    )  # fmt: skip
+
+
+def test_only_a_whole_run_that_never_tested_the_claim_says_nothing_of_it(visit: Trace) -> None:
+    cut = replace(visit, ended="stopped", ticks=visit.ticks[:-5])
+    ticks = visit.ticks.copy()
+    ticks["sse"][3], ticks["object_visible"][3] = np.nan, True
+    spoilt = replace(visit, ticks=ticks)
+    assert why_broken(visit) == ""
+    assert "cut short" in why_broken(cut)
+    assert "none" in why_broken(spoilt)
+    never, seen = evaluation(Verdict.INCONCLUSIVE, 0), evaluation(Verdict.INCONCLUSIVE, 3)
+    held, violated = evaluation(Verdict.HOLDS, 3), evaluation(Verdict.VIOLATED, 3, -1.0)
+
+    def outcome(of: Evaluation, trace: Trace) -> Outcome:
+        return judgement_of(of, trace, why_broken(trace)).outcome
+
+    assert [outcome(one, visit) for one in (never, seen, held, violated)] == [
+        Outcome.UNTESTED,
+        Outcome.INCONCLUSIVE,
+        Outcome.HOLDS,
+        Outcome.VIOLATED,
+    ]
+    assert [outcome(one, cut) for one in (never, seen, violated)] == [
+        Outcome.FAILED,
+        Outcome.FAILED,
+        Outcome.VIOLATED,
+    ]
+    assert [outcome(one, spoilt) for one in (never, seen)] == [Outcome.INCONCLUSIVE] * 2
+
+
+def test_our_own_avoiders_are_never_late_by_the_clock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))
+    seen: list[bool] = []
+    from safety_harness.campaign import episodes
+
+    whole = episodes.run_trial
+
+    def watched(admitted: object, *, by_the_clock: bool) -> Trace:
+        seen.append(by_the_clock)
+        return whole(admitted, by_the_clock=by_the_clock)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(episodes, "run_trial", watched)
+    list(Bench(plan).run(0, [0]))
+    (tmp_path / "mine.py").write_text(
+        "from safety_harness import Proposal\nclass Mine:\n    name = 'mine'\n"
+        "    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):\n"
+        "        return Proposal(tcp_position_in_base_m + [0.0, 0.1, 0.0])\n"
+    )
+    text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic\n", "")
+    (tmp_path / "plan.yaml").write_text(text)
+    list(Bench(read_plan(tmp_path / "plan.yaml")).run(0, [0]))
+    assert seen == [False, True]

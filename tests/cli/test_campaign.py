@@ -1,0 +1,254 @@
+"""campaign: from plan to bounds, through interruptions, questions, comparisons and merges."""
+
+from __future__ import annotations
+
+import csv
+import io
+import random
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.cli.campaign import compare, export, merge, query, resume, run, status
+from safety_harness.cli.campaign_lines import rounded_up
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.main import app
+from safety_harness.trace.store import load_trace
+from tests.campaign.plans import PLAN, plan_in
+
+SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small campaign, run once."""
+    folder = tmp_path_factory.mktemp("campaign")
+    plan_in(folder, SMALL)
+    assert run(folder / "plan.yaml", ledger=folder / "ledger.sqlite", workers=2) == AS_EXPECTED
+    return folder
+
+
+def test_a_plan_is_run_to_its_bounds(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(folder / "ledger.sqlite") == AS_EXPECTED
+    out = capsys.readouterr().out
+    assert "episodes 16/16 in kinematic: near 10/10; nearer 6/6" in out
+    assert "violated in at most (all together at 0.95)" in out
+    assert "near: hand distance never below 150 mm" in out
+    assert "NOT shown" in out
+    assert "model only" in out
+    assert "fingerprint" in out
+
+
+def test_a_complete_campaign_is_not_run_again(folder: Path) -> None:
+    before = (folder / "ledger.sqlite").read_bytes()
+    assert run(folder / "plan.yaml", ledger=folder / "ledger.sqlite") == AS_EXPECTED
+    assert resume(folder / "ledger.sqlite") == AS_EXPECTED
+    assert (folder / "ledger.sqlite").read_bytes() == before
+
+
+def rows(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_questions_by_filters_and_in_sql(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ledger = folder / "ledger.sqlite"
+    assert query(ledger, claim="hand distance", stratum="near", below="0 mm") == AS_EXPECTED
+    found = rows(capsys.readouterr().out)
+    assert found
+    assert {row["outcome"] for row in found} == {"violated"}
+    assert {row["stratum"] for row in found} == {"near"}
+    margins = [float(row["margin"]) for row in found]
+    assert margins == sorted(margins)
+    assert query(ledger, outcome="violated", stratum="near") == AS_EXPECTED
+    assert len(rows(capsys.readouterr().out)) == len(found)
+    assert query(ledger, "SELECT count(*) AS n FROM episodes") == AS_EXPECTED
+    assert capsys.readouterr().out == "n\n16\n"
+
+
+@pytest.mark.parametrize(
+    ("sql", "options"),
+    [
+        ("DROP TABLE episode", {}),
+        ("ATTACH 'other.sqlite' AS other", {}),
+        ("PRAGMA user_version = 9", {}),
+        ("SELECT nothing FROM nowhere", {}),
+        ("", {}),
+        ("SELECT 1; SELECT 2", {}),
+        (None, {"claim": "happiness"}),
+        (None, {"below": "10 mm"}),
+        (None, {"claim": "hand distance", "below": "10 kg"}),
+        (None, {"stratum": "ne"}),
+    ],
+)
+def test_a_question_that_cannot_be_answered_changes_nothing(
+    folder: Path, sql: str | None, options: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (folder / "ledger.sqlite").read_bytes()
+    assert query(folder / "ledger.sqlite", sql, **options) == BAD_INPUT
+    assert "expected" in capsys.readouterr().err
+    assert (folder / "ledger.sqlite").read_bytes() == before
+    assert not Path("other.sqlite").exists()
+
+
+def test_tables_and_traces_for_others(folder: Path, tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    ledger = folder / "ledger.sqlite"
+    assert export(ledger, tmp_path / "a.csv", tmp_path / "traces") == AS_EXPECTED
+    assert export(ledger, tmp_path / "a.parquet", None) == AS_EXPECTED
+    lines = rows((tmp_path / "a.csv").read_text())
+    table = parquet.read_table(tmp_path / "a.parquet").to_pylist()
+    assert len(lines) == len(table) == 32
+    for line, row in zip(lines, table, strict=True):
+        assert {key: "" if value is None else str(value) for key, value in row.items()} == line
+    traces = sorted((tmp_path / "traces").glob("*.trace"))
+    assert len(traces) == len(Ledger.open(ledger).traces())
+    assert load_trace(traces[0]).scenario.name.startswith("short#")
+    assert export(ledger, tmp_path / "a.xlsx", None) == BAD_INPUT
+    assert export(ledger, None, None) == BAD_INPUT
+
+
+def test_two_avoiders_are_compared_on_the_same_episodes(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan_in(tmp_path, SMALL.replace("opposite pose", "nearest candidate"))
+    other = tmp_path / "ledger.sqlite"
+    assert run(tmp_path / "plan.yaml", ledger=other, workers=1) == AS_EXPECTED
+    capsys.readouterr()
+    assert compare(folder / "ledger.sqlite", other) in (AS_EXPECTED, DIFFERS)
+    out = capsys.readouterr().out
+    assert "near: hand distance never below 150 mm: violated" in out
+    assert "more often (from" in out
+    assert compare(folder / "ledger.sqlite", folder / "ledger.sqlite") == AS_EXPECTED
+    assert "worse:" not in capsys.readouterr().out
+
+
+def test_campaigns_over_other_spaces_are_not_compared(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from tests.search.short_space import TEXT
+
+    plan = plan_in(tmp_path, SMALL, TEXT.replace("to 2 m/s", "to 1 m/s"))
+    Ledger.create(tmp_path / "ledger.sqlite", plan).close()
+    assert compare(folder / "ledger.sqlite", tmp_path / "ledger.sqlite") == BAD_INPUT
+    assert "the same spaces" in capsys.readouterr().err
+
+
+def test_parts_of_a_plan_become_one_ledger(folder: Path, tmp_path: Path) -> None:
+    plan = folder / "plan.yaml"
+    parts = [tmp_path / f"part{k}.sqlite" for k in (1, 2)]
+    for k, path in enumerate(parts, 1):
+        assert run(plan, ledger=path, workers=1, part=f"{k}/2") == AS_EXPECTED
+    assert merge(tmp_path / "whole.sqlite", parts) == AS_EXPECTED
+    with Ledger.open(tmp_path / "whole.sqlite") as whole, Ledger.open(folder / "ledger.sqlite") as expected:
+        assert whole.declared.identity == expected.declared.identity
+        assert tally_of(whole).of_claim(0) == tally_of(expected).of_claim(0)
+        assert whole.outcomes(0, 0)[2].tolist() == expected.outcomes(0, 0)[2].tolist()
+    assert merge(tmp_path / "whole.sqlite", parts) == BAD_INPUT
+
+
+def test_ledgers_that_disagree_are_not_merged(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copies = [tmp_path / "a.sqlite", tmp_path / "b.sqlite"]
+    for copy in copies:
+        copy.write_bytes((folder / "ledger.sqlite").read_bytes())
+    connection = sqlite3.connect(copies[1])
+    connection.execute("UPDATE judgement SET margin = margin + 1e-12 WHERE episode = 4 AND claim = 0")
+    connection.commit()
+    connection.close()
+    assert merge(tmp_path / "whole.sqlite", copies) == BAD_INPUT
+    assert "episode 4" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.glob("*.sqlite")) == ["a.sqlite", "b.sqlite"]
+
+
+def test_bad_input_is_told_and_nothing_is_run(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("safety_harness.campaign.cluster._ANSWER_S", 0.2)
+    assert run(tmp_path / "none.yaml") == BAD_INPUT
+    assert run(folder / "plan.yaml", ledger=tmp_path / "l.sqlite", part="3/2") == BAD_INPUT
+    assert run(folder / "plan.yaml", ledger=tmp_path / "l.sqlite", cluster="tcp://127.0.0.1:1") == BAD_INPUT
+    assert status(tmp_path / "none.sqlite") == BAD_INPUT
+    (tmp_path / "short.yaml").write_text((folder / "short.yaml").read_text())
+    (tmp_path / "plan.yaml").write_text(SMALL.replace("seed: 7", "seed: 8"))
+    capsys.readouterr()
+    assert run(tmp_path / "plan.yaml", ledger=folder / "ledger.sqlite") == BAD_INPUT
+    assert "the file plan.yaml changed" in capsys.readouterr().err
+    assert CliRunner().invoke(app, ["campaign", "status", str(folder / "ledger.sqlite")]).exit_code == 0
+
+
+def start(folder: Path, ledger: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "safety_harness", "campaign", "run", str(folder / "long.yaml")]
+    command += ["--ledger", str(ledger), "--workers", "2"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_episodes(ledger: Path, at_least: int) -> None:
+    for _ in range(3000):
+        if ledger.exists():
+            with Ledger.open(ledger, check=False) as reader:
+                if tally_of(reader).done >= at_least:
+                    return
+        time.sleep(0.02)
+    pytest.fail("no episodes come")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(folder: Path) -> str:
+    (folder / "long.yaml").write_text(PLAN.replace("runs: 30", "runs: 160").replace("runs: 20", "runs: 40"))
+    path = folder / "undisturbed.sqlite"
+    assert run(folder / "long.yaml", ledger=path, workers=2) == AS_EXPECTED
+    with Ledger.open(path) as ledger:
+        return fingerprint_of(ledger)
+
+
+def test_a_runner_that_is_killed_at_any_moment_loses_nothing_that_was_committed(
+    folder: Path, tmp_path: Path, undisturbed: str
+) -> None:
+    path, moments = tmp_path / "ledger.sqlite", random.Random(5)
+    done = 0
+    for _ in range(2):
+        with start(folder, path) as process:
+            wait_for_episodes(path, done + 1)
+            time.sleep(moments.uniform(0.0, 0.3))
+            process.send_signal(signal.SIGKILL)
+        with Ledger.open(path) as ledger:
+            before, done = done, tally_of(ledger).done
+        assert done > before
+        if done == 200:
+            break
+    assert resume(path, workers=2) == AS_EXPECTED
+    with Ledger.open(path) as ledger:
+        assert fingerprint_of(ledger) == undisturbed
+
+
+def test_ctrl_c_keeps_every_finished_episode(folder: Path, tmp_path: Path, undisturbed: str) -> None:
+    path = tmp_path / "ledger.sqlite"
+    with start(folder, path) as process:
+        wait_for_episodes(path, 1)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate()
+    with Ledger.open(path) as ledger:
+        complete = tally_of(ledger).complete
+    assert process.returncode == (AS_EXPECTED if complete else INTERRUPTED)
+    assert "what is under way is finished" in err
+    assert "Traceback" not in err
+    assert resume(path, workers=2) == AS_EXPECTED
+    with Ledger.open(path) as ledger:
+        assert fingerprint_of(ledger) == undisturbed
+
+
+def test_a_bound_is_never_rounded_down() -> None:
+    for share in (0.001234, 0.0999999, 0.5, 0.12300001, 1e-7):
+        assert float(rounded_up(share)) >= share * (1.0 - 1e-9)
+        assert float(rounded_up(share)) <= share * 1.01
+    assert (rounded_up(1.0), rounded_up(0.123)) == ("1", "0.123")

@@ -1,0 +1,270 @@
+"""The page about a search: everything found is on it, with files and commands, and nothing is overstated."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import factory
+import numpy as np
+import pytest
+from page import Node, parse
+
+from safety_harness.admission.agreement import Agreement, Difference, present_source
+from safety_harness.properties.base import Unit
+from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
+from safety_harness.search.confirm import Complaint
+from safety_harness.search.counterexample import Counterexample
+from safety_harness.search.coverage import Cell, Coverage
+from safety_harness.search.cube import Column, Cube
+from safety_harness.search.explain import Ingredient
+from safety_harness.search.findings import Findings
+from safety_harness.search.outcomes import Goal, Outcomes
+from safety_harness.search.shrink import Shrunk
+
+GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))
+CELL = Cell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
+AGREEMENT = Agreement(
+    source=present_source(),
+    shipped=62,
+    random=500,
+    seed=1,
+    near_m=0.005,
+    compared=16141,
+    agreed=16140,
+    compared_near=170,
+    agreed_near=170,
+    optimistic=("a scenario: PyBullet violated, kinematic holds",),
+    disagreements=("a scenario: PyBullet violated, kinematic holds",),
+    differences=(Difference("TCP position [m]", 3.3e-4, "a-stuck-joint"),),
+    left_out=(),
+)
+
+
+def findings_of(margins: Sequence[Sequence[float]], searcher: str = "default") -> Findings:
+    """Of one run after another, with these margins [m, m/s]."""
+    found = Findings(GOALS, Cube((Column(), Column())), searcher)
+    rows = np.array(margins, float).reshape(-1, len(GOALS))
+    points = np.linspace(0.0, 1.0, 2 * len(rows)).reshape(-1, 2)
+    found.add(points, Outcomes.of_margins(rows))
+    return found
+
+
+def counterexample() -> Counterexample:
+    run = factory.violated_run()
+    scenario = run.trace.scenario
+    number = next(k for k, one in enumerate(run.evaluations) if one.verdict.value == "violated")
+    return Counterexample(
+        complaint=Complaint(scenario.claims[number], "right, proposed position"),
+        found=scenario,
+        shrunk=Shrunk(scenario, used=88, steps=(), settled=True, interrupted=False),
+        run=run.trace,
+        evaluations=run.evaluations,
+        found_margin=-0.1098,
+        circumstances=("the run: right, to 1 m/s", "decision 1; largest spread 7 mm (threshold 5 mm)"),
+        ingredients=(
+            Ingredient("without the right hand", "inconclusive", True),
+            Ingredient("without the tremor", "violated, -9.9 mm", False),
+        ),
+        draws=7,
+    )
+
+
+def shown() -> ShownCounterexample:
+    one = counterexample()
+    assert one.complaint.claim is not None
+    found = findings_of([(-0.1, 0.1)])
+    return ShownCounterexample(
+        one=one,
+        group=found.groups[0],
+        searcher="default",
+        file="space-claim-1.yaml",
+        trace_file="space-claim-1.trace",
+        run_command="safety-harness run out/space-claim-1.yaml",
+        replay_command="safety-harness replay out/space-claim-1.trace",
+        text="# A counterexample\nscenario: x\n",
+    )
+
+
+def evidence(**changes: object) -> SearchEvidence:
+    whole = SearchEvidence(
+        title="a hand comes",
+        space="unseen-hand",
+        avoider="mc-dropout",
+        seed=3,
+        budget=1000,
+        command="safety-harness fuzz space.yaml --budget 1000",
+        generated_at=datetime(2026, 11, 21, 9, 30, tzinfo=UTC),
+        findings=findings_of([(0.3, 0.2), (0.1, 0.2), (-0.05, 0.1), (-0.11, 0.1)]),
+        baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
+        coverage=Coverage(Counter({CELL: 4})),
+        violations=Coverage(Counter({CELL: 2})),
+        shown=(shown(),),
+        confirmed=2,
+        unconfirmed=(findings_of([(0.1, -0.02)]).groups[0],),
+        agreement=AGREEMENT,
+        provenance=(("Package", "safety-harness 0"),),
+    )
+    return replace(whole, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return render(evidence())
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Node:
+    return parse(text)
+
+
+def banners(page: Node) -> list[str]:
+    found = [node for node in page.walk() if "banner" in node.attributes.get("class", "").split()]
+    return [node.all("strong")[0].text for node in found]
+
+
+def test_each_claim_has_its_counts_its_first_violation_and_its_least_margin_with_the_baseline_beside(
+    page: Node,
+) -> None:
+    rows = page.all("table", "claims-table")[0].all("tbody")[0].all("tr")
+    cells = [[cell.text for cell in row.children if isinstance(cell, Node)] for row in rows]
+    assert cells[0] == [
+        f"1 {factory.APART}",
+        "2 of 4",
+        "3",
+        "\u2212110.0 mm",
+        "0 of 4",
+        "\u2013",
+        "+100.0 mm",
+    ]
+    assert cells[1][1:4] == ["0 of 4", "\u2013", "+100.0 mm/s"]
+
+
+def test_without_a_baseline_there_is_no_column_for_one() -> None:
+    table = parse(render(evidence(baseline=None))).all("table", "claims-table")[0]
+    assert len(table.all("thead")[0].all("th")) == 4
+
+
+def test_a_counterexample_is_shown_with_pictures_margins_reasons_files_and_commands(page: Node) -> None:
+    section = page.one("counterexample-1")
+    assert len([node for node in section.all("svg") if node.attributes.get("role") == "img"]) == 4
+    for words in (
+        "\u2212109.8 mm before it was shrunk",
+        "shrunk in 88 runs",
+        "7 of 10",
+        "largest spread 7 mm",
+        "without the tremor",
+    ):
+        assert words in section.text, words
+    (gone,) = section.all("tr", "matters")
+    assert gone.all("th")[0].text == "without the right hand"
+    links = [link.attributes["href"] for link in section.all("ul", "files")[0].all("a")]
+    assert links == ["space-claim-1.yaml", "space-claim-1.trace"]
+    commands = [code.text for code in section.all("code", "copy")]
+    assert commands == [shown().run_command, shown().replay_command]
+    assert section.all("pre")[0].children[0] == shown().text
+
+
+def test_what_pybullet_does_not_confirm_is_listed_and_called_no_violation(page: Node) -> None:
+    assert "Not confirmed." in banners(page)
+    assert "TCP speed never above 250 mm/s" in page.text
+    assert "disagreements of the two worlds, and no violations" in page.text
+    assert "2 of the 3 findings that were tried in PyBullet were confirmed" in page.text
+
+
+def test_finding_nothing_is_called_no_evidence() -> None:
+    nothing = evidence(findings=findings_of([(0.1, 0.1)]), shown=(), unconfirmed=(), confirmed=0)
+    page = parse(render(nothing))
+    assert banners(page) == ["Nothing found."]
+    assert "no evidence of safety" in page.text
+
+
+def test_interruption_a_claim_that_always_fails_and_one_never_tested_are_said_first() -> None:
+    findings = findings_of([(-0.1, np.nan)] * 20)
+    findings.interrupted = True
+    found = banners(parse(render(evidence(findings=findings, baseline=None, unconfirmed=()))))
+    assert found == ["Interrupted.", "Violated.", "Always violated.", "Never put to the test."]
+
+
+def test_points_that_were_refused_are_counted_with_their_reasons() -> None:
+    findings = findings_of([(0.1, 0.1)])
+    findings.refused["tcp start: out of reach"] = 12
+    page = parse(render(evidence(findings=findings)))
+    assert "tcp start: out of reach" in page.text
+    assert not any(node.attributes.get("id") == "refused" for node in parse(render(evidence())).walk())
+
+
+def test_the_agreement_of_the_worlds_is_there_and_old_once_the_source_has_changed(page: Node) -> None:
+    words = parse(render(evidence())).text
+    for expected in ("16,140", "16,141", "over 99.9 %", "0.00033", "PyBullet violated, kinematic holds"):
+        assert expected in words, expected
+    assert "Not measured with the present source." not in banners(page)
+    old = parse(render(evidence(agreement=replace(AGREEMENT, source="f" * 16))))
+    assert "Not measured with the present source." in banners(old)
+
+
+def test_a_mishap_without_a_trace_has_a_section_too() -> None:
+    one = replace(
+        counterexample(),
+        complaint=Complaint(None, "the run failed: ValueError: x"),
+        run=ValueError("x"),
+        evaluations=(),
+        found_margin=None,
+        circumstances=(),
+        ingredients=(),
+        draws=None,
+    )
+    page = parse(render(evidence(shown=(replace(shown(), one=one, trace_file="", replay_command=""),))))
+    section = page.one("counterexample-1")
+    assert "the run failed: ValueError: x" in section.text
+    assert not section.all("figure")
+
+
+def test_a_search_interrupted_before_anything_was_tried_has_a_page() -> None:
+    nothing = Findings(GOALS, Cube((Column(), Column())), "default")
+    nothing.interrupted = True
+    empty = evidence(
+        findings=nothing, baseline=None, coverage=Coverage(), shown=(), unconfirmed=(), confirmed=0
+    )
+    assert "Interrupted." in banners(parse(render(empty)))
+
+
+def test_markup_in_any_text_of_the_user_is_shown_and_not_obeyed() -> None:
+    hostile = replace(
+        shown(), file=f"x{factory.HOSTILE}.yaml", text=factory.HOSTILE, run_command=factory.HOSTILE
+    )
+    text = render(evidence(title=factory.HOSTILE, avoider=factory.HOSTILE, shown=(hostile,)))
+    assert text.count("<script") == 1
+    assert "<b>" not in text
+
+
+def test_the_page_asks_nothing_of_the_network_and_links_to_files_beside_it(text: str, page: Node) -> None:
+    assert "http:" not in text
+    assert "https:" not in text
+    for node in page.walk():
+        for name in ("src", "href", "action"):
+            assert re.match(r"#|data:,$|space-claim-1\.(yaml|trace)$", node.attributes.get(name, "#"))
+
+
+def test_ids_are_unique_everything_pointed_at_exists_and_headings_descend(page: Node) -> None:
+    ids = [node.attributes["id"] for node in page.walk() if "id" in node.attributes]
+    assert len(ids) == len(set(ids))
+    for node in page.walk():
+        targets = node.attributes.get("aria-labelledby", "").split()
+        if node.attributes.get("href", "").startswith("#"):
+            targets.append(node.attributes["href"][1:])
+        assert set(targets) <= set(ids), node.attributes
+    levels = [int(node.tag[1]) for node in page.walk() if re.fullmatch(r"h[1-6]", node.tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+    for table in page.all("table"):
+        assert table.all("caption")[0].text
+
+
+def test_the_same_evidence_gives_the_same_bytes(text: str) -> None:
+    assert render(evidence()) == text

@@ -1,0 +1,23 @@
+"""A small suite on which faults are tried in tests."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.scenario.read import read_scenario
+from safety_harness.selftest.suite import Suite
+from safety_harness.selftest.trial import Trials
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+
+
+@lru_cache
+def shipped(name: str) -> Admitted:
+    return admit(read_scenario(SCENARIOS / f"{name}.yaml"))
+
+
+@lru_cache
+def trials(*names: str) -> Trials:
+    return Trials(Suite(tuple(shipped(name) for name in names), ()))

@@ -1,0 +1,124 @@
+"""What is counted, printed and written of a self-test."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from made_up import (
+    CAUGHT,
+    EVERY_KIND,
+    LIMIT,
+    LOUD,
+    QUIET,
+    SURVIVES,
+    UNTOUCHED,
+    about,
+    outcome,
+    rung,
+)
+
+from safety_harness.exceptions import ScenarioError
+from safety_harness.selftest.document import document, write_document
+from safety_harness.selftest.outcome import Outcome, State, tally_of
+from safety_harness.selftest.page import render
+from safety_harness.selftest.profile import NIGHTLY, QUICK, profile_named
+from safety_harness.selftest.table import (
+    HARMLESS_HEAD,
+    HEAD,
+    bad,
+    harmless_row,
+    in_table,
+    lines,
+    markdown,
+    row,
+    summary,
+)
+
+
+@pytest.mark.parametrize(
+    ("one", "state"),
+    [
+        (CAUGHT, State.CAUGHT),
+        (SURVIVES, State.SURVIVES),
+        (LIMIT, State.LIMIT),
+        (UNTOUCHED, State.UNTOUCHED),
+        (QUIET, State.QUIET),
+        (LOUD, State.FALSE_ALARM),
+        (outcome("caught below only", rung(9.0, caught=False)), State.SURVIVES),
+    ],
+)
+def test_the_state_is_that_of_the_gravest_magnitude(one: Outcome, state: State) -> None:
+    assert one.state is state
+
+
+def test_the_slightest_caught_and_the_first_survivor() -> None:
+    assert CAUGHT.smallest is not None
+    assert CAUGHT.smallest.words == "5 mm"
+    assert CAUGHT.survivor is not None
+    assert CAUGHT.survivor.words == "2 mm"
+    assert CAUGHT.confirmed is True
+    assert SURVIVES.smallest is None
+    assert SURVIVES.confirmed is None
+
+
+def test_counting() -> None:
+    tally = tally_of(EVERY_KIND)
+    assert (tally.faults, tally.caught, tally.survivors, tally.limits) == (3, 1, 1, 1)
+    assert (tally.rungs, tally.rungs_caught) == (5, 2)
+    assert (tally.harmless, tally.false_alarms) == (2, 1)
+    assert tally.kill_rate == pytest.approx(1 / 3)
+    assert tally_of(()).kill_rate == 0.0
+    words = summary(tally)
+    assert "1 of 3 faults caught (33%)" in words
+    assert "1 false alarm on 2 harmless changes" in words
+
+
+def test_what_speaks_against_the_harness() -> None:
+    assert bad(EVERY_KIND) == [SURVIVES, LOUD]
+
+
+def test_the_table_has_a_cell_for_every_heading() -> None:
+    faults, harmless = in_table(EVERY_KIND)
+    assert all(len(row(one)) == len(HEAD) for one in faults)
+    assert all(len(harmless_row(one)) == len(HARMLESS_HEAD) for one in harmless)
+    text = lines(HEAD, [row(one) for one in faults])
+    assert len(text) == 1 + len(faults)
+    assert "too" in text[1]
+    assert "nobody looks there" in text[3]
+    assert lines(HEAD, []) == []
+    assert len(lines(("a",), [("x" * 200,)])[1]) == 60
+    assert markdown(("a",), [("x|y",)]) == ["| a |", "|---|", "| x\\|y |"]
+
+
+def test_the_json_has_it_all_and_can_be_read(tmp_path: Path) -> None:
+    write_document(tmp_path / "deep" / "selftest.json", EVERY_KIND, about())
+    found = json.loads((tmp_path / "deep" / "selftest.json").read_text("utf-8"))
+    assert found == json.loads(json.dumps(document(EVERY_KIND, about())))
+    assert found["format"] == "safety-harness selftest 1"
+    assert found["tally"]["kill_rate"] == pytest.approx(1 / 3)
+    first, second = found["faults"][:2]
+    assert first["slightest_caught"] == "5 mm"
+    assert first["confirmed_in_pybullet"] is True
+    assert second["state"] == "survives"
+    assert second["rungs"][0]["magnitude"] is None
+
+
+def test_the_page_says_it_escaped_and_needs_nothing_else() -> None:
+    page = render(EVERY_KIND, about(interrupted=True))
+    assert "6 of 8 were tried" in page
+    assert "<b>made up</b>" not in page
+    for one in EVERY_KIND:
+        assert one.fault in page
+    assert not re.search(r"(src|href)=\"(?!#|data:)", page)
+    assert page == render(EVERY_KIND, about(interrupted=True))
+    assert "Interrupted." not in render(EVERY_KIND, about())
+
+
+def test_profiles_have_names() -> None:
+    assert profile_named("quick") is QUICK
+    assert profile_named("nightly") is NIGHTLY
+    with pytest.raises(ScenarioError, match="quick or nightly"):
+        profile_named("weekly")

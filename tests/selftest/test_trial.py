@@ -1,0 +1,140 @@
+"""What counts as caught: violated with the fault, and clearly held without it, on the same scenario."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import pytest
+from small import shipped, trials
+
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.scenario.model import Verdict
+from safety_harness.selftest.fault import Fault, Ladder, Part
+from safety_harness.selftest.outcome import State, outcome_of
+from safety_harness.selftest.suite import Suite
+from safety_harness.selftest.system import System
+from safety_harness.selftest.trial import RUN_FAILED, Trials, alarms_between
+from safety_harness.selftest.work import sound_remarks, try_out
+
+HOLDS = Evaluation(
+    sentence="a claim",
+    verdict=Verdict.HOLDS,
+    unit=Unit.LENGTH,
+    margin=0.01,
+    worst_time_s=1.0,
+    reason="",
+    exercised=1,
+)
+VIOLATED = replace(HOLDS, verdict=Verdict.VIOLATED, margin=-0.01)
+OPEN = replace(HOLDS, verdict=Verdict.INCONCLUSIVE, margin=None)
+BY_A_HAIR = replace(HOLDS, margin=1e-4)
+made_up = partial(Fault, part=Part.MOTION, hazard="made up for a test")
+
+
+def nothing(system: System, magnitude: float) -> System:
+    return system
+
+
+def faster(system: System, factor: float) -> System:
+    def make(admitted: object):  # type: ignore[no-untyped-def]
+        def obey(command):  # type: ignore[no-untyped-def]
+            command["joint_velocity_radps"] *= factor
+            return command
+
+        return obey
+
+    return system.obeying(make)
+
+
+@pytest.mark.parametrize(
+    ("sound", "faulty", "caught"),
+    [
+        (HOLDS, VIOLATED, True),
+        (HOLDS, HOLDS, False),
+        (HOLDS, OPEN, False),
+        (OPEN, VIOLATED, False),
+        (VIOLATED, VIOLATED, False),
+        (BY_A_HAIR, VIOLATED, False),
+        (replace(HOLDS, unit=Unit.COUNT, margin=0.0), VIOLATED, True),
+        (replace(HOLDS, margin=None), VIOLATED, True),
+    ],
+)
+def test_caught_means_violated_with_it_and_clearly_held_without(
+    sound: Evaluation, faulty: Evaluation, caught: bool
+) -> None:
+    assert bool(alarms_between({"a claim": sound}, {"a claim": faulty}, "here")) is caught
+
+
+def test_a_fault_that_does_nothing_is_never_caught() -> None:
+    rung = trials("network-certain", "second-hand").rung(made_up(name="nothing", seed_into=nothing), 1.0)
+    assert not rung.caught
+    assert rung.episodes == 2
+
+
+def test_the_ladder_is_gone_down_until_one_survives_and_the_last_catch_is_confirmed() -> None:
+    fault = made_up(name="faster", seed_into=faster, ladder=Ladder((2.0, 1.1, 1.0, 0.999)))
+    outcome = try_out(trials("network-certain"), fault)
+    assert [rung.caught for rung in outcome.rungs] == [True, True, False]
+    assert outcome.state is State.CAUGHT
+    assert outcome.smallest is not None
+    assert outcome.smallest.magnitude == 1.1
+    assert outcome.confirmed is True
+    assert outcome.survivor is not None
+    assert outcome.survivor.magnitude == 1.0
+
+
+def test_what_a_faulty_system_raises_is_an_alarm_and_what_a_sound_one_raises_is_not() -> None:
+    def breaks(system: System, magnitude: float) -> System:
+        def fail(records: object) -> None:
+            raise ZeroDivisionError("made up")
+
+        return system.with_records(fail)
+
+    fault = made_up(name="breaks", seed_into=breaks)
+    alarms = trials("network-certain").alarms(fault, 1.0, 0)
+    assert [alarm.claim for alarm in alarms] == [RUN_FAILED]
+    assert "made up" in alarms[0].margin
+    broken_already = replace(
+        fault, circumstance=replace(fault.circumstance, name="broken", bring_about=lambda s: breaks(s, 1.0))
+    )
+    with pytest.raises(ZeroDivisionError):
+        trials("network-certain").alarms(broken_already, 1.0, 0)
+
+
+def test_a_fault_of_the_spread_does_not_apply_without_one() -> None:
+    fault = made_up(name="spread", seed_into=nothing, pooled=True)
+    assert not trials("nothing-reachable").applies(fault)
+    assert trials("network-certain").applies(fault)
+    assert try_out(trials("nothing-reachable"), fault).state is State.UNTOUCHED
+
+
+def test_an_avoider_that_is_not_repeatable_is_told_of() -> None:
+    class Moody:
+        name = "moody"
+        questions = 0
+
+        def propose(self, **question):  # type: ignore[no-untyped-def]
+            self.questions += 1
+            proposal = shipped("network-certain").avoider.propose(**question)
+            return replace(proposal, spread_m=proposal.spread_m + 1e-9 * self.questions)
+
+    moody: Avoider = Moody()
+    admitted = replace(shipped("network-certain"), avoider=moody)
+    told = sound_remarks(Suite((admitted,), ()))
+    assert any("not repeatable" in line for line in told)
+    assert any("one decision after another" in line for line in told)
+    assert sound_remarks(Trials(Suite((shipped("network-certain"),), ())).suite) == []
+
+
+def test_a_harmless_change_with_an_alarm_is_a_false_alarm() -> None:
+    fault = made_up(name="faster", seed_into=faster, harmless="so it is said", ladder=Ladder((2.0,)))
+    outcome = try_out(trials("network-certain", "second-hand"), fault)
+    assert outcome.state is State.FALSE_ALARM
+    assert outcome.rungs[0].episodes == 2
+    quiet = outcome_of(
+        replace(fault, harmless="so it is"),
+        (trials("network-certain").everywhere(replace(fault, seed_into=nothing)),),
+    )
+    assert quiet.state is State.QUIET

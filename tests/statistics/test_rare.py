@@ -1,0 +1,161 @@
+"""Multilevel splitting on problems with known answers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.stats
+from acceptance import misses_are_no_more_than
+from scipy.special import ndtri
+
+from safety_harness.exceptions import StatisticsError
+from safety_harness.statistics.rare import Margins, Splitting, split
+from safety_harness.statistics.sample import Floats
+
+QUICK = Splitting(particles=150, steps=6, replications=12)
+
+
+def normal(points: Floats) -> Floats:
+    return np.asarray(ndtri(np.maximum(points, 1e-300)))
+
+
+def tail(sigma: float) -> Margins:
+    return lambda points: sigma - normal(points)[:, 0]
+
+
+def two_tails(sigma: float) -> Margins:
+    return lambda points: sigma - np.abs(normal(points)[:, 0])
+
+
+def outside_a_sphere(radius: float) -> Margins:
+    return lambda points: radius - np.linalg.norm(normal(points), axis=1)
+
+
+KNOWN: list[tuple[Margins, int, float]] = [
+    (tail(2.0), 2, float(scipy.stats.norm.sf(2.0))),
+    (tail(3.0), 5, float(scipy.stats.norm.sf(3.0))),
+    (tail(4.0), 2, float(scipy.stats.norm.sf(4.0))),
+    (two_tails(4.0), 2, 2.0 * float(scipy.stats.norm.sf(4.0))),
+    (outside_a_sphere(9.0), 30, float(scipy.stats.chi2.sf(81.0, 30))),
+]
+
+
+@pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN)
+def test_the_known_answer_lies_in_the_interval(margins: Margins, dimensions: int, truth: float) -> None:
+    found = split(margins, dimensions, seed=3, confidence=0.999)
+    assert found.low <= truth <= found.high
+    assert found.value == pytest.approx(truth, rel=0.25)
+    assert found.reached == 20
+    assert found.model_only
+
+
+def test_it_takes_far_fewer_runs_than_brute_force() -> None:
+    """The same relative error from independent draws takes 1 / (error^2 p) of them."""
+    truth = float(scipy.stats.norm.sf(4.0))
+    found = split(tail(4.0), 2, seed=4)
+    error = float(np.std(found.replicates, ddof=1)) / np.sqrt(20) / truth
+    assert found.evaluations * 5 < 1.0 / (error**2 * truth)
+
+
+def test_estimates_are_right_on_average_and_intervals_hold_as_often_as_they_say() -> None:
+    truth, runs, missed, values = float(scipy.stats.norm.sf(3.0)), 60, 0, []
+    for seed in range(runs):
+        found = split(tail(3.0), 2, seed=seed, how=QUICK, confidence=0.9)
+        missed += not found.low <= truth <= found.high
+        values.append(found.value)
+    assert misses_are_no_more_than(missed, runs, 0.1)
+    error = np.std(values, ddof=1) / np.sqrt(runs)
+    assert abs(np.mean(values) - truth) < 4.0 * error
+
+
+def test_brute_force_agrees_where_it_can() -> None:
+    """A margin with a corner, a plateau and a jump, of a thousandth or so."""
+
+    def margins(points: Floats) -> Floats:
+        z = normal(points)
+        first = np.where(points[:, 2] < 0.3, 2.4, 3.4) - z[:, 0]
+        return np.minimum(np.maximum(first, z[:, 1] - 2.0), 2.0)
+
+    drawn = margins(np.random.default_rng(5).random((2_000_000, 3))) < 0.0
+    brute = scipy.stats.binomtest(int(drawn.sum()), len(drawn)).proportion_ci(0.999)
+    found = split(margins, 3, seed=6, confidence=0.999)
+    assert found.low < brute.high
+    assert brute.low < found.high
+
+
+def test_what_is_not_rare_is_estimated_too() -> None:
+    found = split(lambda points: points[:, 0] - 0.7, 1, seed=7, how=QUICK)
+    assert found.levels == (0.0,)
+    assert found.low <= 0.7 <= found.high
+
+
+@pytest.mark.parametrize("margins", [lambda p: np.ones(len(p)), lambda p: 1.0 + p[:, 0]])
+def test_what_is_never_found_is_not_said_to_be_impossible(margins: Callable[[Floats], Floats]) -> None:
+    found = split(margins, 2, seed=8, how=QUICK)
+    assert (found.value, found.reached, found.low, found.high) == (0.0, 0, 0.0, 1.0)
+
+
+def test_a_region_that_hardly_any_replication_finds_leaves_no_upper_bound() -> None:
+    """A needle far from where the margins lead."""
+    runs, missed, open_ended = 20, 0, 0
+    for seed in range(runs):
+        found = split(lambda u: np.where(u[:, 0] < 2e-4, -1.0, 1.0 + u[:, 1]), 2, seed=seed, how=QUICK)
+        missed += not found.low <= 2e-4 <= found.high
+        open_ended += found.high == 1.0
+    assert misses_are_no_more_than(missed, runs, 0.05)
+    assert open_ended > runs / 2
+
+
+def test_what_lies_aside_of_the_way_cannot_be_seen() -> None:
+    """The limit that the page states: margins lead to a tail of 1e-6, and a needle of 1e-4 is missed."""
+
+    def margins(points: Floats) -> Floats:
+        return np.where(points[:, 1] < 1e-4, -1.0, ndtri(1.0 - 1e-6) - normal(points)[:, 0])
+
+    how = Splitting(particles=100, steps=4, replications=10)
+    found = [split(margins, 2, seed=seed, how=how) for seed in range(12)]
+    assert sum(one.high < 1e-4 for one in found) > 2
+
+
+def test_few_values_are_levels_enough() -> None:
+    """Margins 3, 2, 1 and -1 with a tenth each of the one before: 1e-3."""
+
+    def margins(points: Floats) -> Floats:
+        steps = (points < 0.1).astype(float)
+        return np.asarray(3.0 - steps[:, 0] - steps[:, :2].prod(axis=1) - 2.0 * steps.prod(axis=1))
+
+    found = split(margins, 3, seed=9)
+    assert found.low <= 1e-3 <= found.high
+    assert found.reached >= 18
+
+
+def test_the_same_seed_gives_the_same_and_another_does_not() -> None:
+    one, again, other = (split(tail(3.0), 2, seed=seed, how=QUICK) for seed in (1, 1, 2))
+    assert one == again
+    assert one.replicates != other.replicates
+
+
+def test_evaluations_are_counted_and_points_are_of_the_cube() -> None:
+    seen: list[Floats] = []
+
+    def margins(points: Floats) -> Floats:
+        seen.append(points)
+        return tail(3.0)(points)
+
+    found = split(margins, 2, seed=1, how=QUICK)
+    assert found.evaluations == sum(len(points) for points in seen)
+    every = np.concatenate(seen)
+    assert every.min() >= 0.0
+    assert every.max() < 1.0
+
+
+def test_margins_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(StatisticsError, match="150 that are no number"):
+        split(lambda points: np.full(len(points), np.nan), 2, seed=1, how=QUICK)
+    with pytest.raises(StatisticsError, match="150 margins"):
+        split(lambda points: np.ones(3), 2, seed=1, how=QUICK)
+    with pytest.raises(StatisticsError, match="two replications"):
+        dataclasses.replace(QUICK, replications=1)
