@@ -79,6 +79,7 @@ class DaskCrew:
     replaced: int = 0
     _under_way: dict[Any, tuple[Chunk, float]] = field(default_factory=dict)  # by future
     _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    _mistake: InputError | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -124,7 +125,9 @@ class DaskCrew:
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Chunks as they come, whole."""
+        """Chunks as they come, whole; a mistake in the plan once all before it was told."""
+        if self._mistake is not None:
+            raise self._mistake
         events: list[Event] = []
         try:
             future = self._finished.get(timeout=timeout_s)
@@ -156,7 +159,8 @@ class DaskCrew:
         except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
             return [Lost(chunk, f"its result could not be fetched: {type(error).__name__}")]
         if isinstance(found, Mistake):
-            raise found.error
+            self._mistake = found.error
+            return []
         return [Arrived(chunk, tuple(found), last=True)]
 
     def _gone(self) -> CampaignError:
