@@ -1,4 +1,4 @@
-"""Does anything grow, and is every bit the same?  Run: python benchmarks/soak.py --episodes 100000
+"""Does anything grow, and is every bit the same?  Run: python benchmarks/soak.py [--episodes N].
 
 The same draws of a space go round and round in one process, in the kinematic world, judged by their claims.
 Every round has to give the bits of the first.  Memory and open files are looked at after the first round, in
@@ -18,7 +18,9 @@ import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import one_thread  # noqa: F401  (before numpy)
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.kinematic import TICKS_AT_ONCE, run_kinematic, run_many

@@ -35,7 +35,7 @@ def with_tables(text: str) -> str:
 
 
 def markdown_of_kills() -> tuple[str, str]:
-    """What the last self-test at the nightly profile came to, as ``selftest-results.json`` has it."""
+    """What the last self-test came to, as ``selftest-results.json`` has it."""
     found = json.loads(KILLS.read_text("utf-8"))["faults"]
     faults = [one for one in found if not one["harmless"]]
     rows = [[_cell(one[name]) for name in KILL_FIELDS] for one in faults]
