@@ -28,6 +28,7 @@ bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/scenario_files.py
 	$(BIN)/python benchmarks/formulas.py
 	$(BIN)/python benchmarks/search_power.py
+	$(BIN)/python benchmarks/flat_bugs.py
 	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py

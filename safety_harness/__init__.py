@@ -31,6 +31,14 @@ if TYPE_CHECKING:
     from safety_harness.scenario.model import Scenario, Verdict
     from safety_harness.scenario.read import parse_scenario, read_scenario
     from safety_harness.scenario.write import write_scenario
+    from safety_harness.search.coverage import Coverage
+    from safety_harness.search.cube import Column, Cube
+    from safety_harness.search.findings import Findings
+    from safety_harness.search.outcomes import Goal, Outcomes
+    from safety_harness.search.search import find_violations
+    from safety_harness.search.searchers import searcher_named
+    from safety_harness.search.shrink import shrink
+    from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
     from safety_harness.settings import DEFAULTS, Settings
     from safety_harness.space.boxes import InBox, InRegion
     from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
@@ -49,14 +57,20 @@ __all__ = [
     "AdmittedDraws",
     "Avoider",
     "By",
+    "Column",
+    "Coverage",
+    "Cube",
     "Evaluation",
+    "Findings",
     "FormulaClaim",
+    "Goal",
     "InBox",
     "InRegion",
     "InShell",
     "InputError",
     "JudgedRun",
     "OneOf",
+    "Outcomes",
     "Property",
     "Proposal",
     "Repeat",
@@ -66,12 +80,16 @@ __all__ = [
     "Settings",
     "The",
     "Trace",
+    "Trials",
     "TruncatedNormal",
     "Uniform",
     "Verdict",
     "admit",
     "draw_admissible",
+    "find_violations",
     "first_difference",
+    "in_kinematic",
+    "in_pybullet",
     "judge",
     "load_trace",
     "parse_formula",
@@ -83,6 +101,8 @@ __all__ = [
     "run_many",
     "run_trial",
     "save_trace",
+    "searcher_named",
+    "shrink",
     "space_from",
     "strategy",
     "write_report",
@@ -105,6 +125,14 @@ _HOMES = {
     "scenario.model": ("Scenario", "Verdict"),
     "scenario.read": ("parse_scenario", "read_scenario"),
     "scenario.write": ("write_scenario",),
+    "search.coverage": ("Coverage",),
+    "search.cube": ("Column", "Cube"),
+    "search.findings": ("Findings",),
+    "search.outcomes": ("Goal", "Outcomes"),
+    "search.search": ("find_violations",),
+    "search.searchers": ("searcher_named",),
+    "search.shrink": ("shrink",),
+    "search.trials": ("Trials", "in_kinematic", "in_pybullet"),
     "settings": ("DEFAULTS", "Settings"),
     "space.boxes": ("InBox", "InRegion"),
     "space.distributions": ("InShell", "TruncatedNormal", "Uniform"),

@@ -104,18 +104,26 @@ def compiled(function: F) -> F:
     No ``fastmath`` (results must repeat bit for bit) and no exceptions from divisions: like
     numpy, 0/0 is NaN, which every caller that decides something has to look for.
     """
-    return _compiled(function)
+    return _compiled(function, _nrt=True)  # said, for it would be taken over from the first caller
 
 
-def _compiled(function: F, *, forceinline: bool = False) -> F:
-    before = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
-    try:
-        return cast(F, numba.njit(cache=True, error_model="numpy", forceinline=forceinline)(function))
-    finally:
-        numba_config.CACHE_DIR = before
+def arrayless(function: F) -> F:
+    """As ``compiled``, for a function that makes no array.
+
+    Views of arrays are then not counted, which takes longer than what small functions do with them.
+    """
+    return _compiled(function, _nrt=False)
 
 
 def inlined(function: F) -> F:
-    """As ``compiled``, and always part of the machine code of its callers: for small steps of many arrays."""
-    return _compiled(function, forceinline=True)
+    """As ``arrayless``, and always part of the machine code of its callers: for small steps of many arrays."""
+    return _compiled(function, _nrt=False, forceinline=True)
+
+
+def _compiled(function: F, **options: bool) -> F:
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
+    try:
+        return cast(F, numba.njit(cache=True, error_model="numpy", **options)(function))
+    finally:
+        numba_config.CACHE_DIR = before

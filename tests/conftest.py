@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 import disagreement
+from browsing import started
 from examples import VISIT, run, scenario
 
 from safety_harness.trace.trace import Trace
@@ -29,3 +32,11 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 def visit() -> Trace:
     """A hand comes, stays for a moment and goes; the TCP gives way by the opposite pose."""
     return run(scenario(VISIT, duration_s=4.0))
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One browser for all pages."""
+    chrome = started(tmp_path_factory.mktemp("profile"))
+    yield chrome
+    chrome.quit()

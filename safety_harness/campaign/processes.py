@@ -22,7 +22,7 @@ from safety_harness.campaign.rows import Row
 from safety_harness.campaign.worker import ONE_THREAD, Done, Mistake, Ready, resident_bytes, work
 from safety_harness.exceptions import CampaignError, InputError
 
-_MOST_FALSE_STARTS = 3
+_MOST_FALSE_STARTS = 10
 _LOOK_S = 1.0  # between looks at clocks and memory
 
 

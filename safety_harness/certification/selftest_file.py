@@ -9,6 +9,7 @@ from typing import Any
 from safety_harness.certification.tools import Fault, SelfTest
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
+from safety_harness.scenario.files import refuse_no_file
 
 FORMAT = "safety-harness selftest 1"
 LARGEST_BYTES = 64 * 2**20
@@ -17,6 +18,7 @@ ON_TRIAL = ("caught", "survives")  # others are harmless, or do not apply to the
 
 def read_selftest(path: Path) -> SelfTest:
     """InputError, naming the field, for what is no such file."""
+    refuse_no_file(path, "a selftest.json", InputError)
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)

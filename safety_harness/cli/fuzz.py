@@ -32,7 +32,7 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Episode, Findings, Group
 from safety_harness.search.sampling import Uniform
 from safety_harness.search.search import find_violations
-from safety_harness.search.searchers import SEARCHERS, MakesSearcher
+from safety_harness.search.searchers import MakesSearcher, searcher_named
 from safety_harness.search.trials import Trials, World, in_kinematic, in_pybullet
 from safety_harness.space.read import read_space
 from safety_harness.trace.store import save_trace
@@ -63,7 +63,7 @@ def fuzz(
     try:
         if budget < 1:
             raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
-        make = _searcher(searcher)
+        make = searcher_named(searcher)
         if baseline and make is Uniform:
             raise ScenarioError(
                 place=Place(field="--baseline"),
@@ -83,14 +83,6 @@ def fuzz(
         say("interrupted before anything was tried")
         return INTERRUPTED
     return session.exit_code
-
-
-def _searcher(name: str) -> MakesSearcher:
-    for make in SEARCHERS:
-        if make.name == name:
-            return make
-    names = ", ".join(make.name for make in SEARCHERS)
-    raise ScenarioError(place=Place(field="--searcher"), expected=f"one of {names}", got=repr(name))
 
 
 @dataclass(eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import arrayless, compiled
 from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
@@ -46,7 +46,7 @@ def servo_twist(
         s.gain = 0.0
         s.camera_twist[:] = 0.0
         return
-    rotation_tcp = s.transform_tcp_to_base[:3, :3]
+    rotation_tcp = s.transform_tcp_to_base
     v, w, c = np.zeros(3), np.zeros(3), np.zeros(3)
     for i in range(3):
         for k in range(3):
@@ -61,7 +61,7 @@ def servo_twist(
     twist_in_base_out[3:] = w
 
 
-@compiled
+@arrayless
 def approach_twist(
     parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
 ) -> None:
@@ -87,7 +87,7 @@ def approach_twist(
         twist_in_base_out[i] *= speed / distance if distance > 0.0 else 0.0
 
 
-@compiled
+@arrayless
 def shaped(
     parameters: NDArray[np.void],
     previous: NDArray[np.float64],  # (6,) the twist of the last tick, base frame

@@ -80,6 +80,11 @@ STATE = np.dtype(
         ("gain", np.float64),
         ("camera_twist", np.float64, (6,)),
         ("limits", np.int64),
+        # what a tick works with
+        ("jacobian", np.float64, (6, 6)),
+        ("wanted_twist_in_base", np.float64, (6,)),
+        ("twist_in_base", np.float64, (6,)),
+        ("transform_sensor_to_base", np.float64, (4, 4)),
     ],
     align=True,
 )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import arrayless, inlined
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
@@ -32,7 +32,7 @@ LIMIT_SINGULARITY = int(Limit.SINGULARITY)
 STANDSTILL_RADPS = 1e-3
 
 
-@compiled
+@arrayless
 def begin_tick(
     parameters: NDArray[np.void],  # (1,) PARAMETERS
     filter_parameters: NDArray[np.void],  # (1,) FILTER_PARAMETERS
@@ -53,7 +53,7 @@ def begin_tick(
     return bool(s.decision_pending)
 
 
-@compiled
+@arrayless
 def see_object(
     parameters: NDArray[np.void], states: NDArray[np.void], observations: NDArray[np.void]
 ) -> None:
@@ -63,8 +63,8 @@ def see_object(
         return
     s.object_visible = o.object_visible
     if not o.object_visible:
-        s.features[:] = np.nan
-        s.feature_error[:] = np.nan
+        for i in range(6):
+            s.features[i] = s.feature_error[i] = np.nan
         s.sse = np.nan
         return
     copy_vector(o.moments, s.moments)
@@ -74,7 +74,7 @@ def see_object(
         s.object_visible = False
 
 
-@compiled
+@arrayless
 def see_hands(
     parameters: NDArray[np.void],
     filter_parameters: NDArray[np.void],
@@ -86,16 +86,15 @@ def see_hands(
     p, s, o = parameters[0], states[0], observations[0]
     if o.boxes_new:
         advance_tracks(tracks, o.boxes, o.box_count, o.boxes_time_s, filter_parameters)
-    transform_sensor_to_base = np.empty((4, 4))
     if p.eye_in_hand:
-        compose_into(s.transform_tcp_to_base, p.transform_camera_to_tcp, transform_sensor_to_base)
+        compose_into(s.transform_tcp_to_base, p.transform_camera_to_tcp, s.transform_sensor_to_base)
     else:
-        copy_matrix(p.transform_sensor_to_base, transform_sensor_to_base)
+        copy_matrix(p.transform_sensor_to_base, s.transform_sensor_to_base)
     predict_positions(
         tracks,
         o.time_s + p.prediction_horizon_s,
         filter_parameters,
-        transform_sensor_to_base,
+        s.transform_sensor_to_base,
         s.predicted_hand_in_base_m,
         s.track_valid,
     )
@@ -109,7 +108,8 @@ def see_hands(
                 s.predicted_distance_m = distance
                 s.nearest_track = i
         else:
-            s.predicted_hand_in_base_m[i, :] = np.nan
+            for j in range(3):
+                s.predicted_hand_in_base_m[i, j] = np.nan
 
 
 @inlined
@@ -123,7 +123,7 @@ def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
     return float(np.sqrt(total))
 
 
-@compiled
+@arrayless
 def decide_mode(
     parameters: NDArray[np.void],
     states: NDArray[np.void],
@@ -139,7 +139,9 @@ def decide_mode(
         s.clear_since_s = o.time_s
 
     if s.mode == PROTECTIVE_STOP:
-        still = np.max(np.abs(o.joint_velocity_radps)) < STANDSTILL_RADPS
+        still = True
+        for i in range(6):
+            still = still and abs(o.joint_velocity_radps[i]) < STANDSTILL_RADPS
         if still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
             s.mode = SERVOING
     if s.mode == REPULSING:
@@ -170,7 +172,7 @@ def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
     return bool(np.sqrt(total) <= p.arrival_tolerance_m)
 
 
-@compiled
+@arrayless
 def unknown_hand_inside(
     parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]
 ) -> bool:
@@ -186,7 +188,7 @@ def unknown_hand_inside(
     return False
 
 
-@compiled
+@arrayless
 def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]) -> None:
     """Note which hands are within the critical distance as a decision is made."""
     p, s = parameters[0], states[0]
@@ -195,7 +197,7 @@ def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], track
         s.known_track_ids[i] = tracks[i].id if within else -1
 
 
-@compiled
+@arrayless
 def finish_tick(
     parameters: NDArray[np.void],  # (1,) PARAMETERS
     states: NDArray[np.void],  # (1,) STATE
@@ -211,12 +213,12 @@ def finish_tick(
             s.mode = PROTECTIVE_STOP
         else:
             s.mode = REPULSING
-            s.target_in_base_m[:] = answer.position_in_base_m
+            copy_vector(answer.position_in_base_m, s.target_in_base_m)
 
-    jacobian = np.empty((6, 6))
+    jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
     geometric_jacobian(p.joint_axes, s.link_transforms, jacobian)
-    wanted = np.zeros(6)
-    s.camera_twist[:] = 0.0
+    for i in range(6):
+        wanted[i] = s.camera_twist[i] = 0.0
     s.gain = 0.0
     acceleration = p.max_tcp_acceleration_mps2
     speed = p.max_tcp_speed_mps
@@ -226,7 +228,6 @@ def finish_tick(
         acceleration = p.repulsion_acceleration_mps2
         speed = p.repulsion_speed_mps
         approach_twist(parameters, states, wanted)
-    twist = np.empty(6)
     s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed, acceleration, twist)
     if not joint_velocity(jacobian, twist, p.min_singular_value, command.joint_velocity_radps):
         s.limits |= LIMIT_SINGULARITY

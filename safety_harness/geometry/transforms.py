@@ -20,7 +20,7 @@ def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float6
     return transform
 
 
-@inlined
+@compiled
 def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     """Inverse (4, 4) of a rigid transform, by transposing its rotation: (R^T, -R^T t)."""
     inverse = np.zeros((4, 4))

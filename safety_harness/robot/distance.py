@@ -11,7 +11,7 @@ from math import isfinite, isnan, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import arrayless, compiled, inlined
 from safety_harness.geometry.segments import (
     point_segment_distance,
     segment_segment_distance,
@@ -53,7 +53,7 @@ def place_capsules(
             )
 
 
-@compiled
+@arrayless
 def hand_distance(
     placed: NDArray[np.float64],
     radius_m: NDArray[np.float64],
@@ -248,7 +248,7 @@ def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> flo
     return sqrt(longest)
 
 
-@compiled
+@arrayless
 def _hand_at(
     t: float,
     hand0: NDArray[np.float64],
@@ -262,7 +262,7 @@ def _hand_at(
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
 
 
-@compiled
+@arrayless
 def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.float64]) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
@@ -351,7 +351,7 @@ def _linear_bound(
     return bound
 
 
-@compiled
+@arrayless
 def _linear_pair_bound(
     left: NDArray[np.float64],
     right: NDArray[np.float64],

@@ -10,14 +10,14 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import arrayless, compiled, inlined
 from safety_harness.geometry.rotations import rotation_entries
 
 FRAMES = 8
 TCP = 7
 
 
-@compiled
+@arrayless
 def forward_kinematics(
     joint_origins: NDArray[np.float64],
     joint_axes: NDArray[np.float64],
@@ -71,20 +71,43 @@ def geometric_jacobian(
     the base frame; ``transforms`` (8, 4, 4) are those of ``forward_kinematics``.
     """
     for joint in range(6):
-        link = transforms[joint + 1]
-        x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
-        ax = link[0, 0] * x + link[0, 1] * y + link[0, 2] * z
-        ay = link[1, 0] * x + link[1, 1] * y + link[1, 2] * z
-        az = link[2, 0] * x + link[2, 1] * y + link[2, 2] * z
-        dx = transforms[7, 0, 3] - link[0, 3]
-        dy = transforms[7, 1, 3] - link[1, 3]
-        dz = transforms[7, 2, 3] - link[2, 3]
-        jacobian_out[0, joint] = ay * dz - az * dy
-        jacobian_out[1, joint] = az * dx - ax * dz
-        jacobian_out[2, joint] = ax * dy - ay * dx
+        ax, ay, az, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
+        jacobian_out[0, joint] = vx
+        jacobian_out[1, joint] = vy
+        jacobian_out[2, joint] = vz
         jacobian_out[3, joint] = ax
         jacobian_out[4, joint] = ay
         jacobian_out[5, joint] = az
+
+
+@inlined
+def tcp_velocity(
+    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], joint_velocity_radps: NDArray[np.float64]
+) -> tuple[float, float, float]:
+    """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (6,)."""
+    x = y = z = 0.0
+    for joint in range(6):
+        _, _, _, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
+        x += vx * joint_velocity_radps[joint]
+        y += vy * joint_velocity_radps[joint]
+        z += vz * joint_velocity_radps[joint]
+    return x, y, z
+
+
+@inlined
+def _joint_twist(
+    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], joint: int
+) -> tuple[float, float, float, float, float, float]:
+    """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame."""
+    link = transforms[joint + 1]
+    x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
+    ax = link[0, 0] * x + link[0, 1] * y + link[0, 2] * z
+    ay = link[1, 0] * x + link[1, 1] * y + link[1, 2] * z
+    az = link[2, 0] * x + link[2, 1] * y + link[2, 2] * z
+    dx = transforms[7, 0, 3] - link[0, 3]
+    dy = transforms[7, 1, 3] - link[1, 3]
+    dz = transforms[7, 2, 3] - link[2, 3]
+    return ax, ay, az, ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
 
 
 @compiled

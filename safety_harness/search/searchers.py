@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.search.ask_tell import Searcher
 from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Cube
@@ -24,3 +25,12 @@ class MakesSearcher(Protocol):
 
 
 SEARCHERS: tuple[MakesSearcher, ...] = (Default, Uniform, QuasiRandom, CmaEs, HypothesisSearch, Diverse)
+
+
+def searcher_named(name: str) -> MakesSearcher:
+    """One of SEARCHERS, by its name; ScenarioError for any other."""
+    for make in SEARCHERS:
+        if make.name == name:
+            return make
+    names = ", ".join(make.name for make in SEARCHERS)
+    raise ScenarioError(place=Place(field="searcher"), expected=f"one of {names}", got=repr(name))

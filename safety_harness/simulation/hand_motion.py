@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import arrayless
 
 
 class Kind(IntEnum):
@@ -74,7 +74,7 @@ HAND = np.dtype(
 ARRIVED_M = 1e-9
 
 
-@compiled
+@arrayless
 def advance_hands(
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND
     moves: NDArray[np.void],  # (m,) MOVE
@@ -96,7 +96,8 @@ def advance_hands(
             continue
         if hand.leader >= 0:
             leader = hands[hand.leader]
-            hand.position_in_base_m[:] = leader.position_in_base_m + hand.apart_in_base_m
+            for i in range(3):
+                hand.position_in_base_m[i] = leader.position_in_base_m[i] + hand.apart_in_base_m[i]
             point_forearm(hands, k)
             continue
         left_s = dt_s
@@ -112,7 +113,7 @@ def advance_hands(
         point_forearm(hands, k)
 
 
-@compiled
+@arrayless
 def advance_move(
     hands: NDArray[np.void],
     k: int,
@@ -147,7 +148,7 @@ def advance_move(
     return float(max(left_s - used_s, 0.0))
 
 
-@compiled
+@arrayless
 def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
     hand = hands[k]
@@ -166,7 +167,7 @@ def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     return float(used_s)
 
 
-@compiled
+@arrayless
 def follow_leg(
     hands: NDArray[np.void],
     k: int,
@@ -212,7 +213,7 @@ def follow_leg(
     return dt_s, False
 
 
-@compiled
+@arrayless
 def begin_leg(
     hands: NDArray[np.void], k: int, target_in_base_m: NDArray[np.float64], distance_m: float
 ) -> None:
@@ -231,7 +232,7 @@ def begin_leg(
         hand.leg_direction_in_base[i] = hand.leg_direction_in_base[i] / length if length > 0.0 else 0.0
 
 
-@compiled
+@arrayless
 def pursue(
     hands: NDArray[np.void],
     k: int,
@@ -260,19 +261,20 @@ def pursue(
     if room <= 0.0:
         return brake(hands, k, dt_s), False
     wanted = min(speed_mps, room / (change + np.sqrt(change**2 + 2.0 * room)))
-    step, squared = np.empty(3), 0.0
+    squared = 0.0
     for i in range(3):
         direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
-        step[i] = wanted * direction - hand.velocity_in_base_mps[i]
-        squared += step[i] ** 2
+        squared += (wanted * direction - hand.velocity_in_base_mps[i]) ** 2
     part = min(1.0, change / np.sqrt(squared)) if squared > 0.0 else 0.0
     for i in range(3):
-        hand.steady_in_base_m[i] += (hand.velocity_in_base_mps[i] + 0.5 * part * step[i]) * dt_s
-        hand.velocity_in_base_mps[i] += part * step[i]
+        direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
+        step = wanted * direction - hand.velocity_in_base_mps[i]
+        hand.steady_in_base_m[i] += (hand.velocity_in_base_mps[i] + 0.5 * part * step) * dt_s
+        hand.velocity_in_base_mps[i] += part * step
     return dt_s, False
 
 
-@compiled
+@arrayless
 def point_forearm(hands: NDArray[np.void], k: int) -> None:
     """Put the elbow one forearm's length from the hand towards the person."""
     hand = hands[k]
@@ -287,7 +289,7 @@ def point_forearm(hands: NDArray[np.void], k: int) -> None:
         hand.elbow_in_base_m[i] = hand.position_in_base_m[i] + hand.forearm_length_m * direction
 
 
-@compiled
+@arrayless
 def follow_recording(hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float) -> None:
     """Put hand and elbow where the recording has them; straight between samples, at rest after it."""
     hand = hands[k]

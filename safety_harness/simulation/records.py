@@ -26,6 +26,10 @@ CLOCK = np.dtype(
         ("tick", np.int64),
         ("control_period_s", np.float64),
         ("acted_faults", np.int64),  # bits, since the last observation was asked for
+        # what a step works with
+        ("tcp_in_base_m", np.float64, (3,)),  # before it
+        ("told_radps", np.float64, (6,)),  # the motors
+        ("joint_position_rad", np.float64, (6,)),  # after it
     ],
     align=True,
 )

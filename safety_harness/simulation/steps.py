@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import inlined
+from safety_harness.compiled import compiled, inlined
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.drive import drive_tick
@@ -74,7 +74,7 @@ def mount(clocks: Records, sensors: Records, faults: Records) -> None:
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
-@inlined
+@compiled
 def exact_object_frame(
     clocks: Records,
     sensors: Records,
@@ -113,7 +113,7 @@ def send_object_frame(
         )
 
 
-@inlined
+@compiled
 def exact_hand_frame(
     clocks: Records,
     sensors: Records,
@@ -203,10 +203,9 @@ def move_on(
 ) -> None:
     """A control period later: the hands have moved, the joints (6,) are there; write the truth of then."""
     clock = clocks[0]
-    tcp_in_base_m = np.empty(3)
     for i in range(3):
-        tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]
-    advance_hands(hands, moves, samples, tcp_in_base_m, now_s(clocks), clock.control_period_s)
+        clock.tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]
+    advance_hands(hands, moves, samples, clock.tcp_in_base_m, now_s(clocks), clock.control_period_s)
     clock.tick += 1
     fill_truth(
         arms,

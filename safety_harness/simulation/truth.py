@@ -7,12 +7,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import arrayless
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
+from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
 
 ARM = np.dtype(
@@ -64,7 +64,7 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     return capsules.with_capsule("camera", 7, offset - half_m * along, offset + half_m * along, radius_m)
 
 
-@compiled
+@arrayless
 def fill_truth(
     arms: NDArray[np.void],  # (1,) ARM
     capsule_link: NDArray[np.int64],  # (n,)
@@ -85,15 +85,8 @@ def fill_truth(
     copy_vector(joint_velocity_radps, tick.joint_velocity_radps)
     forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, arm.link_transforms)
     copy_matrix(arm.link_transforms[7], tick.transform_tcp_to_base)
-    jacobian = np.empty((6, 6))
-    geometric_jacobian(arm.joint_axes, arm.link_transforms, jacobian)
-    squared = 0.0
-    for i in range(3):
-        rate = 0.0
-        for j in range(6):
-            rate += jacobian[i, j] * joint_velocity_radps[j]
-        squared += rate * rate
-    tick.tcp_speed_mps = np.sqrt(squared)
+    x, y, z = tcp_velocity(arm.joint_axes, arm.link_transforms, joint_velocity_radps)
+    tick.tcp_speed_mps = np.sqrt(x * x + y * y + z * z)
     place_capsules(arm.link_transforms, capsule_link, capsule_start_in_link, capsule_end_in_link, placed)
     for k in range(hands.shape[0]):
         hand = hands[k]

@@ -12,9 +12,10 @@ cube's point is the normal distribution function of z.
 
 A pilot run fixes levels and step lengths; then R replications, independent of it and of each other, each
 give an estimate whose expectation is the probability, however badly the moves mix, since nothing in them
-adapts.  The interval is Student's t over the replications.  What it cannot see is a region that hardly any
-replication finds: then most estimates are too low and few much too high.  So ``reached`` says how many
-replications found a violation at all, and the interval has no upper end below 1 unless at least half did.
+adapts.  The interval is Student's t over the replications.  A region that hardly any replication finds
+makes most estimates too low and few much too high, and t too hopeful.  So there is an upper end below 1
+only where nine replications of ten found a violation, and none of them makes up half of the sum.  Of a
+region that none found nothing can be said.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ Margins = Callable[[Floats], Floats]
 
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST_LEVELS = 60
+_FOUND = 0.9  # of the replications
+_MOST_OF_SUM = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,10 +139,10 @@ class _Judged:
 
 
 def _interval(replicates: Floats, chance: float) -> tuple[float, float]:
-    """Student's t over the replications, cut to [0, 1]; up to 1 where fewer than half found a violation."""
+    """Student's t over the replications, cut to [0, 1]; up to 1 where they do not agree well enough."""
     n, mean = len(replicates), float(replicates.mean())
     half = float(stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
-    found = 2 * np.count_nonzero(replicates) >= n
+    found = np.count_nonzero(replicates) >= _FOUND * n and float(replicates.max()) < _MOST_OF_SUM * n * mean
     return max(mean - half, 0.0), min(mean + half, 1.0) if found else 1.0
 
 

@@ -112,7 +112,7 @@ class ViolationSplit:
 
 
 def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSplit:
-    """By the method of moments, with the exact F interval (Searle, Casella and McCulloch, 1992, section 3.6).
+    """By the method of moments, with the exact F interval (Searle, Casella and McCulloch, 1992).
 
     With the mean squares between, B, and within, W: s2 = (B - W) / k and w2 = W, and
     (B / W) / (1 + k s2 / w2) has an F distribution with m - 1 and m (k - 1) degrees of freedom.

@@ -25,7 +25,7 @@ from safety_harness.statistics.sample import Outcome
 from tests.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
-QUICK = Limits(silence_s=1.5, first_s=0.0)
+QUICK = Limits(silence_s=3.0, first_s=60.0)
 
 
 @pytest.fixture
@@ -202,7 +202,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_a_worker_that_goes_wrong_once_is_replaced_and_nothing_is_lost(
     tmp_path: Path, plan: Plan, undisturbed: str, kind: type[Crashes]
 ) -> None:
-    limits = Limits(silence_s=1.5, first_s=0.0, resident_bytes=400 * 2**20)
+    limits = Limits(silence_s=3.0, first_s=60.0, resident_bytes=400 * 2**20)
     with crew_of(kind(at=5, times=1, folder=tmp_path), limits=limits) as crew:
         assert run_with(tmp_path / "ledger", plan, crew) == (undisturbed, 0)
         assert crew.replaced == 1

@@ -110,7 +110,7 @@ def test_what_only_the_baseline_meets_is_shrunk_and_written_too(
         def propose(self, count: int):  # type: ignore[no-untyped-def]
             return super().propose(count) * 0.0 + 0.99
 
-    monkeypatch.setattr(fuzz_module, "SEARCHERS", (Blind, *fuzz_module.SEARCHERS))
+    monkeypatch.setattr(fuzz_module, "searcher_named", lambda name: Blind)
     out = project / "out"
     assert fuzz(project / "space.yaml", out=out, budget=32, searcher="blind", baseline=True) == DIFFERS
     assert "uniform: tried 32/32" in capsys.readouterr().err

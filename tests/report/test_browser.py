@@ -4,59 +4,15 @@ from __future__ import annotations
 
 import base64
 import json
-import os
-import shutil
-from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import factory
 import pytest
+from browsing import colour, show
 
 from safety_harness.report.html import write_report
-
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
-REQUIRED = os.environ.get("SAFETY_HARNESS_REQUIRE_BROWSER") == "1"
-
-
-def needed(program: str) -> str:
-    found = shutil.which(program)
-    if found is None:
-        message = f"{program} is not installed, so the report is not tried in a browser"
-        if REQUIRED:
-            pytest.fail(message)
-        pytest.skip(message)
-    return found
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    binary, driver = needed("chromium"), needed("chromedriver")
-    if not REQUIRED:
-        pytest.importorskip("selenium", reason="selenium is not installed")
-    from selenium import webdriver
-    from selenium.webdriver.chrome.options import Options
-    from selenium.webdriver.chrome.service import Service
-
-    options = Options()
-    options.binary_location = binary
-    for flag in FLAGS:
-        options.add_argument(flag)
-    options.add_argument(f"--user-data-dir={tmp_path_factory.mktemp('profile')}")
-    options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
-    chrome = webdriver.Chrome(options=options, service=Service(driver))
-    yield chrome
-    chrome.quit()
 
 
 @pytest.fixture(scope="module")
@@ -77,20 +33,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
         generated_at=datetime(2025, 11, 21, 9, 30, tzinfo=UTC),
     )
     return Path(path).as_uri()
-
-
-def show(browser: Any, report: str, *, width: int, scheme: str = "light", media: str = "screen") -> None:
-    features = [{"name": "prefers-color-scheme", "value": scheme}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
-    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    browser.get(report)
-
-
-def colour(browser: Any, selector: str, name: str) -> list[int]:
-    script = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
-    value = browser.execute_script(script, selector, name)
-    return [int(word) for word in value[value.index("(") + 1 : -1].split(",")[:3]]
 
 
 def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, report: str) -> None:

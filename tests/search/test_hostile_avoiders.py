@@ -8,7 +8,7 @@ import pytest
 
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
-from safety_harness.search.search import search
+from safety_harness.search.search import find_violations
 from safety_harness.search.trials import Trials, in_kinematic
 from tests.search.broken_avoiders import SPACE
 
@@ -39,7 +39,7 @@ def test_it_is_found_and_the_search_goes_on(bad: str, words: str, tmp_path: Path
     file.write_text(FILE.replace("BAD", bad))
     cube = Cube.of(SPACE)
     trials = Trials(SPACE, in_kinematic, seed=0, avoider=f"{file}:Mine")
-    found = search(
+    found = find_violations(
         cube,
         trials.goals,
         trials,

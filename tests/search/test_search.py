@@ -13,7 +13,7 @@ from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.findings import Findings
 from safety_harness.search.outcomes import SCALES, Goal, Outcomes
 from safety_harness.search.sampling import Uniform
-from safety_harness.search.search import HOPELESS, search
+from safety_harness.search.search import HOPELESS, find_violations
 
 CUBE = Cube((Column(), Column(), Column((0.0, 0.5, 1.0), flat=True)))
 GOALS = (Goal("first", 0.1), Goal("second", 1.0))
@@ -36,7 +36,7 @@ class World:
 def searched(evaluate: object = None, *, budget: int = 300, batch: int = 7, seed: int = 0) -> Findings:
     searcher = Uniform(CUBE, claims=2, seed=seed)
     world = World() if evaluate is None else evaluate
-    return search(CUBE, GOALS, world, searcher, budget=budget, batch=batch)  # type: ignore[arg-type]
+    return find_violations(CUBE, GOALS, world, searcher, budget=budget, batch=batch)  # type: ignore[arg-type]
 
 
 def test_runs_are_counted_and_refusals_beside_them() -> None:
@@ -170,7 +170,7 @@ def test_margins_are_told_over_their_scales() -> None:
 
     searcher = Listens(CUBE, claims=2, seed=0)
     margins = np.array([[0.02, 3.0]])
-    search(CUBE, GOALS, lambda points, first: Outcomes.of_margins(margins), searcher, budget=1)
+    find_violations(CUBE, GOALS, lambda points, first: Outcomes.of_margins(margins), searcher, budget=1)
     assert searcher.told.tolist() == [[0.02 / 0.1, 3.0]]
 
 

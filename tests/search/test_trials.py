@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_trial
+from safety_harness.avoidance.avoider import Proposal
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search import trials as trials_module
@@ -103,6 +106,27 @@ def test_an_avoider_that_raises_in_a_corner_is_a_mishap_of_one_kind_whatever_its
     assert found.mishaps[2] == found.mishaps[3]
     assert "ZeroDivisionError: at ... (mine.py:" in found.mishaps[2]
     assert np.isfinite(found.margins[2]).all()
+
+
+def test_our_own_avoiders_are_waited_for_and_a_users_are_not(
+    tmp_path: Path,
+) -> None:
+    def slow(**_: object) -> object:
+        time.sleep(0.15)  # the deadline is 100 ms
+        return Proposal(np.array([0.6, 0.1, 0.4]))
+
+    (tmp_path / "mine.py").write_text(CRASHING)
+    avoiders = ("opposite pose", str(tmp_path / "mine.py") + ":Crashing")
+    faults = []
+    for avoider in avoiders:
+        scenario = Trials(SHORT, in_pybullet, avoider=avoider).scenario(POINTS[1], 11)
+        admitted = admit(scenario, avoider=SimpleNamespace(name="slow", propose=slow))
+        (trace,) = in_pybullet([admitted])
+        assert isinstance(trace, Trace)
+        faults.append([str(fault) for fault in trace.decisions["fault"]])
+    assert faults[0]
+    assert not any(faults[0])
+    assert faults[1][0] == "no answer within 100 ms"
 
 
 def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,6 +98,28 @@ def test_what_is_never_found_is_not_said_to_be_impossible(margins: Callable[[Flo
     assert (found.value, found.reached, found.low, found.high) == (0.0, 0, 0.0, 1.0)
 
 
+def test_a_region_that_hardly_any_replication_finds_leaves_no_upper_bound() -> None:
+    """A needle far from where the margins lead."""
+    runs, missed, open_ended = 20, 0, 0
+    for seed in range(runs):
+        found = split(lambda u: np.where(u[:, 0] < 2e-4, -1.0, 1.0 + u[:, 1]), 2, seed=seed, how=QUICK)
+        missed += not found.low <= 2e-4 <= found.high
+        open_ended += found.high == 1.0
+    assert misses_are_no_more_than(missed, runs, 0.05)
+    assert open_ended > runs / 2
+
+
+def test_what_lies_aside_of_the_way_cannot_be_seen() -> None:
+    """The limit that the page states: margins lead to a tail of 1e-6, and a needle of 1e-4 is missed."""
+
+    def margins(points: Floats) -> Floats:
+        return np.where(points[:, 1] < 1e-4, -1.0, ndtri(1.0 - 1e-6) - normal(points)[:, 0])
+
+    how = Splitting(particles=100, steps=4, replications=10)
+    found = [split(margins, 2, seed=seed, how=how) for seed in range(12)]
+    assert sum(one.high < 1e-4 for one in found) > 2
+
+
 def test_few_values_are_levels_enough() -> None:
     """Margins 3, 2, 1 and -1 with a tenth each of the one before: 1e-3."""
 

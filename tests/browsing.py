@@ -1,0 +1,65 @@
+"""A real browser for tests of pages: what it takes to start it, and how a page is shown in it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics card
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+REQUIRED = os.environ.get("SAFETY_HARNESS_REQUIRE_BROWSER") == "1"
+
+
+def needed(program: str) -> str:
+    found = shutil.which(program)
+    if found is None:
+        message = f"{program} is not installed, so pages are not tried in a browser"
+        if REQUIRED:
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+def started(profile: Path) -> Any:
+    """Chromium, driven by selenium; the test is skipped (or fails, where it is required) without them."""
+    binary, driver = needed("chromium"), needed("chromedriver")
+    if not REQUIRED:
+        pytest.importorskip("selenium", reason="selenium is not installed")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.options import Options
+    from selenium.webdriver.chrome.service import Service
+
+    options = Options()
+    options.binary_location = binary
+    for flag in FLAGS:
+        options.add_argument(flag)
+    options.add_argument(f"--user-data-dir={profile}")
+    options.set_capability("goog:loggingPrefs", {"performance": "ALL", "browser": "ALL"})
+    return webdriver.Chrome(options=options, service=Service(driver))
+
+
+def show(browser: Any, report: str, *, width: int, scheme: str = "light", media: str = "screen") -> None:
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
+    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.get(report)
+
+
+def colour(browser: Any, selector: str, name: str) -> list[int]:
+    script = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
+    value = browser.execute_script(script, selector, name)
+    return [int(word) for word in value[value.index("(") + 1 : -1].split(",")[:3]]

@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from itertools import pairwise
+from xml.etree import ElementTree
+
+from made_up import evidence
+
+from safety_harness.certification.argument import Element, Kind, argument_of
+from safety_harness.certification.argument_svg import _Layout, argument_svg
+from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.tools import Coverage, Credibility
+
+
+def every(element: Element) -> list[Element]:
+    return [element, *(one for child in (*element.beside, *element.below) for one in every(child))]
+
+
+def without_evidence() -> Evidence:
+    none = Credibility(agreement=None, reruns=(), oracles=(), oracles_measured_with="", absent=())
+    empty = Coverage(runs=0, without_hand=0, cells=(), about="")
+    return replace(evidence(counterexamples=0), credibility=none, selftest=None, search=None, coverage=empty)
+
+
+def test_every_goal_rests_on_a_solution_or_is_marked_as_undeveloped() -> None:
+    for one in (evidence(), without_evidence()):
+        for element in every(argument_of(one)):
+            if element.kind in (Kind.GOAL, Kind.STRATEGY):
+                assert element.undeveloped == (not element.below)
+
+
+def test_a_goal_without_evidence_is_undeveloped() -> None:
+    undeveloped = {one.text for one in every(argument_of(without_evidence())) if one.undeveloped}
+    assert "The simulator may be believed for these claims" in undeveloped
+    assert "What judges would notice a fault" in undeveloped
+    assert not any("hand distance" in text for text in undeveloped)
+
+
+def test_a_claim_that_was_never_tested_has_no_solution() -> None:
+    (goal,) = [one for one in every(argument_of(evidence())) if one.text.startswith("stops within")]
+    assert goal.undeveloped
+    assert goal.state == "violated"
+
+
+def test_the_top_goal_says_what_the_gravest_claim_says() -> None:
+    assert argument_of(evidence()).state == "violated"
+    assert argument_of(evidence(only_shown=True)).state == "holds"
+
+
+def test_keys_are_unique() -> None:
+    keys = [one.key for one in every(argument_of(evidence()))]
+    assert len(keys) == len(set(keys))
+
+
+def test_no_two_boxes_of_the_picture_overlap_and_all_lie_within_it() -> None:
+    layout = _Layout(argument_of(evidence()))
+    boxes = sorted(layout.boxes, key=lambda box: (box.x, box.y))
+    for box in boxes:
+        assert box.x >= 0.0
+        assert box.y >= 0.0
+        assert box.x + box.width <= layout.width
+        assert box.y + box.height <= layout.height
+    for k, one in enumerate(boxes):
+        for other in boxes[k + 1 :]:
+            apart_x = one.x + one.width <= other.x or other.x + other.width <= one.x
+            apart_y = one.y + one.height <= other.y or other.y + other.height <= one.y
+            assert apart_x or apart_y, (one.element.key, other.element.key)
+    assert len(list(pairwise(boxes))) > 10
+
+
+def test_the_picture_is_markup_in_which_names_are_text() -> None:
+    drawn = argument_svg(argument_of(evidence()), prefix="a-")
+    root = ElementTree.fromstring(drawn)
+    assert not any(element.tag.endswith("script") for element in root.iter())
+    assert "<b>" not in drawn
+    links = re.findall(r'href="#([^"]+)"', drawn)
+    assert len(links) == len(every(argument_of(evidence())))

@@ -1,0 +1,212 @@
+"""The evidence report in a real browser: quiet, readable, its replays play and show what the trace has."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from browsing import colour, show
+from made_up import evidence
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import judge
+from safety_harness.certification.page import write_page
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.scenario.read import read_scenario
+
+SCENARIO = Path(__file__).parents[2] / "scenarios" / "fast-reach.yaml"
+FIRST = "document.querySelector('figure.replay')"
+
+
+@pytest.fixture(scope="module")
+def run() -> JudgedRun:
+    trace = run_kinematic(admit(read_scenario(SCENARIO)))
+    return JudgedRun(trace=trace, evaluations=judge(trace), replay_command="")
+
+
+@pytest.fixture(scope="module")
+def report(run: JudgedRun, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("certification") / "evidence.html"
+    write_page(path, evidence(), {1: run, 2: run})
+    return path.as_uri()
+
+
+def replayed(browser: Any, name: str, number: int = 0) -> str:
+    figure = f"document.querySelectorAll('figure.replay')[{number}]"
+    return str(browser.execute_script(f"return {figure}.dataset[arguments[0]]", name))
+
+
+def awake(browser: Any, number: int = 0) -> None:
+    """Scroll to a replay and wait until it is drawn."""
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    figure = f"document.querySelectorAll('figure.replay')[{number}]"
+    browser.execute_script(f"{figure}.scrollIntoView({{block: 'center'}})")
+    WebDriverWait(browser, 60).until(
+        lambda _: replayed(browser, "triangles", number) not in ("", "None", "0")
+    )
+
+
+def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, report: str) -> None:
+    browser.get_log("performance")
+    browser.get_log("browser")
+    show(browser, report, width=1000)
+    browser.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    browser.execute_script("scrollTo(0, document.body.scrollHeight)")
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    asked = {one["request"]["url"] for one in sent if one["documentURL"] == report}
+    assert report in asked  # the log does see requests
+    assert asked - {report} <= {"data:,"}
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_markup_of_the_user_runs_nowhere(browser: Any, report: str) -> None:
+    show(browser, report, width=1000)
+    kinds = browser.execute_script("return [...document.scripts].map((s) => s.type)")
+    assert kinds == ["application/json", "application/json", ""]
+    assert browser.execute_script("return document.querySelectorAll('b').length") == 0
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(360, "light"), (768, "dark"), (1280, "light")])
+def test_the_page_never_scrolls_sideways(browser: Any, report: str, width: int, scheme: str) -> None:
+    show(browser, report, width=width, scheme=scheme)
+    browser.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+    outside = browser.execute_script(
+        """return [...document.querySelectorAll('main *, header *, footer *')].filter((e) =>
+             !e.closest('.drawing, .unseen, .stage') && e.getBoundingClientRect().right > innerWidth + 1
+           ).map((e) => e.outerHTML.slice(0, 120))"""
+    )
+    assert outside == []
+
+
+def test_every_link_leads_to_a_part_of_the_page_that_then_is_open(browser: Any, report: str) -> None:
+    show(browser, report, width=1000)
+    lost = browser.execute_script(
+        """return [...document.querySelectorAll('a[href]')].map((a) => a.getAttribute('href'))
+             .filter((h) => !h.startsWith('#') || !document.getElementById(h.slice(1)))"""
+    )
+    assert lost == []
+    browser.execute_script("location.hash = 'files'")
+    assert browser.execute_script("return document.getElementById('files').open")
+
+
+def test_a_replay_shows_the_arm_where_the_trace_has_it(browser: Any, report: str, run: JudgedRun) -> None:
+    """The viewer turns the joints by itself; where its tool comes to lie is known from the trace."""
+    show(browser, report, width=420)
+    awake(browser)
+    for time_s in (0.0, 1.0, 2.48):
+        browser.execute_script(
+            f"""const scrub = {FIRST}.querySelector('.scrub');
+                scrub.value = arguments[0]; scrub.dispatchEvent(new Event('input'))""",
+            time_s,
+        )
+        shown = np.array([float(word) for word in replayed(browser, "tcp").split()])
+        tick = round(time_s / run.trace.scenario.settings.clock.control_period_s)
+        true = run.trace.ticks["transform_tcp_to_base"][tick, :3, 3]
+        assert np.abs(shown - true).max() < 2e-3, time_s
+
+
+def test_a_replay_plays_pauses_and_ends(browser: Any, report: str, run: JudgedRun) -> None:
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    show(browser, report, width=420)
+    awake(browser)
+    figure = browser.find_elements(By.CSS_SELECTOR, "figure.replay")[0]
+    play = figure.find_element(By.CSS_SELECTOR, ".play")
+    browser.execute_script(f"{FIRST}.querySelector('[data-jump]').click()")
+    before = float(replayed(browser, "time"))
+    play.click()
+    assert play.text == "Pause"
+    WebDriverWait(browser, 60).until(lambda _: float(replayed(browser, "time")) > before + 0.1)
+    assert replayed(browser, "state") == "playing"
+    play.click()
+    WebDriverWait(browser, 60).until(lambda _: replayed(browser, "state") == "paused")
+    assert play.text == "Play"
+    nearly = "s.value = s.max - 0.05; s.dispatchEvent(new Event('input'))"
+    browser.execute_script(f"const s = {FIRST}.querySelector('.scrub'); {nearly}")
+    play.click()
+    WebDriverWait(browser, 60).until(lambda _: replayed(browser, "state") == "paused")
+    assert float(replayed(browser, "time")) == pytest.approx(run.trace.time_s[-1], abs=1e-3)
+
+
+def test_the_keyboard_turns_plays_and_pauses(browser: Any, report: str) -> None:
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    show(browser, report, width=420)
+    awake(browser)
+    stage = browser.find_elements(By.CSS_SELECTOR, "figure.replay .stage")[0]
+    before = stage.screenshot_as_png
+    browser.execute_script("arguments[0].focus()", stage)
+    for _ in range(4):
+        stage.send_keys(Keys.ARROW_LEFT)
+    assert stage.screenshot_as_png != before
+    for state in ("playing", "paused"):
+        stage.send_keys(Keys.SPACE)
+        WebDriverWait(browser, 60).until(lambda _, state=state: replayed(browser, "state") == state)
+    scrub = browser.find_elements(By.CSS_SELECTOR, "figure.replay .scrub")[0]
+    text = scrub.get_attribute("aria-valuetext")
+    scrub.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+    assert scrub.get_attribute("aria-valuetext") != text
+
+
+def test_one_picture_is_lent_to_the_replay_that_is_looked_at(browser: Any, report: str) -> None:
+    show(browser, report, width=420)
+    awake(browser)
+    awake(browser, 1)
+    assert browser.execute_script("return document.querySelectorAll('canvas').length") == 1
+    inside = "return document.querySelectorAll('figure.replay')[1].contains(document.querySelector('canvas'))"
+    assert browser.execute_script(inside)
+
+
+def test_the_replay_follows_the_colours_of_the_page(browser: Any, report: str) -> None:
+    brightness = {}
+    for scheme in ("light", "dark"):
+        show(browser, report, width=420, scheme=scheme)
+        awake(browser)
+        brightness[scheme] = sum(colour(browser, "figure.replay", "backgroundColor"))
+    assert brightness["light"] > 600 > 200 > brightness["dark"]
+
+
+def test_a_table_is_copied_with_all_its_cells(browser: Any, report: str) -> None:
+    show(browser, report, width=1000)
+    text = browser.execute_script(
+        """const button = document.querySelector('.copy-table'); button.click();
+           return new Promise((done) => setTimeout(() => done(button.dataset.copied), 300))"""
+    )
+    lines = text.split("\n")
+    assert len(lines) == 7
+    assert {line.count("\t") for line in lines} == {6}
+    assert lines[1].startswith("hand distance never below 50 mm\trefuted\t1.71 %")
+
+
+def test_in_print_all_is_unfolded_and_no_table_is_cut(browser: Any, report: str) -> None:
+    show(browser, report, width=700, scheme="dark", media="print")
+    assert sum(colour(browser, "body", "backgroundColor")) > 600
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    assert base64.b64decode(printed["data"]).startswith(b"%PDF")
+    assert browser.execute_script("return [...document.querySelectorAll('details')].every((d) => d.open)")
+    cut = browser.execute_script(
+        """return [...document.querySelectorAll('table')].filter((t) =>
+             t.getBoundingClientRect().right > innerWidth + 1
+             || getComputedStyle(t.rows[1] ?? t.rows[0]).breakInside !== 'avoid'
+           ).map((t) => t.caption?.textContent)"""
+    )
+    assert cut == []
+    assert browser.execute_script(f"return getComputedStyle({FIRST}).display") == "none"
+
+
+def test_it_opens_quickly_enough_to_be_read(browser: Any, report: str) -> None:
+    """No claim about this machine's clock: the whole page is there before any replay is built."""
+    show(browser, report, width=1000)
+    assert browser.execute_script("return document.readyState") == "complete"
+    assert replayed(browser, "state", 1) == "asleep"

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import factory
+import page
+import pytest
+from made_up import HOSTILE, STRATA, evidence
+
+from safety_harness.certification.evidence import Standing
+from safety_harness.certification.page import render
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return render(evidence(), {1: factory.violated_run()})
+
+
+@pytest.fixture(scope="module")
+def document(text: str) -> page.Node:
+    return page.parse(text)
+
+
+def test_the_first_page_says_of_each_claim_the_verdict_the_bound_and_how_often_it_was_tested(
+    document: page.Node,
+) -> None:
+    (table,) = document.all("table", "verdicts")
+    rows = [row.text for row in table.all("tr")][1:]
+    assert len(rows) == 6
+    assert "refuted" in rows[0]
+    assert "1.71 %" in rows[0]
+    assert "8880 of 9000 runs" in rows[0]
+    assert "not bounded" in rows[4]
+    assert "0 of 9000 runs" in rows[4]
+
+
+def test_it_says_that_it_is_no_certificate_and_claims_no_performance_level(document: page.Node) -> None:
+    (statement,) = document.all("p", "statement")
+    assert "It is no certificate" in statement.text
+    assert "no performance level" in statement.text
+    hazards = document.text[document.text.index("Hazards and claims") :]
+    assert "none claimed" in hazards
+
+
+def test_a_report_with_an_inconclusive_claim_is_not_green() -> None:
+    fine = page.parse(render(evidence(only_shown=True, counterexamples=0), {}))
+    assert [node.attributes["class"] for node in fine.all("div", "banner")] == ["banner fine"]
+    whole = evidence(counterexamples=0)
+    for standing in Standing:
+        if standing is Standing.SHOWN:
+            continue
+        only = tuple(claim for claim in whole.claims if claim.standing in (standing, Standing.SHOWN))
+        shown = page.parse(render(replace(whole, standing=standing, claims=only), {}))
+        banners = [node.attributes["class"] for node in shown.all("div", "banner")]
+        assert not any("fine" in one for one in banners), standing
+
+
+def test_every_link_leads_somewhere(document: page.Node) -> None:
+    ids = [node.attributes["id"] for node in document.walk() if "id" in node.attributes]
+    assert len(ids) == len(set(ids))
+    links = [node.attributes["href"] for node in document.all("a")]
+    assert len(links) > 40
+    for link in links:
+        assert link.startswith("#")
+        assert link[1:] in ids, link
+
+
+def test_names_are_text_and_never_markup(text: str, document: page.Node) -> None:
+    assert HOSTILE not in text
+    assert document.all("b") == []
+    assert STRATA[2] in document.text
+    kinds = [node.attributes.get("type", "") for node in document.all("script")]
+    assert kinds == ["application/json", ""]
+
+
+def test_the_same_evidence_gives_the_same_bytes(text: str) -> None:
+    assert render(evidence(), {1: factory.violated_run()}) == text
+
+
+def test_the_viewer_is_there_once_and_only_where_there_is_something_to_replay(text: str) -> None:
+    assert text.count("Three.js Authors\n") == 1
+    assert len(text) < 2_500_000
+    none = render(evidence(counterexamples=0), {})
+    assert "Three.js Authors\n" not in none
+    assert len(none) < 600_000
+
+
+def test_what_the_plan_did_not_measure_is_said(document: page.Node) -> None:
+    words = document.text
+    assert "no run gave it an occasion" in words
+    assert "measured with another source" in words
+    assert "Nothing here compares the simulator with a real cell." in words

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import pytest
+
+from safety_harness.certification.evidence import GRAVITY, Bound, Standing
+from safety_harness.certification.verdicts import gravest, percent, standing_of
+
+
+def word(**changes: Any) -> Standing:
+    known: dict[str, Any] = {
+        "target": 0.01,
+        "bound": Bound(lower=0.0, upper=0.005, confidence=0.99, method="exact"),
+        "runs": 1000,
+        "planned": 1000,
+        "tested": 1000,
+        "violated": 0,
+        "without_verdict": 0,
+        "may_stop_early": False,
+        "model_only": False,
+    }
+    return standing_of(**(known | changes))[0]
+
+
+def between(lower: float, upper: float) -> Bound:
+    return Bound(lower=lower, upper=upper, confidence=0.99, method="exact")
+
+
+def test_a_claim_is_shown_when_its_upper_bound_meets_the_target() -> None:
+    assert word() is Standing.SHOWN
+    assert word(bound=between(0.0, 0.01)) is Standing.SHOWN
+    assert word(bound=between(0.0, 0.0100001)) is Standing.NOT_SHOWN
+
+
+def test_it_is_refuted_only_when_the_lower_bound_is_above_the_target() -> None:
+    assert word(bound=between(0.02, 0.05)) is Standing.REFUTED
+    assert word(bound=between(0.01, 0.05)) is Standing.NOT_SHOWN
+
+
+def test_runs_without_a_verdict_leave_doubt_on_what_is_shown() -> None:
+    assert word(without_verdict=1) is Standing.DOUBTED
+    assert word(model_only=True) is Standing.DOUBTED
+
+
+def test_what_is_missing_is_never_a_verdict() -> None:
+    assert word(runs=999, tested=999) is Standing.INCOMPLETE
+    assert word(runs=999, tested=999, may_stop_early=True) is Standing.SHOWN
+    assert word(tested=0, bound=None) is Standing.UNTESTED
+    assert word(target=None) is Standing.ESTIMATED
+    assert word(bound=None) is Standing.INCOMPLETE
+
+
+def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever_shown() -> None:
+    """Over every combination: green needs all of it."""
+    choices = {
+        "target": (None, 0.01),
+        "bound": (None, between(0.0, 0.005), between(0.0, 0.5), between(0.3, 0.5)),
+        "runs": (900, 1000),
+        "tested": (0, 800),
+        "without_verdict": (0, 3),
+        "may_stop_early": (False, True),
+        "model_only": (False, True),
+    }
+    shown = 0
+    for values in product(*choices.values()):
+        one = dict(zip(choices, values, strict=True))
+        if word(**one) is Standing.SHOWN:
+            shown += 1
+            assert one["target"] is not None
+            assert one["bound"].upper <= one["target"]
+            assert one["without_verdict"] == 0
+            assert not one["model_only"]
+            assert one["tested"] > 0
+            assert one["runs"] == 1000 or one["may_stop_early"]
+    assert shown > 0
+
+
+def test_the_gravest_standing_speaks_for_all() -> None:
+    assert gravest([Standing.SHOWN, Standing.NOT_SHOWN]) is Standing.NOT_SHOWN
+    assert gravest([Standing.SHOWN] * 3) is Standing.SHOWN
+    assert gravest([]) is Standing.UNTESTED
+    assert set(GRAVITY) == set(Standing)
+    assert GRAVITY[-1] is Standing.SHOWN
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (0.0, "0 %"),
+        (0.002, "0.2 %"),
+        (0.01747, "1.75 %"),
+        (1e-6, "0.0001 %"),
+        (1.0, "100 %"),
+        (0.9999, "99.99 %"),
+    ],
+)
+def test_a_small_probability_is_never_shown_as_none(share: float, text: str) -> None:
+    assert percent(share) == text
