@@ -19,6 +19,7 @@ from safety_harness.selftest.table import markdown as table_of
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
 KILLS = DOCS / "selftest-results.json"
+ORACLES = DOCS / "oracles.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
 KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -30,6 +31,7 @@ def with_tables(text: str) -> str:
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims(CATALOGUE)
     tables["signals"] = markdown_of_signals()
+    tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
@@ -46,6 +48,16 @@ def markdown_of_kills() -> tuple[str, str]:
         "\n".join(table_of(KILL_HEAD, rows)) + "\n",
         "\n".join(table_of(("change", "why it cannot matter", "episodes without an alarm"), changes)) + "\n",
     )
+
+
+def markdown_of_oracles() -> str:
+    """The largest disagreements, as ``make oracles`` found them."""
+    found = json.loads(ORACLES.read_text("utf-8"))
+    rows = [
+        [one["oracle"], one["what"], f"{one['largest']:.1g} {one['unit']}".rstrip(), f"{one['numbers']:,}"]
+        for one in found
+    ]
+    return "\n".join(table_of(("oracle", "compared", "largest disagreement", "numbers"), rows)) + "\n"
 
 
 def _cell(value: object) -> str:

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 import trimesh
 from arms import random_joints, transforms_of
+from disagreement import noted
 
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm, mesh_paths
@@ -69,6 +70,7 @@ def test_distances_and_the_nearest_capsule_are_those_of_the_library() -> None:
             for (a, b), r in zip(placed_at(joints), CAPSULES.radius_m, strict=True)
         ]
         if min(each) > 0.0:
+            noted("coal", "distance of hand and capsules", "mm", ours, min(each), 1e3)
             assert ours == pytest.approx(min(each), abs=1e-6)
             assert each[nearest] == pytest.approx(min(each), abs=1e-6)
         else:
