@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+from safety_harness.certification.document import schema as evidence_schema
 from safety_harness.formulas.pages import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.pages import markdown_of_claims
@@ -18,6 +19,7 @@ from safety_harness.selftest.table import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
+EVIDENCE = DOCS / "schema" / "evidence.schema.json"
 KILLS = DOCS / "selftest-results.json"
 ORACLES = DOCS / "oracles.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
@@ -74,6 +76,7 @@ def main() -> None:
     SCHEMA.parent.mkdir(exist_ok=True)
     new = {page: with_tables(page.read_text()) for page in sorted(DOCS.glob("*.md"))}
     new[SCHEMA] = schema_text()
+    new[EVIDENCE] = json.dumps(evidence_schema(), indent=1) + "\n"
     for path, text in new.items():
         if not path.exists() or path.read_text() != text:
             path.write_text(text)
