@@ -6,8 +6,9 @@ from arms import random_joints, transforms_of
 from disagreement import noted
 
 from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.closest_approach import closest_approach_between
 from safety_harness.robot.description import load_arm, mesh_paths
-from safety_harness.robot.distance import closest_approach_between, hand_distance, place_capsules
+from safety_harness.robot.distance import hand_distance, place_capsules
 
 ARM = load_arm("ur10")
 CAPSULES = load_capsules("ur10").with_capsule("camera", 7, (0.0, -0.045, 0.0), (0.0, -0.045, 0.02), 0.05)
