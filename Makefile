@@ -5,7 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench docs setup clean
+.PHONY: demo test check bench bench-all others docs setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -19,7 +19,21 @@ check: $(VENV)/tested
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
+	$(BIN)/python benchmarks/results.py
+
+others: .venv-psy-taliro/installed .venv-verifai/installed
+
+.venv-%/installed:
+	$(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check $($*)
+	touch $@
+
+psy-taliro := psy-taliro==3.2.0
+verifai := verifai==2.2.0
+
+bench-all: bench
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/decision.py
 	$(BIN)/python benchmarks/isolation.py

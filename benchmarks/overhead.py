@@ -2,9 +2,9 @@
 
 Run: python benchmarks/overhead.py [--psy-taliro PYTHON] [--verifai PYTHON].
 The simulator is trivial (the sum of the inputs), the space a box of 17 coordinates, sampling uniform, one
-process: what is left is the tool's own. Theirs need libraries that exclude ours, so each runs in an environment of its
-own, by default .venv-psy-taliro and .venv-verifai (make others); one that is not there is left out, in words.
-All take turns, so that a busy machine slows all of them.
+process: what is left is the tool's own.  Theirs need libraries that exclude ours, so each runs in an
+environment of its own, by default .venv-psy-taliro and .venv-verifai (make others); one that is not there
+is left out, in words.  All take turns, so that a busy machine slows all of them.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def ours_us(seed: int) -> float:
 
 def theirs_us(python: Path, tool: str, seed: int) -> float:
     """The same, in an interpreter that has the tool; its start and imports are not counted."""
-    command = [str(python), str(THEIRS), tool, str(DIMENSIONS), str(EPISODES), str(seed)]
+    command = [str(python), str(THEIRS), tool, str(DIMENSIONS), str(EPISODES), str(seed + 1)]
     return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-1])
 
 

@@ -12,8 +12,8 @@ from statistics import median
 class Ratio:
     """A ratio formed within each turn of both sides: median, least and greatest.
 
-    ``aim`` is the least median that is good enough, ``at_most`` turns that round; a row that could not be measured
-    has a NaN and says why in ``note``.
+    ``aim`` is the least median that is good enough, ``at_most`` turns that round; a row that could not be
+    measured has a NaN and says why in ``note``.
     """
 
     what: str
@@ -63,4 +63,5 @@ class Ratio:
         if math.isnan(self.value):
             return f"{self.what}: {self.verdict}: {self.note}"
         spread = f"{self.value:.3g} ({self.least:.3g} to {self.greatest:.3g})"
-        return f"{self.what}: {spread}" + "".join(f"; {x}" for x in (self.aimed, self.verdict, self.note) if x)
+        words = (f"{self.what}: {spread}", self.aimed, self.verdict, self.note)
+        return "; ".join(word for word in words if word)

@@ -1,8 +1,8 @@
 """A tutorial as a user goes through it: files are written, commands run, and output compared, in order.
 
-A fenced block with ``title="FILE"`` is that file.  A block of ``sh`` has a command a line; it has to end with 0,
-or with what its comment says: ``# exit code 1``.  A block of ``text`` after it is its standard output, in which ``...``
-stands for whatever there is.
+A fenced block with ``title="FILE"`` is that file.  A block of ``sh`` has a command a line; it has to end with
+0, or with what its comment says: ``# exit code 1``.  A block of ``text`` after it is its standard output, in
+which ``...`` stands for whatever there is.
 """
 
 from __future__ import annotations
