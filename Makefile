@@ -5,7 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench bench-all others docs setup clean
+.PHONY: demo test check bench bench-all others docs oracles mutation setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -42,12 +42,24 @@ bench-all: bench
 	$(BIN)/python benchmarks/scenario_files.py
 	$(BIN)/python benchmarks/formulas.py
 	$(BIN)/python benchmarks/search_power.py
+	$(BIN)/python benchmarks/flat_bugs.py
 	$(BIN)/python benchmarks/interval_coverage.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py
 
 docs: $(VENV)/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The largest disagreement with each independent oracle, into docs/oracles.json and docs/selftest.md.
+oracles: $(VENV)/tested
+	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
+		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles docs/oracles.json
+	$(BIN)/python docs/tables.py
+
+# Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
+mutation: $(VENV)/tested
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
+	$(BIN)/mutmut run
 
 setup: $(VENV)/installed
 

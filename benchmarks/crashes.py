@@ -25,7 +25,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -49,8 +49,9 @@ class AtOnce:
     size = free = 1
     replaced = 0
 
-    def __init__(self) -> None:
+    def __init__(self, keep: bool = True) -> None:
         self._chunk: Chunk | None = None
+        self._trace = bytes(20_000) if keep else None
 
     def give(self, chunk: Chunk) -> None:
         """Take one."""
@@ -61,7 +62,7 @@ class AtOnce:
         chunk, self.free = self._chunk, 1
         assert chunk is not None
         return [
-            Arrived(chunk, tuple(row_of(chunk.stratum, k, trace=bytes(20_000)) for k in chunk.episodes), True)
+            Arrived(chunk, tuple(row_of(chunk.stratum, k, trace=self._trace) for k in chunk.episodes), True)
         ]
 
     def close(self) -> None:
@@ -89,25 +90,27 @@ def kill_writers(moments: int, rng: random.Random, folder: Path) -> str:
     with Ledger.create(folder / "whole", plan) as ledger:
         run_campaign(plan, ledger, AtOnce())
         expected = fingerprint_of(ledger)
-    context, killed, ledgers = multiprocessing.get_context("fork"), 0, 0
+    context, killed, ledgers, written, before = multiprocessing.get_context("fork"), 0, 0, 0, 0
     path = folder / "ledger-0"
     Ledger.create(path, plan).close()
     while killed < moments:
         process = context.Process(target=write, args=(path, plan))
         process.start()
-        time.sleep(rng.uniform(0.0, 0.25))
+        time.sleep(rng.uniform(0.0, 0.8))
         process.kill()
         process.join()
         with Ledger.open(path) as ledger:  # which looks at every page
-            complete = tally_of(ledger).complete
+            tally = tally_of(ledger)
+        complete, written, before = tally.complete, written + (tally.done > before), tally.done
         killed += process.exitcode == -signal.SIGKILL
         if complete or killed == moments:
             write(path, plan)
             checked(path, plan, expected)
-            ledgers += 1
+            ledgers, before = ledgers + 1, 0
             path = folder / f"ledger-{ledgers}"
             Ledger.create(path, plan).close()
-    return f"{killed} writers killed over {ledgers} ledgers of {plan.runs} episodes"
+    told = f"{killed} writers killed, {written} of them between two commits"
+    return f"{told}, over {ledgers} ledgers of {plan.runs} episodes"
 
 
 def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
@@ -121,9 +124,11 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
 
         def kill() -> None:
             nonlocal killed
-            while killed < moments and not over.wait(rng.uniform(0.0, 1.0)):
-                os.kill(rng.choice(crew.processes), signal.SIGKILL)
-                killed += 1
+            while killed < moments and not over.wait(rng.uniform(0.0, 0.4)):
+                if crew.ready:  # else all of them were killed while they were coming up
+                    with suppress(ProcessLookupError):  # it has been killed a moment ago
+                        os.kill(rng.choice(crew.processes), signal.SIGKILL)
+                        killed += 1
 
         killer = threading.Thread(target=kill)
         with Ledger.create(folder / "ledger", plan) as ledger:

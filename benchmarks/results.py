@@ -1,8 +1,8 @@
-"""The table of ratios: run what offers ratios, and write RESULTS.md.  Run: python benchmarks/results.py [NAME]...
+"""The table of ratios: run what offers ratios, write RESULTS.md.  Run: python benchmarks/results.py [NAME]...
 
 Each benchmark runs in a process of its own.  Ratios are formed between sides that take turns, so that they
-bear a busy machine better than seconds do; the load stands beside them all the same.  With names only those run, and
-nothing is written.
+bear a busy machine better than seconds do; the load stands beside them all the same.  With names only those
+run, and nothing is written.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ LIBRARIES = ("numpy", "numba", "pybullet", "torch", "rtamt", "onnxruntime")
 HEAD = """\
 # Ratios
 
-Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work, and given as
-median (least to greatest); more than one means that ours is quicker, but where the row says "at most". How each is
-measured is said at the top of the script. Seconds in notes are of a busy machine and are not to be compared.
+Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work, and
+given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the aim says
+"at most". How each is measured is said at the top of its script. Notes are of a machine as busy as `load` says (the
+number of processes that wanted to run, before and after); compare ratios, not seconds.
 
 """
 
 
 def measured(name: str) -> list[Ratio]:
     """What a script's ``ratios()`` gives, in a process of its own; why not, as a row, if it gives nothing."""
-    done = subprocess.run(
-        [sys.executable, __file__, "--json", name], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [sys.executable, __file__, "--json", name]
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
         last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
         return [Ratio.missing(name, last)]

@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
-from tests.search.planted import BUGS, BY_LOT, CUBE, GOALS, SPACE, Bug, share_violated, world
+from tests.search.planted import BUGS, BY_LOT, CUBE, FRESH, GOALS, SPACE, Bug, share_violated, world
 
 
 def episodes_needed(make: MakesSearcher, bug: Bug, seed: int, budget: int, batch: int) -> int:
@@ -58,7 +58,7 @@ def main() -> None:
     print(f"{'bug':<19} {'share':>8}" + "".join(f" {make.name:>16}" for make in makers))
     needed: dict[str, dict[str, list[int]]] = {}
     spent_s = dict.fromkeys((make.name for make in makers), 0.0)
-    for bug in BUGS + BY_LOT:
+    for bug in BUGS + BY_LOT + FRESH:
         row = needed.setdefault(bug.__name__, {})
         cells = []
         for make in makers:

@@ -8,10 +8,14 @@ nanny.
 
 from __future__ import annotations
 
+import asyncio
+import math
 import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -29,6 +33,7 @@ from safety_harness.exceptions import CampaignError, InputError, Place, Scenario
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network
 _ANSWER_S = 30.0
+_LOOK_S = 2.0  # between looks at the cluster as a whole
 _OF_THREAD = threading.local()  # avoiders are not made to be asked by two at once
 
 
@@ -74,6 +79,7 @@ class DaskCrew:
     replaced: int = 0
     _under_way: dict[Any, tuple[Chunk, float]] = field(default_factory=dict)  # by future
     _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    _mistake: InputError | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -85,8 +91,11 @@ class DaskCrew:
                 got="none",
                 hint="pip install 'safety-harness[cluster]'",
             ) from None
-        where = {"address": self.address} if "://" in self.address else {"scheduler_file": self.address}
+        is_address = "://" in self.address
+        where = {"address": self.address} if is_address else {"scheduler_file": self.address}
         try:
+            if not is_address and not Path(self.address).is_file():  # which would be waited for
+                raise FileNotFoundError("no such file")
             make: Any = Client  # of whose methods some have no types
             self._client = make(**where, timeout=_ANSWER_S, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
@@ -96,11 +105,13 @@ class DaskCrew:
                 got=f"{self.address}: {error or type(error).__name__}",
             ) from error
         self._shipment = Shipment(self.plan.files, self.plan.identity)
+        self._looked_s = -math.inf
+        self._look_around([])
 
     @property
     def size(self) -> int:
-        """Threads of all workers, 1 at least: workers may come later."""
-        return max(int(sum(self._client.nthreads().values())), 1)
+        """Threads of all workers when they were counted last, 1 at least: workers may come later."""
+        return self._threads
 
     @property
     def free(self) -> int:
@@ -114,7 +125,9 @@ class DaskCrew:
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Chunks as they come, whole."""
+        """Chunks as they come, whole; a mistake in the plan once all before it was told."""
+        if self._mistake is not None:
+            raise self._mistake
         events: list[Event] = []
         try:
             future = self._finished.get(timeout=timeout_s)
@@ -124,32 +137,48 @@ class DaskCrew:
         except Empty:
             pass
         if not events and self._client.status != "running":
-            raise CampaignError(
-                f"the scheduler {self.address} is gone; what has come from it is in the ledger"
-            )
-        self._look_for_hung(events)
+            raise self._gone()
+        self._look_around(events)
         return events
 
     def close(self) -> None:
-        """Drop what is under way; the cluster stays."""
-        for future in list(self._under_way):
-            future.cancel()
-        self._client.close(timeout=_ANSWER_S)
+        """Drop what is under way, which the scheduler does with its client; the cluster stays."""
+        with suppress(OSError, TimeoutError):
+            self._client.close(timeout=_ANSWER_S)
 
     def _event_of(self, future: Any) -> list[Event]:
         if future not in self._under_way:
             return []
         if future.status == "cancelled":  # by nobody here: the scheduler has forgotten it
-            raise CampaignError(
-                f"the scheduler {self.address} is gone; what has come from it is in the ledger"
-            )
+            raise self._gone()
         chunk, _ = self._under_way.pop(future)
-        if future.status == "error":
-            return [Lost(chunk, f"{type(future.exception()).__name__} on the cluster")]
-        found = future.result()
+        try:
+            if future.status == "error":
+                return [Lost(chunk, f"{type(future.exception(_ANSWER_S)).__name__} on the cluster")]
+            found = future.result(_ANSWER_S)
+        except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
+            return [Lost(chunk, f"its result could not be fetched: {type(error).__name__}")]
         if isinstance(found, Mistake):
-            raise found.error
+            self._mistake = found.error
+            return []
         return [Arrived(chunk, tuple(found), last=True)]
+
+    def _gone(self) -> CampaignError:
+        return CampaignError(
+            f"the scheduler {self.address} is gone; what came from it before is in the ledger"
+        )
+
+    def _look_around(self, events: list[Event]) -> None:
+        """Count the workers and look for hung ones, now and then."""
+        if time.monotonic() - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = time.monotonic()
+        try:
+            self._threads = max(int(sum(self._client.nthreads().values())), 1)
+            self._look_for_hung(events)
+        except (OSError, TimeoutError) as error:
+            if not events:  # they come first
+                raise self._gone() from error
 
     def _look_for_hung(self, events: list[Event]) -> None:
         allowed_s = self.limits.first_s + _AHEAD * self.limits.silence_s
@@ -161,8 +190,8 @@ class DaskCrew:
         workers = [worker for worker, tasks in self._client.processing().items() if keys & set(tasks)]
         for future in hung:
             chunk, _ = self._under_way.pop(future)
-            future.cancel()
             events.append(Lost(chunk, f"no result within {allowed_s:g} s"))
+        self._client.cancel(hung, force=True)
         if workers:
             self.replaced += len(workers)
             self._client.restart_workers(workers, timeout=_ANSWER_S, raise_for_error=False)

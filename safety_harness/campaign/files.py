@@ -10,6 +10,7 @@ from pathlib import Path
 
 from safety_harness.exceptions import OutputError, Place, ScenarioError
 from safety_harness.scenario.compose import Library
+from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
 from safety_harness.space.space import ScenarioSpace
@@ -47,12 +48,7 @@ def files_of_plan(
     root = Path(os.path.commonpath([path.parent for path in found]))
     files, size = [], 0
     for path in found:
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise ScenarioError(
-                place=Place(file=path), expected="a file that can be read", got=error.strerror or str(error)
-            ) from error
+        data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
         size += len(data)
         if size > MOST_BYTES:
             raise ScenarioError(

@@ -13,6 +13,7 @@ from urllib.parse import quote
 
 from safety_harness.campaign.schema import APPLICATION_ID, VERSION, migrate
 from safety_harness.exceptions import InputError, LedgerError, OutputError, Place
+from safety_harness.scenario.files import refuse_no_file
 
 BUSY_MS = 30_000  # that others may keep the ledger from being written
 LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
@@ -22,12 +23,11 @@ _WHOLE = "a ledger, whole"
 
 def refuse_no_ledger(path: Path) -> None:
     """LedgerError for what is no file, no SQLite, no ledger, or shorter than it says that it is."""
+    refuse_no_file(path, "a ledger", LedgerError)
     try:
         with path.open("rb") as stream:
             header = stream.read(100)
         size = path.stat().st_size
-    except FileNotFoundError:
-        raise _error(path, "a ledger", "no such file") from None
     except OSError as error:
         raise _error(path, "a ledger that can be read", error.strerror or str(error)) from error
     if len(header) < 100 or not header.startswith(_MAGIC):

@@ -89,6 +89,11 @@ class Processes:
         return sum(worker.chunk is None for worker in self._workers)
 
     @property
+    def ready(self) -> int:
+        """Workers that have made their bench."""
+        return sum(worker.ready for worker in self._workers)
+
+    @property
     def processes(self) -> list[int]:
         """The workers' process numbers."""
         return [worker.process.pid or 0 for worker in self._workers]

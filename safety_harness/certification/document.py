@@ -16,6 +16,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from safety_harness.certification.evidence import FORMAT, Evidence
 from safety_harness.exceptions import InputError, Place
+from safety_harness.scenario.files import refuse_no_file
 
 T = TypeVar("T")
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", types.NoneType: "null"}
@@ -30,6 +31,7 @@ def as_text(evidence: Evidence) -> str:
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
     place = Place(file=path)
+    refuse_no_file(path, "an evidence report as JSON", InputError)
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)
@@ -94,7 +96,10 @@ def from_plain(kind: Any, value: Any, path: Path, where: str) -> Any:
         except ValueError as error:
             raise _refused(path, where, f"one of {[member.value for member in kind]}", value) from error
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise _refused(path, where, "a finite number", value) from error
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
         raise _refused(path, where, f"a {PLAIN[kind]}", value)
     if kind is float and not isfinite(value):
@@ -111,7 +116,7 @@ def _dataclass(kind: Any, value: Any, path: Path, where: str) -> Any:
 
 
 def _refused(path: Path, where: str, expected: str, value: Any) -> InputError:
-    got = ", ".join(map(str, value)) if isinstance(value, dict) else repr(value)
+    got = ", ".join(map(str, value)) if isinstance(value, dict) and value else repr(value)
     return InputError(place=Place(file=path, field=where or None), expected=expected, got=got[:120])
 
 

@@ -18,6 +18,7 @@ from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.text_file import write_whole
+from safety_harness.scenario.files import refuse_no_file
 
 PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
     "evidence.html",
@@ -64,6 +65,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
     """Path and hash of every file of a report; InputError for what is no report's folder."""
     file = folder / MANIFEST
     place = Place(file=file)
+    refuse_no_file(file, "the folder of a report that certify wrote", InputError)
     try:
         with file.open("rb") as stream:
             found = json.loads(stream.read(LARGEST_MANIFEST_BYTES))

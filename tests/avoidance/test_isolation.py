@@ -21,6 +21,7 @@ from safety_harness.avoidance.asking import Answer, Question, ask
 from safety_harness.avoidance.asking_many import ask_many
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Query
+from safety_harness.avoidance.isolation import host
 from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_avoider
 from safety_harness.exceptions import InadmissibleError, Place, SimulationError
 from safety_harness.search.confirm import OtherDraws
@@ -352,3 +353,21 @@ def test_what_is_no_answer_there_is_none_here(make: Make, monkeypatch: pytest.Mo
     sent = Answer(Proposal(np.array([np.inf, 0.0, 0.0]), np.zeros(3)))
     monkeypatch.setattr(avoider._host, "ask", lambda *args, **kwargs: iter([sent]))
     assert "not finite" in avoider.answers([Question(HAND, HERE, 0, 1.0, True)], together=False)[0].fault
+
+
+def test_what_is_waited_for_without_a_deadline_is_not_for_ever(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host, "UNTIMED_S", 0.5)
+    avoider = make(STUBBORN)
+    (answer,) = avoider.answers([Question(HAND, HERE, BAD, 0.1, False)], together=False)
+    assert not answer.late  # by the record it was in time
+    assert answer.fault == "no answer within 30 s: its process was ended"
+
+
+def test_a_file_that_is_never_imported_is_refused(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "LONGEST_S", 1.0)
+    with pytest.raises(
+        InadmissibleError, match="to give an avoider Mine within 300 s; got its time was over"
+    ):
+        make(before="import time\nwhile True: time.sleep(1)\n")

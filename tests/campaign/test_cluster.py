@@ -72,6 +72,20 @@ def wait_until(is_so: object, seconds: float = 60.0) -> None:
         time.sleep(0.05)
 
 
+@pytest.fixture(autouse=True)
+def _comes_to_an_end() -> Iterator[None]:
+    """What waits for a cluster that is gone may wait for ever: then the test fails."""
+
+    def fail(number: int, frame: object) -> None:
+        raise TimeoutError("three minutes are over")
+
+    before = signal.signal(signal.SIGALRM, fail)
+    signal.alarm(180)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return plan_in(tmp_path_factory.mktemp("plan"), PLAN.replace("violations: 3", "violations: 100"))

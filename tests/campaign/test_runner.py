@@ -168,6 +168,16 @@ def test_a_ledger_that_takes_no_more_ends_the_campaign_and_keeps_what_it_has(
         assert run_campaign(plan, ledger, Here(1))
 
 
+def test_a_clock_of_the_day_that_goes_backwards_changes_nothing(
+    tmp_path: Path, plan: Plan, monkeypatch: pytest.MonkeyPatch, undisturbed: str
+) -> None:
+    now = iter(range(10**9, 0, -3600))
+    monkeypatch.setattr(time, "time", lambda: float(next(now)))
+    monkeypatch.setattr(time, "time_ns", lambda: next(now) * 10**9)
+    with crew_of(Plain()) as crew:
+        assert run_with(tmp_path / "ledger", plan, crew) == (undisturbed, 0)
+
+
 def test_progress_says_how_it_stands(tmp_path: Path, plan: Plan) -> None:
     shown: list[Progress] = []
     with ledger_in(tmp_path, plan) as ledger:

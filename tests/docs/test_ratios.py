@@ -1,19 +1,16 @@
-"""The table of ratios: what meets an aim, what was not measured, and that every benchmark named offers its own."""
+"""The table of ratios: what meets an aim, what was not measured, and who offers one."""
 
 from __future__ import annotations
 
 import ast
 import math
-import sys
 from pathlib import Path
 
 import pytest
-
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
 import results
 from ratios import Ratio
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 def test_a_ratio_is_the_median_between_its_extremes() -> None:

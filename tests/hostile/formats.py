@@ -16,20 +16,35 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from safety_harness.certification.selftest_file import read_selftest
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.avoidance.shipped import shipped_model
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import read_plan
+from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.certification.document import as_text, read_evidence
+from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
+from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
+from safety_harness.certification.folder import read_manifest
 from safety_harness.learning.dataset import generate
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
 from safety_harness.learning.spaces import unseen_both
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.read import read_scenario
+from safety_harness.selftest.document import document
 from safety_harness.settings import DEFAULTS, ObjectKind
 from safety_harness.space.read import read_space
+from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace, save_trace
+from tests.campaign.plans import PLAN, ledger_in, plan_in
+from tests.certification.made_up import evidence
+from tests.search.short_space import TEXT as SHORT
+from tests.selftest.made_up import CAUGHT, LIMIT, SURVIVES, about
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = """\
@@ -152,6 +167,32 @@ def dataset_bytes() -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in (ARRAYS, MANIFEST)}
 
 
+@lru_cache
+def ledger_bytes() -> bytes:
+    """A ledger with a few episodes."""
+    folder = _folder() / "ledger"
+    with ledger_in(folder, plan_in(folder)) as ledger:
+        judgements = (Judgement(Outcome.HOLDS, 0.1, 0.2, 3), Judgement(Outcome.UNTESTED))
+        ledger.record(
+            Row(stratum=0, episode=k, seed=11, judgements=judgements, draws=1, cell="a", trace=b"x" * 100)
+            for k in range(20)
+        )
+        ledger.connection.execute("PRAGMA journal_mode = DELETE")
+        return ledger.path.read_bytes()
+
+
+def _ledger_read(path: Path) -> object:
+    """Everything in it."""
+    with Ledger.open(path) as ledger:
+        found = [ledger.outcomes(0, claim) for claim in (0, 1)]
+        return found, list(ledger.missing(0)), ledger.trace(0, 3), fingerprint_of(ledger), tally_of(ledger)
+
+
+def selftest_bytes() -> bytes:
+    """As the command writes it."""
+    return json.dumps(document([CAUGHT, SURVIVES, LIMIT], about())).encode()
+
+
 def without(name: str) -> dict[str, bytes]:
     """The other files of the data set."""
     return {other: data for other, data in dataset_bytes().items() if other != name}
@@ -239,5 +280,15 @@ FORMATS = [
         lambda path: load_dataset(path.parent),
         hashed=True,
         beside=lambda: without(MANIFEST),
+    ),
+    Format("plan", "plan.yaml", PLAN.encode, read_plan, beside=lambda: {"short.yaml": SHORT.encode()}),
+    Format("ledger", "ledger.sqlite", ledger_bytes, _ledger_read, text=False),
+    Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),
+    Format("trial of the harness", "selftest.json", selftest_bytes, read_selftest),
+    Format(
+        "manifest of a report",
+        MANIFEST_OF_REPORT,
+        lambda: json.dumps({"format": REPORT_FORMAT, "sha256": {"a.txt": "0" * 64}}).encode(),
+        lambda path: read_manifest(path.parent),
     ),
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -141,7 +142,9 @@ def test_what_is_no_file_is_refused(kind: Format, tmp_path: Path) -> None:
         kind.read(path)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FORMATS if b"1 m/s" in kind.whole()], ids=lambda k: k.name)
+@pytest.mark.parametrize(
+    "kind", [kind for kind in FORMATS if kind.name in ("scenario", "space")], ids=lambda k: k.name
+)
 @pytest.mark.parametrize(
     "speed", ["nan", "inf", "-inf", "1e308", "-1", "0", "0x10", "1_0", "1e400", "9" * 400, "١"]
 )
@@ -157,3 +160,18 @@ def test_no_recording_has_such_a_coordinate(cell: str, tmp_path: Path) -> None:
     refusal = outcome(kind, tmp_path, kind.whole().replace(b"1.0500", cell.encode()))
     assert refusal is not None
     assert refusal.place.line == 7
+
+
+NO_NUMBERS = [b"NaN", b"-Infinity", b"1e999", b"1" + b"0" * 400]
+JSON = [kind for kind in FORMATS if kind.file.endswith(".json")]
+
+
+@pytest.mark.parametrize("value", [*NO_NUMBERS, b"-1", b"null", b"true", b'"x"', b"[]", b"{}"], ids=ascii)
+@pytest.mark.parametrize("kind", JSON, ids=lambda kind: kind.name)
+def test_values_of_another_kind_are_refused_or_harmless(kind: Format, value: bytes, tmp_path: Path) -> None:
+    data = kind.whole()
+    values = list(re.finditer(rb'(?<=[:\[,] )(-?[0-9][-+.0-9e]*|true|false|null|"[^"]*")(?=[,\n}\]])', data))
+    for found in values[:: max(1, len(values) // 60)]:
+        refusal = outcome(kind, tmp_path, data[: found.start()] + value + data[found.end() :])
+        if kind.name == "evidence" and value in NO_NUMBERS[:3] and found[1][:1].isdigit():
+            assert refusal is not None

@@ -10,8 +10,8 @@ from broken import minds_hands_within
 from examples import ConstantSpeed, hand, run, scenario
 
 from safety_harness.properties.false_alarms import NoFalseAlarms, beginnings
-from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.properties.reaction import GivesWay, gives_way, predicted_near
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Wait

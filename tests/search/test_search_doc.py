@@ -12,7 +12,7 @@ from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import APART
 from safety_harness.search.searchers import SEARCHERS
-from tests.search.planted import BUGS, BY_LOT, CUBE
+from tests.search.planted import BUGS, BY_LOT, CUBE, FRESH
 
 TEXT = (Path(__file__).parents[2] / "docs/search.md").read_text()
 
@@ -29,7 +29,7 @@ def test_every_searcher_is_in_the_table_and_no_other() -> None:
 
 
 def test_every_planted_bug_has_its_row() -> None:
-    for bug in (*BUGS, *BY_LOT):
+    for bug in (*BUGS, *BY_LOT, *FRESH):
         assert f"| `{bug.__name__}` |" in TEXT, bug.__name__
 
 

@@ -27,7 +27,8 @@ from safety_harness.avoidance.isolation.process import GoneError, Process
 from safety_harness.scenario.fields import is_sentence
 
 GRACE_S = 2.0  # beyond a deadline, at which an avoider is interrupted if it can be
-LONGEST_S = 300.0  # to be made, and to answer where there is no deadline
+LONGEST_S = 300.0  # to be made, and to answer for the first time
+UNTIMED_S = 30.0  # to answer where there is no deadline
 SEND_S = 10.0
 MOST_LINES, MOST_CHARACTERS = 5, 200
 KEPT = 2  # processes that are kept though no avoider lives in them
@@ -151,7 +152,7 @@ class Host:
 
 def limit_s(question: Question) -> float:
     """How long an answer is waited for before the process is ended."""
-    return question.deadline_s + GRACE_S if question.timed else LONGEST_S
+    return question.deadline_s + GRACE_S if question.timed else UNTIMED_S
 
 
 def _made(words: dict[str, object]) -> Made:

@@ -20,7 +20,15 @@ import numpy as np
 
 from safety_harness.avoidance.asking import Answer, Elsewhere, Question, answer_of, late_fault
 from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.isolation.host import GRACE_S, LONGEST_S, Host, Made, RefusedError, host_of
+from safety_harness.avoidance.isolation.host import (
+    GRACE_S,
+    LONGEST_S,
+    UNTIMED_S,
+    Host,
+    Made,
+    RefusedError,
+    host_of,
+)
 from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place, SimulationError
 from safety_harness.scenario.files import read_bytes
@@ -140,7 +148,7 @@ class IsolatedAvoider(Elsewhere):
                 self._host.make(self._number, self._attribute)
                 self._generation = self._host.generation
                 if self._rehearsal is not None:
-                    again = self._rehearsal._replace(timed=False)
+                    again = self._rehearsal._replace(deadline_s=LONGEST_S, timed=True)
                     list(self._host.ask(self._number, [again], together=False))
                 return
             except RefusedError as error:
@@ -168,7 +176,7 @@ def _gone(question: Question, gone: GoneError) -> Answer:
     if gone.hung and question.timed:
         late = late_fault(question.deadline_s)
         return Answer(fault=f"{late}, nor {GRACE_S:g} s later: its process was ended", late=True)
-    never = f"no answer within {LONGEST_S:g} s: its process was ended"
+    never = f"no answer within {UNTIMED_S:g} s: its process was ended"
     return Answer(fault=never if gone.hung else str(gone))
 
 
@@ -179,7 +187,7 @@ def _others_deadline() -> Iterator[float]:
     left_s = signal.setitimer(signal.ITIMER_REAL, 0.0)[0] if timer else 0.0
     begun_s = time.perf_counter()
     try:
-        yield left_s or LONGEST_S
+        yield left_s or UNTIMED_S
     finally:
         if left_s:
             signal.setitimer(signal.ITIMER_REAL, max(left_s - (time.perf_counter() - begun_s), 1e-6))
