@@ -25,6 +25,7 @@ from statistics import median
 import numba
 import numpy as np
 from loop import Recorded, naive_loop, naive_time
+from ratios import Ratio
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
@@ -87,9 +88,11 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun_s
 
 
-def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]], words: str) -> None:
-    """Both worlds in turns, each judging what it ran."""
-    engine, kinematic, ratio = [], [], []
+def measured(
+    scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]]
+) -> tuple[list[float], list[float]]:
+    """Milliseconds an episode of both worlds, in turns, each judging what it ran: PyBullet, kinematic."""
+    engine, kinematic = [], []
 
     def engine_turn() -> None:
         judge_all([run_trial(one) for one in scenarios], properties)
@@ -102,7 +105,13 @@ def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]
     for _ in range(TURNS):
         engine.append(1e3 * seconds(engine_turn) / len(scenarios))
         kinematic.append(1e3 * seconds(kinematic_turn) / len(scenarios) / REPEATED)
-        ratio.append(engine[-1] / kinematic[-1])
+    return engine, kinematic
+
+
+def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]], words: str) -> None:
+    """Both worlds in turns, printed."""
+    engine, kinematic = measured(scenarios, properties)
+    ratio = [a / b for a, b in zip(engine, kinematic, strict=True)]
     print(f"\n{words}")
     say("PyBullet", engine, "ms an episode")
     say("kinematic", kinematic, "ms an episode")
@@ -228,6 +237,21 @@ def naive(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]])
 def met(aim: bool) -> str:
     """Whether an aim was met."""
     return "met" if aim else "NOT MET"
+
+
+def ratios() -> list[Ratio]:
+    """PyBullet over the kinematic world, judged by few claims and by all."""
+    scenarios = block_of(space_named("unseen-both"), 0, 2 * SCENARIOS)[:SCENARIOS]
+    rows = []
+    for words, properties, aim in (
+        ("its space's claims", [one.properties for one in scenarios], AIMED_RATIO),
+        ("the whole catalogue", [catalogue_for(one) for one in scenarios], None),
+    ):
+        engine, kinematic = measured(scenarios, properties)
+        each = [a / b for a, b in zip(engine, kinematic, strict=True)]
+        note = f"kinematic {median(kinematic):.1f} ms an episode"
+        rows.append(Ratio.of(f"an episode, PyBullet over kinematic ({words})", each, aim=aim, note=note))
+    return rows
 
 
 def main() -> None:
