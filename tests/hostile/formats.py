@@ -16,7 +16,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from safety_harness.certification.selftest_file import read_selftest
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
@@ -31,6 +30,7 @@ from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
 from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
+from safety_harness.certification.tool_files import read_oracles, read_selftest
 from safety_harness.learning.dataset import generate
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
 from safety_harness.learning.spaces import unseen_both
@@ -285,6 +285,7 @@ FORMATS = [
     Format("ledger", "ledger.sqlite", ledger_bytes, _ledger_read, text=False),
     Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),
     Format("trial of the harness", "selftest.json", selftest_bytes, read_selftest),
+    Format("table of oracles", "oracles.json", (ROOT / "docs" / "oracles.json").read_bytes, read_oracles),
     Format(
         "manifest of a report",
         MANIFEST_OF_REPORT,
