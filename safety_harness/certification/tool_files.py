@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from safety_harness.scenario.files import refuse_no_file
 
 FORMAT = "safety-harness selftest 1"
 LARGEST_BYTES = 64 * 2**20
+MOST = 1e100  # that a disagreement can be
 ON_TRIAL = ("caught", "survives")  # others are harmless, or do not apply to the system
 
 
@@ -45,14 +45,16 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
     return tuple(_oracle(path, k, one) for k, one in enumerate(found))
 
 
-def _oracle(path: Path, number: int, one: dict[str, Any]) -> Oracle:
-    largest, texts = one.get("largest"), [one.get(name) for name in ("what", "oracle", "unit")]
-    if isinstance(largest, bool) or not isinstance(largest, int | float) or not math.isfinite(largest):
-        raise _error(path, f"[{number}].largest", "a number", repr(largest)[:60])
+def _oracle(path: Path, place: int, one: dict[str, Any]) -> Oracle:
+    largest: Any = one.get("largest")
+    texts = [one.get(name) for name in ("what", "oracle", "unit")]
+    number = isinstance(largest, int | float) and not isinstance(largest, bool)
+    if not number or not -MOST < largest < MOST:  # of a NaN it is false
+        raise _error(path, f"[{place}].largest", "a number", repr(largest)[:60])
     if not all(isinstance(text, str) for text in texts):
-        raise _error(path, f"[{number}]", "what, oracle and unit as texts", repr(texts)[:60])
+        raise _error(path, f"[{place}]", "what, oracle and unit as texts", repr(texts)[:60])
     what, oracle, unit = map(str, texts)
-    return Oracle(part=what, against=oracle, largest=f"{largest:.2g} {unit}")
+    return Oracle(part=what, against=oracle, largest=f"{float(largest):.2g} {unit}")
 
 
 def _json(path: Path, expected: str) -> Any:
