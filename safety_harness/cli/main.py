@@ -569,7 +569,9 @@ def campaign_merge(
 
 @app.command()
 def selftest(
-    profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: every scenario, and many draws.")] = "quick",
+    profile: Annotated[
+        str, typer.Option(help="quick: some minutes; nightly: every scenario, and many draws.")
+    ] = "quick",
     avoider: OfAvoider = None,
     scenarios: Annotated[
         Path, typer.Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
