@@ -16,13 +16,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from safety_harness.campaign import schema
 from safety_harness.campaign.declared import declare, read_declared
 from safety_harness.campaign.files import PlanFile
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.opening import connect, explained
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
+from safety_harness.campaign.schema import create as create_tables
 from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
 
@@ -55,7 +55,7 @@ class Ledger:
                 connection = sqlite3.connect(unfinished, isolation_level=None)
                 try:
                     connection.execute("BEGIN")
-                    schema.create(connection)
+                    create_tables(connection)
                     declare(connection, plan)
                     connection.execute("COMMIT")
                 finally:

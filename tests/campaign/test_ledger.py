@@ -171,7 +171,7 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
         (other, "something else"),
         (text, "another file"),
         (tmp_path / "none", "no such file"),
-        (tmp_path, "Is a directory"),
+        (tmp_path, "not a regular file"),
         (newer, "of a newer program"),
     ):
         with pytest.raises(LedgerError, match=words):
