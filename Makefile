@@ -5,7 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench setup clean
+.PHONY: demo test check bench bench-all others docs oracles mutation setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -19,7 +19,21 @@ check: $(VENV)/tested
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
+	$(BIN)/python benchmarks/results.py
+
+others: .venv-psy-taliro/installed .venv-verifai/installed
+
+.venv-%/installed:
+	$(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check $($*)
+	touch $@
+
+psy-taliro := psy-taliro==3.2.0
+verifai := verifai==2.2.0
+
+bench-all: bench
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/decision.py
 	$(BIN)/python benchmarks/isolation.py
@@ -33,6 +47,20 @@ bench: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/campaign.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py
+
+docs: $(VENV)/documented
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The largest disagreement with each independent oracle, into docs/oracles.json and docs/selftest.md.
+oracles: $(VENV)/tested
+	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
+		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles docs/oracles.json
+	$(BIN)/python docs/tables.py
+
+# Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
+mutation: $(VENV)/tested
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
+	$(BIN)/mutmut run
 
 setup: $(VENV)/installed
 
@@ -51,5 +79,9 @@ $(VENV)/benchmarks: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[benchmarks]'
 	touch $@
 
+$(VENV)/documented: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) reports/demo
+	rm -rf $(VENV) reports/demo site

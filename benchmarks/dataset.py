@@ -15,6 +15,7 @@ import time
 
 import numpy as np
 from numpy.typing import NDArray
+from ratios import Ratio
 
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import SimulationError
@@ -164,6 +165,47 @@ def error_in(errors: ImageErrors, client: int, camera_to_base: NDArray[np.float6
     if not visible or not features(moments, view.area, view.depth_m, view.dense, current):
         return float(np.inf)
     return float(feature_error(current, view.features, np.empty(6)))
+
+
+def rendered_s(poses: NDArray[np.float64]) -> float:
+    """Seconds to put the arm at poses (k, 3) of the TCP, render an image at each and measure its error."""
+    errors, arm = ImageErrors.of(DEFAULTS), load_arm()
+    kinematics = InverseKinematics(arm)
+    preferred = np.array(DEFAULTS.cell.preferred_joint_position_rad)
+    camera_to_tcp = transform_camera_to_tcp(DEFAULTS.camera, calibrated=False)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        bodies = build_cell(client, DEFAULTS, arm, preferred, rendered=True)
+        began = time.perf_counter()
+        for position in poses:
+            pose = desired_transform_tcp_to_base(DEFAULTS)
+            pose[:3, 3] = position
+            joints = kinematics.nearest(pose, preferred)
+            if joints is None:
+                raise SimulationError("a candidate that the arm cannot reach")
+            pybullet.resetJointStatesMultiDof(
+                bodies.robot, bodies.joints, [[q] for q in joints], [[0.0]] * 6, physicsClientId=client
+            )
+            error_in(errors, client, pose @ camera_to_tcp)
+        return time.perf_counter() - began
+    finally:
+        pybullet.disconnect(client)
+
+
+def ratios() -> list[Ratio]:
+    """A label by rendered images of its candidates over one of ours, the hands of a TCP included."""
+    generate(DEFAULTS, seen(DEFAULTS), seed=SEED, tcps=1)
+    turns, labels = [], 0
+    for turn in range(3):
+        began = time.perf_counter()
+        dataset = generate(DEFAULTS, seen(DEFAULTS), seed=turn, tcps=1000)
+        own_s = (time.perf_counter() - began) / 1000
+        labels = len(dataset) // 1000
+        candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, np.arange(1))[0]
+        image_s = rendered_s(candidates[:10]) / 10
+        turns.append((len(candidates) * image_s, own_s))
+    note = f"a TCP of {labels} samples; ours {1e6 * min(own_s for _, own_s in turns):.0f} us"
+    return [Ratio.of("data, rendered candidates over ours", [a / b for a, b in turns], note=note)]
 
 
 def main() -> None:

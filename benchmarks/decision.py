@@ -24,6 +24,7 @@ import numpy as np
 import torch
 from naive_loop import monte_carlo_mean, regression_network
 from numpy.typing import NDArray
+from ratios import Ratio
 
 from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.learned import LearnedAvoider
@@ -163,13 +164,8 @@ def say(name: str, values: list[float], unit: str) -> None:
     print(f"  {name:28}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
 
 
-def main() -> None:
-    """Compare, then let all take turns."""
-    print(METHOD)
-    print(f"\nLargest difference with the same masks over {COMPARED} decisions [mm]: position, spread")
-    print("  dropout members     ours - torch float32   ours - torch float64    torch 32 - torch 64")
-    for dropout, members in KINDS:
-        print_differences(dropout, members)
+def measured() -> tuple[list[float], list[float], list[float], list[float]]:
+    """Microseconds a decision, in turns: eager, one batch, ours one at a time, ours in one call."""
     avoider = LearnedAvoider.of(model_of([network_with_history(Dropout.INTER, 0)], Dropout.INTER))
     eager_network = regression_network()
     hands, tcps, seeds = inputs_of(MANY)
@@ -178,7 +174,10 @@ def main() -> None:
     def alone(n: int) -> None:
         avoider.propose(hand_position_in_base_m=hands[n], tcp_position_in_base_m=tcps[n], seed=n)
 
-    eager, batch, one, many = [], [], [], []
+    eager: list[float] = []
+    batch: list[float] = []
+    one: list[float] = []
+    many: list[float] = []
     for turn in range(TURNS + 1):
         times = (
             seconds_each(lambda n: monte_carlo_mean(eager_network, rows[n]), EAGER),
@@ -189,6 +188,36 @@ def main() -> None:
         if turn > 0:  # the first warms up
             for values, value in zip((eager, batch, one, many), times, strict=True):
                 values.append(1e6 * value)
+    return eager, batch, one, many
+
+
+def ratios() -> list[Ratio]:
+    """Ten eager passes of PyTorch over ours."""
+    eager, batch, one, many = measured()
+    rows = (
+        ("one at a time", one, AIM_ONE),
+        (f"{MANY:,} in one call", many, AIM_MANY),
+        ("one batch of PyTorch instead", batch, None),
+    )
+    return [
+        Ratio.of(
+            f"a decision, eager PyTorch over ours ({name})" if aim else f"a decision, eager over {name}",
+            [a / b for a, b in zip(eager, values, strict=True)],
+            aim=aim,
+            note=f"{median(values):.1f} us",
+        )
+        for name, values, aim in rows
+    ]
+
+
+def main() -> None:
+    """Compare, then let all take turns."""
+    print(METHOD)
+    print(f"\nLargest difference with the same masks over {COMPARED} decisions [mm]: position, spread")
+    print("  dropout members     ours - torch float32   ours - torch float64    torch 32 - torch 64")
+    for dropout, members in KINDS:
+        print_differences(dropout, members)
+    eager, batch, one, many = measured()
     print("\nTimes")
     say("eager, pass after pass", eager, "us a decision")
     say("eager, one batch", batch, "us a decision")

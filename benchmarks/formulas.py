@@ -16,6 +16,7 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
+from ratios import Ratio
 
 from safety_harness.formulas.formula import Comparison, Formula, Truth
 from safety_harness.formulas.language import always, eventually, hand_distance, mm, s
@@ -47,8 +48,8 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
     return (time.perf_counter() - begin_s) / repeats
 
 
-def measured(formula: Formula, text: str, x: np.ndarray) -> tuple[float, float]:
-    """Seconds of one evaluation, ours and rtamt's."""
+def measured(formula: Formula, text: str, x: np.ndarray) -> tuple[list[float], list[float]]:
+    """Seconds of one evaluation in each round, ours and rtamt's."""
 
     def atoms(atom: Comparison | Truth) -> Bounds:
         assert isinstance(atom, Comparison)
@@ -73,16 +74,33 @@ def measured(formula: Formula, text: str, x: np.ndarray) -> tuple[float, float]:
     for _ in range(ROUNDS):
         own_s.append(seconds(ours, REPEATS))
         their_s.append(seconds(theirs, 1))
-    return min(own_s), min(their_s)
+    return own_s, their_s
+
+
+def samples() -> np.ndarray:
+    """(SAMPLES,) of a signal about its limit."""
+    x: np.ndarray = 0.1 + 0.05 * np.random.default_rng(SEED).normal(size=SAMPLES)
+    return x
+
+
+def ratios() -> list[Ratio]:
+    """What rtamt takes over what ours takes, round by round."""
+    rows, x = [], samples()
+    for name, formula, text in FORMULAS:
+        own_s, their_s = measured(formula, text, x)
+        each = [b / a for a, b in zip(own_s, their_s, strict=True)]
+        note = f"ours {1e6 * min(own_s):.0f} us"
+        rows.append(Ratio.of(f"formula, rtamt over ours ({name})", each, aim=AIM, note=note))
+    return rows
 
 
 def main() -> None:
     """Print a line for each formula."""
-    x = 0.1 + 0.05 * np.random.default_rng(SEED).normal(size=SAMPLES)
+    x = samples()
     print(f"{SAMPLES:,} samples, the margin at every one; the aim is a ratio of {AIM:g}")
     print(f"{'formula':<24} {'ours':>10} {'rtamt':>10} {'ratio':>7}")
     for name, formula, text in FORMULAS:
-        own_s, their_s = measured(formula, text, x)
+        own_s, their_s = (min(each) for each in measured(formula, text, x))
         ratio = their_s / own_s
         verdict = "" if ratio >= AIM else "  (missed)"
         print(f"{name:<24} {own_s * 1e6:>7.0f} us {their_s * 1e3:>7.1f} ms {ratio:>7.0f}{verdict}")

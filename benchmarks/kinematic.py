@@ -2,7 +2,8 @@
 
 Both worlds run the very same scenarios, drawn from an unseen space, in turns within one process, so that a
 busy machine slows both; a ratio is formed within each turn and printed as median (least to greatest).
-With ``--episodes`` that many more are drawn, run and judged, in one process and then in two at a time.
+With ``--episodes`` that many more are drawn, run and judged, in one process and then in two at a time,
+beside what two processes can do that need nothing but the processor.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import median
 
+import numba
 import numpy as np
+from loop import Recorded, naive_loop, naive_time
+from ratios import Ratio
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
@@ -40,6 +44,9 @@ DURATION_S = 4.0  # 500 control ticks
 SCENARIOS = 24
 REPEATED = 4  # runs of the kinematic world in a turn, since it is so much quicker
 TURNS = 5
+SCALE_TURNS = 3
+SPINS = 500_000_000  # half a second or so
+NAIVE = 3  # scenarios of the naive loop
 BLOCK = 256  # points whose values are drawn at once
 AIMED_RATIO, AIMED_SCALING, AIMED_MINUTES = 50.0, 1.8, 20.0
 
@@ -81,9 +88,11 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - begun_s
 
 
-def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]], words: str) -> None:
-    """Both worlds in turns, each judging what it ran."""
-    engine, kinematic, ratio = [], [], []
+def measured(
+    scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]]
+) -> tuple[list[float], list[float]]:
+    """Milliseconds an episode of both worlds, in turns, each judging what it ran: PyBullet, kinematic."""
+    engine, kinematic = [], []
 
     def engine_turn() -> None:
         judge_all([run_trial(one) for one in scenarios], properties)
@@ -96,7 +105,13 @@ def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]
     for _ in range(TURNS):
         engine.append(1e3 * seconds(engine_turn) / len(scenarios))
         kinematic.append(1e3 * seconds(kinematic_turn) / len(scenarios) / REPEATED)
-        ratio.append(engine[-1] / kinematic[-1])
+    return engine, kinematic
+
+
+def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]], words: str) -> None:
+    """Both worlds in turns, printed."""
+    engine, kinematic = measured(scenarios, properties)
+    ratio = [a / b for a, b in zip(engine, kinematic, strict=True)]
     print(f"\n{words}")
     say("PyBullet", engine, "ms an episode")
     say("kinematic", kinematic, "ms an episode")
@@ -160,31 +175,83 @@ def judged(scenarios: list[Admitted]) -> int:
 
 
 def scale(name: str, episodes: int) -> None:
-    """One process, then two at a time, each with the same number of blocks."""
-    blocks = max(episodes // (2 * BLOCK), 1)
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(1) as pool:
-        (one,) = pool.starmap(campaign, [(name, range(blocks))], chunksize=1)
-    with context.Pool(2) as pool:
-        both = pool.starmap(campaign, [(name, range(blocks)), (name, range(blocks, 2 * blocks))], chunksize=1)
-    done = sum(rate.episodes for rate in both)
-    per_s, per_s_of_two = one.episodes / one.wall_s, done / max(rate.wall_s for rate in both)
-    cpu_ms, minutes = 1e3 * sum(rate.processor_s for rate in both) / done, 1e6 / per_s_of_two / 60.0
-    scaling, draws = per_s_of_two / per_s, 2 * blocks * BLOCK
-    print(f"\n{name}: drawn, admitted, run and judged by its own claims; {done} of {draws} can be tried")
-    print(f"  one process             {per_s:10.1f} episodes a second, {one.most_mb:.0f} MB at most")
-    print(f"  two processes           {per_s_of_two:10.1f}, {max(rate.most_mb for rate in both):.0f} MB each")
-    print(f"  processor time          {cpu_ms:10.2f} ms an episode")
-    print(
-        f"  scaling                 {scaling:10.2f} (aim {AIMED_SCALING:g}: {met(scaling >= AIMED_SCALING)})"
-    )
-    words = f"(aim {AIMED_MINUTES:g}: {met(minutes <= AIMED_MINUTES)})"
-    print(f"  a million episodes      {minutes:10.1f} minutes on two cores {words}")
+    """One process, then two with as many blocks each, in turns, and what the machine lets two do."""
+    blocks = max(episodes // (2 * BLOCK * SCALE_TURNS), 1)
+    halves = [(name, range(blocks)), (name, range(blocks, 2 * blocks))]
+    ones, twos, ceilings = [], [], []
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        pool.map(spinning, [SPINS, SPINS], chunksize=1)  # both processes are there, and warm
+        pool.starmap(campaign, [(name, range(1))] * 2, chunksize=1)
+        for _ in range(SCALE_TURNS):
+            (one,) = pool.starmap(campaign, halves[:1], chunksize=1)
+            both = pool.starmap(campaign, halves, chunksize=1)
+            alone_s, together_s = (max(pool.map(spinning, [SPINS] * n, chunksize=1)) for n in (1, 2))
+            ones.append(one.episodes / one.wall_s)
+            twos.append(sum(rate.episodes for rate in both) / max(rate.wall_s for rate in both))
+            ceilings.append(2.0 * alone_s / together_s)
+    scaling = [two / one for one, two in zip(ones, twos, strict=True)]
+    minutes = [1e6 / two / 60.0 for two in twos]
+    print(f"\n{name}: drawn, admitted, run and judged by its own claims, {SCALE_TURNS} turns")
+    say("one process", ones, f"episodes a second, {one.most_mb:.0f} MB at most")
+    say("two processes", twos, f"episodes a second, {max(rate.most_mb for rate in both):.0f} MB each")
+    processor_ms = 1e3 * sum(rate.processor_s for rate in both) / sum(rate.episodes for rate in both)
+    print(f"  processor time          {processor_ms:10.2f} ms an episode")
+    say("scaling", scaling, f"(aim {AIMED_SCALING:g}: {met(max(scaling) >= AIMED_SCALING)} at best)")
+    say("of a loop in registers", ceilings, "times with two processes: no program scales better here now")
+    words = f"(aim {AIMED_MINUTES:g}: {met(min(minutes) <= AIMED_MINUTES)} at best)"
+    say("a million episodes", minutes, f"minutes on two cores {words}")
+
+
+def spinning(count: int) -> float:
+    """Seconds that ``count`` steps of a generator take which needs no memory."""
+    _spin(1)
+    return seconds(lambda: _spin(count))
+
+
+@numba.njit
+def _spin(count: int) -> int:
+    state = 1
+    for _ in range(count):
+        state = (state * 6364136223846793005 + 1442695040888963407) & 0x7FFFFFFFFFFFFFFF
+    return state
+
+
+def naive(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]]) -> None:
+    """The loop of ``loop.py`` that renders, for information."""
+    recorded = [Recorded(one, run_trial(one)) for one in scenarios[:NAIVE]]
+    rendered_ms = []
+    for one in recorded:
+        with naive_loop(one.admitted) as loop:
+            if loop is None:
+                print("\nnaive rendered loop       skipped: torch is not installed")
+                return
+            rendered_ms.append(1e3 * naive_time(loop, one) * one.admitted.scenario.ticks)
+    judge_all(list(run_many(scenarios)), properties)
+    judged_s = min(seconds(lambda: judge_all(list(run_many(scenarios)), properties)) for _ in range(TURNS))
+    ratio = median(rendered_ms) / (1e3 * judged_s / len(scenarios))
+    print(f"\nnaive rendered loop, not judged, of {NAIVE} scenarios")
+    say("naive loop", rendered_ms, "ms an episode")
+    print(f"  ratio                   {ratio:10.0f} times the kinematic world, judged by the whole catalogue")
 
 
 def met(aim: bool) -> str:
     """Whether an aim was met."""
     return "met" if aim else "NOT MET"
+
+
+def ratios() -> list[Ratio]:
+    """PyBullet over the kinematic world, judged by few claims and by all."""
+    scenarios = block_of(space_named("unseen-both"), 0, 2 * SCENARIOS)[:SCENARIOS]
+    rows = []
+    for words, properties, aim in (
+        ("its space's claims", [one.properties for one in scenarios], AIMED_RATIO),
+        ("the whole catalogue", [catalogue_for(one) for one in scenarios], None),
+    ):
+        engine, kinematic = measured(scenarios, properties)
+        each = [a / b for a, b in zip(engine, kinematic, strict=True)]
+        note = f"kinematic {median(kinematic):.1f} ms an episode"
+        rows.append(Ratio.of(f"an episode, PyBullet over kinematic ({words})", each, aim=aim, note=note))
+    return rows
 
 
 def main() -> None:
@@ -213,6 +280,7 @@ def main() -> None:
     compare(scenarios, [one.properties for one in scenarios], "judged by the space's own claims")
     compare(scenarios, [catalogue_for(one) for one in scenarios], "judged by the whole catalogue")
     split(space, scenarios)
+    naive(scenarios, [catalogue_for(one) for one in scenarios])
     scale(given.space, given.episodes)
 
 

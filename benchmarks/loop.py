@@ -24,6 +24,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from ratios import Ratio
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.avoidance.gate import Gate
@@ -167,8 +168,8 @@ def naive_loop(admitted: Admitted) -> Iterator[Any]:
         yield loop
 
 
-def compare(recorded: Recorded) -> None:
-    """Let the loops take turns; print their times and ratios."""
+def measured(recorded: Recorded) -> tuple[list[float], list[float], list[float]]:
+    """Seconds a tick, in turns: the whole loop, the physics alone, the naive loop (none without torch)."""
     loops: list[float] = []
     physics: list[float] = []
     naive: list[float] = []
@@ -180,6 +181,12 @@ def compare(recorded: Recorded) -> None:
             physics.append(alone.total_s / recorded.admitted.scenario.ticks)
             if loop is not None:
                 naive.append(naive_time(loop, recorded))
+    return loops, physics, naive
+
+
+def compare(recorded: Recorded) -> None:
+    """Let the loops take turns; print their times and ratios."""
+    loops, physics, naive = measured(recorded)
     around = [(a - b) / b for a, b in zip(loops, physics, strict=True)]
     say("whole loop", [1e6 * a for a in loops], "us a tick")
     say("stepSimulation alone", [1e6 * b for b in physics], "us a tick")
@@ -259,13 +266,37 @@ def print_parts(admitted: Admitted) -> None:
         print(f"    {part:28}{median(values):9.2f}  {spread:20}{shares[part]:10.3f}")
 
 
+def recorded_run(name: str) -> Recorded:
+    """A shipped scenario and its run."""
+    admitted = admit(read_scenario(SCENARIOS / f"{name}.yaml"))
+    return Recorded(admitted, whole_loop(admitted)[1])
+
+
+def ratios() -> list[Ratio]:
+    """What stands around the physics, and the naive loop over ours."""
+    cv2.setNumThreads(1)
+    rows = []
+    for name in NAMES:
+        loops, physics, naive = measured(recorded_run(name))
+        around = [(a - b) / b for a, b in zip(loops, physics, strict=True)]
+        what = f"around stepSimulation, over it ({name})"
+        rows.append(Ratio.of(what, around, aim=LARGEST_OVERHEAD, at_most=True))
+        what, note = f"naive loop over ours ({name})", f"ours {1e6 * median(loops):.0f} us a tick"
+        if not naive:
+            rows.append(Ratio.missing(what, "torch is not installed"))
+            continue
+        each = [c / a for a, c in zip(loops, naive, strict=True)]
+        rows.append(Ratio.of(what, each, aim=AIMED_SPEEDUP, note=note))
+    return rows
+
+
 def main() -> None:
     """Print everything."""
     cv2.setNumThreads(1)
     print(METHOD)
     for name in NAMES:
-        admitted = admit(read_scenario(SCENARIOS / f"{name}.yaml"))
-        recorded = Recorded(admitted, whole_loop(admitted)[1])
+        recorded = recorded_run(name)
+        admitted = recorded.admitted
         clock, critical = admitted.scenario.settings.clock, recorded.critical
         sampled = critical[naive_sample(recorded)]
         print(

@@ -1,6 +1,6 @@
-"""Write docs/reproduction-results.md and the small sample beside it from a reproduction.json.
+"""Write docs/reproduction-results.md and the small sample beside it from the JSON of one run or several.
 
-Run: python benchmarks/reproduction_results.py reports/reproduction/reproduction.json
+Run: python benchmarks/reproduction_results.py reports/reproduction/reproduction.json [SENSITIVITY.json]
 """
 
 from __future__ import annotations
@@ -16,14 +16,20 @@ PAGE, SAMPLE = DOCS / "reproduction-results.md", DOCS / "reproduction-results.js
 HEAD = """\
 # What came out of the reproduction
 
-Written by `python benchmarks/reproduction_results.py` from the JSON of one run: scale {scale}, seed {seed},
-{trainings} trainings of each network, {date}, safety-harness {package_version}, source hash `{source_hash}`.
+Written by `python benchmarks/reproduction_results.py` from the JSON of
+
+{runs}
+
 How it was measured, and by which rule judged, is in [reproduction.md](reproduction.md); the plots are on the
 page that the command writes. The numbers are in [reproduction-results.json](reproduction-results.json).
 
 | part | verdict | why |
 |---|---|---|
 """
+RUN = (
+    "- {names}: scale {scale}, seed {seed}, {date}, safety-harness {package_version}, "
+    "source hash `{source_hash}`"
+)
 
 
 def row(*cells: str) -> str:
@@ -31,16 +37,24 @@ def row(*cells: str) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def lines(found: dict[str, Any]) -> Iterator[str]:
+def lines(runs: list[dict[str, Any]]) -> Iterator[str]:
     """The whole page."""
-    about = found["about"]
-    yield HEAD.format(**about, date=about["generated_at"][:10]).rstrip("\n")
-    for one in found["results"]:
+    results = [one for found in runs for one in found["results"]]
+    yield HEAD.format(runs="\n".join(map(run_of, runs))).rstrip("\n")
+    for one in results:
         yield row(f"[{one['source']}](#{one['name']}): {one['title']}", f"**{one['word']}**", one["why"])
-    for name, why in about["missing"]:
-        yield row(name, "*missing*", why)
-    for one in found["results"]:
+    for found in runs:
+        for name, why in found["about"]["missing"]:
+            yield row(name, "*missing*", why)
+    for one in results:
         yield from part(one)
+
+
+def run_of(found: dict[str, Any]) -> str:
+    """Which run it was, for people."""
+    about = found["about"]
+    names = ", ".join(one["name"] for one in found["results"])
+    return RUN.format(names=names, **about, date=about["generated_at"][:10])
 
 
 def part(one: dict[str, Any]) -> Iterator[str]:
@@ -73,11 +87,12 @@ def sample(found: dict[str, Any]) -> dict[str, Any]:
 
 def main() -> None:
     """Read, write both."""
-    if len(sys.argv) != 2:
+    if len(sys.argv) < 2:
         sys.exit(__doc__)
-    found = json.loads(Path(sys.argv[1]).read_text("utf-8"))
-    PAGE.write_text("\n".join(lines(found)) + "\n", "utf-8")
-    SAMPLE.write_text(json.dumps(sample(found), indent=1, ensure_ascii=False) + "\n", "utf-8")
+    runs = [json.loads(Path(name).read_text("utf-8")) for name in sys.argv[1:]]
+    PAGE.write_text("\n".join(lines(runs)) + "\n", "utf-8")
+    samples = [sample(found) for found in runs]
+    SAMPLE.write_text(json.dumps(samples, indent=1, ensure_ascii=False) + "\n", "utf-8")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+from safety_harness.certification.document import schema as evidence_schema
 from safety_harness.formulas.pages import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.pages import markdown_of_claims
@@ -18,7 +19,9 @@ from safety_harness.selftest.table import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
+EVIDENCE = DOCS / "schema" / "evidence.schema.json"
 KILLS = DOCS / "selftest-results.json"
+ORACLES = DOCS / "oracles.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
 KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -30,6 +33,7 @@ def with_tables(text: str) -> str:
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims(CATALOGUE)
     tables["signals"] = markdown_of_signals()
+    tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
@@ -48,6 +52,16 @@ def markdown_of_kills() -> tuple[str, str]:
     )
 
 
+def markdown_of_oracles() -> str:
+    """The largest disagreements, as ``make oracles`` found them."""
+    found = json.loads(ORACLES.read_text("utf-8"))
+    rows = [
+        [one["oracle"], one["what"], f"{one['largest']:.1g} {one['unit']}".rstrip(), f"{one['numbers']:,}"]
+        for one in found
+    ]
+    return "\n".join(table_of(("oracle", "compared", "largest disagreement", "numbers"), rows)) + "\n"
+
+
 def _cell(value: object) -> str:
     return "-" if value is None else str(value)
 
@@ -62,6 +76,7 @@ def main() -> None:
     SCHEMA.parent.mkdir(exist_ok=True)
     new = {page: with_tables(page.read_text()) for page in sorted(DOCS.glob("*.md"))}
     new[SCHEMA] = schema_text()
+    new[EVIDENCE] = json.dumps(evidence_schema(), indent=1) + "\n"
     for path, text in new.items():
         if not path.exists() or path.read_text() != text:
             path.write_text(text)

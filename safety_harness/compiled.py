@@ -24,6 +24,7 @@ from numba.core import config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+njit: Any = numba.njit  # one of its options is not in its stubs
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 
 PACKAGE = Path(__file__).parent
@@ -116,7 +117,7 @@ def arrayless(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As ``arrayless``, and always part of the machine code of its callers: for small steps of many arrays."""
+    """As ``arrayless``, and always part of its callers' machine code: for small steps of many arrays."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
@@ -124,6 +125,6 @@ def _compiled(function: F, **options: bool) -> F:
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
-        return cast(F, numba.njit(cache=True, error_model="numpy", **options)(function))
+        return cast(F, njit(cache=True, error_model="numpy", **options)(function))
     finally:
         numba_config.CACHE_DIR = before

@@ -11,10 +11,21 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+import disagreement
 from browsing import started
 from examples import VISIT, run, scenario
 
 from safety_harness.trace.trace import Trace
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--oracles", type=Path, help="write the largest disagreements with oracles to this file")
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    path = session.config.getoption("--oracles")
+    if path is not None:
+        disagreement.write(path)
 
 
 @pytest.fixture(scope="session")

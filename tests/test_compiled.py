@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safety_harness import compiled as module
-from safety_harness.compiled import cache_folder, compiled, source_hash
+from safety_harness.compiled import arrayless, cache_folder, compiled, source_hash
 from safety_harness.controller import stack
 
 
@@ -142,3 +142,15 @@ def test_using_machine_code_keeps_it_fresh(package: Path, monkeypatch: pytest.Mo
     os.utime(folder, (0, 0))
     assert cache_folder.__wrapped__(package / "a.py") == folder
     assert folder.stat().st_mtime > 1e9
+
+
+def test_a_function_without_arrays_may_call_one_that_makes_them() -> None:
+    @compiled
+    def total(n: int) -> float:
+        return float(np.full(n, 2.0).sum())
+
+    @arrayless
+    def twice(n: int) -> float:
+        return 2.0 * total(n)
+
+    assert twice(3) == 12.0

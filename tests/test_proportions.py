@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.stats
+from disagreement import noted
 
 from safety_harness.proportions import Proportion
 
@@ -13,6 +14,7 @@ def test_the_interval_is_clopper_and_pearson_s(trials: int) -> None:
         found = Proportion.of(np.arange(trials) < count)
         exact = scipy.stats.binomtest(count, trials).proportion_ci(0.95, method="exact")
         assert (found.count, found.trials, found.share) == (count, trials, count / trials)
+        noted("scipy", "exact intervals of a share", "", (found.low, found.high), (exact.low, exact.high))
         assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9, abs=1e-12)
 
 

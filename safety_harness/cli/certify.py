@@ -19,7 +19,7 @@ from safety_harness.certification.folder import PAGE, PDF, write_folder, write_m
 from safety_harness.certification.gather import Trials, gather
 from safety_harness.certification.pdf import browser, write_pdf
 from safety_harness.certification.results import refuse_hopeless
-from safety_harness.certification.selftest_file import read_selftest
+from safety_harness.certification.tool_files import read_oracles, read_selftest
 from safety_harness.certification.verify import verify as verify_report
 from safety_harness.cli.campaign_lines import CampaignProgress
 from safety_harness.cli.console import (
@@ -44,6 +44,7 @@ def certify(
     pdf: bool = False,
     workers: int | None = None,
     selftest: Path | None = None,
+    oracles: Path | None = None,
 ) -> int:
     """Run or resume the plan, search, write the report; returns the exit code."""
     try:
@@ -51,8 +52,13 @@ def certify(
         refuse_hopeless(plan)
         if pdf:
             browser()
-        trials = Trials(selftest=None if selftest is None else read_selftest(selftest))
-        job = _Job(plan, out or Path("reports") / plan.name, trials, _command(file, out, pdf, selftest))
+        trials = Trials(
+            selftest=None if selftest is None else read_selftest(selftest),
+            oracles=() if oracles is None else read_oracles(oracles),
+            oracles_with="" if oracles is None else f"as {oracles.name} has it",
+        )
+        command = _command(file, out, pdf, selftest, oracles)
+        job = _Job(plan, out or Path("reports") / plan.name, trials, command)
         return job.run(workers, pdf)
     except InputError as error:
         explain(error)
@@ -65,10 +71,11 @@ def certify(
         return INTERRUPTED
 
 
-def _command(file: Path, out: Path | None, pdf: bool, selftest: Path | None) -> str:
+def _command(file: Path, out: Path | None, pdf: bool, selftest: Path | None, oracles: Path | None) -> str:
     words = ["safety-harness", "certify", str(file)]
     words += ["--out", str(out)] if out else []
     words += ["--selftest", str(selftest)] if selftest else []
+    words += ["--oracles", str(oracles)] if oracles else []
     return shlex.join(words + (["--pdf"] if pdf else []))
 
 

@@ -391,6 +391,9 @@ def certify(
     selftest: Annotated[
         Path | None, typer.Option(help="selftest.json of safety-harness selftest, to be part of the report.")
     ] = None,
+    oracles: Annotated[
+        Path | None, typer.Option(help="Table of independent oracles (docs/oracles.json), likewise.")
+    ] = None,
 ) -> None:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
 
@@ -402,7 +405,7 @@ def certify(
     """
     from safety_harness.cli.certify import certify as certify_plan
 
-    _end(certify_plan(plan, out=out, pdf=pdf, workers=workers, selftest=selftest))
+    _end(certify_plan(plan, out=out, pdf=pdf, workers=workers, selftest=selftest, oracles=oracles))
 
 
 @app.command()
@@ -566,7 +569,7 @@ def campaign_merge(
 
 @app.command()
 def selftest(
-    profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: an hour or so.")] = "quick",
+    profile: Annotated[str, typer.Option(help="quick: some minutes; nightly: every scenario, and many draws.")] = "quick",
     avoider: OfAvoider = None,
     scenarios: Annotated[
         Path, typer.Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")

@@ -19,8 +19,8 @@ from safety_harness.properties.hand_distance import (
     joint_reach_m,
 )
 from safety_harness.properties.hand_paths import HandPaths, hand_bend_m
+from safety_harness.robot.closest_approach import closest_approach_between
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import closest_approach_between
 from safety_harness.trace.trace import Trace
 
 

@@ -14,10 +14,9 @@ from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
+from safety_harness.robot.closest_approach import DEEPEST, approach_between
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.distance import (
-    DEEPEST,
-    approach_between,
     chain_lengths,
     hand_distance,
     place_capsules,

@@ -71,7 +71,7 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     """
     settings = trace.scenario.settings
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
-    at = np.arange(len(trace.ticks)) + ahead
+    at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
     at = at[at <= len(trace.ticks) - 1]
     errors_m = np.empty((len(at), MAX_TRACKS))
     predicted_m = np.ascontiguousarray(trace.ticks["predicted_hand_in_base_m"][: len(at)])

@@ -57,7 +57,9 @@ class JointSpeedLimits:
         arm = load_arm(trace.scenario.robot.arm_name)
         speed = np.abs(history(trace, "joint_velocity_radps"))  # (n, 6)
         if len(trace.ticks) > 1:
-            mean = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0)) / np.diff(trace.time_s)[:, None]
+            mean = (
+                np.abs(np.diff(history(trace, "joint_position_rad"), axis=0)) / np.diff(trace.time_s)[:, None]
+            )
             speed[:-1] = np.maximum(speed[:-1], mean)
         left = arm.velocity_limit_radps - speed
         tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.separation import Separation, farthest_steps, least_separation, separation_terms
+from safety_harness.properties.least_separation import farthest_steps, least_separation
+from safety_harness.properties.separation import Separation, separation_terms
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm

@@ -12,15 +12,8 @@ which the distance would shrink if the human stood still.  Receding counts as st
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
-from safety_harness.compiled import compiled, inlined
-from safety_harness.geometry.segments import nearest_of_segments
-from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.compiled import compiled
 
 ASSUMED = (
     ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
@@ -30,8 +23,6 @@ ASSUMED = (
     ("Z_d", "the human is known at control ticks, and is that much elsewhere between two, |v| dt/2"),
     ("Z_r", "so is the robot; its capsules enclose its meshes"),
 )
-
-ROUNDING_M = 1e-9  # by which a bound, computed otherwise, may be off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,17 +74,17 @@ def separation_terms(
     robot_moves_m: float = 0.0,
 ) -> tuple[Term, ...]:
     """The six terms; the last two arguments are how far the nearest points move within half a tick."""
-    lengths = _lengths(
+    found = lengths(
         hand_speed_mps, robot_speed_mps, reaction_time_s, stop_time_s, hand_moves_m, robot_moves_m
     )
     return tuple(
         Term(symbol=symbol, length_m=length, assumption=assumption)
-        for (symbol, assumption), length in zip(ASSUMED, lengths, strict=True)
+        for (symbol, assumption), length in zip(ASSUMED, found, strict=True)
     )
 
 
 @compiled
-def _lengths(
+def lengths(
     hand_speed_mps: float,
     robot_speed_mps: float,
     reaction_time_s: float,
@@ -101,6 +92,7 @@ def _lengths(
     hand_moves_m: float,
     robot_moves_m: float,
 ) -> tuple[float, float, float, float, float, float]:
+    """The six lengths [m], in the order of ``ASSUMED``."""
     return (
         hand_speed_mps * (reaction_time_s + stop_time_s),
         robot_speed_mps * reaction_time_s,
@@ -109,268 +101,3 @@ def _lengths(
         hand_moves_m,
         robot_moves_m,
     )
-
-
-@compiled
-def least_separation(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    judged: NDArray[np.bool_],  # (n,) which ticks count
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    rates_radps: NDArray[np.float64],  # (n, 6)
-    present: NDArray[np.bool_],  # (n, hands)
-    hands_m: NDArray[np.float64],  # (n, hands, 2, 3): hand and elbow
-    reaction_s: NDArray[np.float64],  # (n,) what is left of the reaction time
-    stop_s: NDArray[np.float64],  # (n,) and of the stop time
-    body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
-    hand_speed_mps: float,  # constant, or NaN for each hand's own
-    period_s: float,
-    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
-    hand_step_m: NDArray[np.float64],  # (n,)
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
-    first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The pair with the least margin, the first of equals.
-
-    (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
-    distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
-
-    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
-    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
-    """
-    which, what = np.full(4, -1), np.full(5, np.nan)
-    capsules = radius_m.shape[0]
-    transforms, placed = np.empty((8, 4, 4)), np.empty((capsules, 2, 3))
-    twists, fastest_mps, velocities = np.empty((7, 6)), np.empty(capsules), np.empty((2, 3))
-    apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
-    thickest_m = max(body_radius_m[0], body_radius_m[1])
-    least, good_enough = np.inf, np.inf
-    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
-    for step in range(-1, judged.shape[0]):
-        k = step if step >= 0 else first_look
-        if step > 0:
-            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
-        elif step == 0:
-            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
-        if not judged[k] or not present[k].any():
-            continue
-        human_mps = hand_step_m[k] / period_s
-        v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
-        most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
-        per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
-        if near_m - most_human_m > good_enough:
-            faster_mps = _faster(joints_rad, rates_radps, reach_m, looked, k)
-            if near_m - most_human_m - per_speed_s * (arm_mps + faster_mps) > good_enough + ROUNDING_M:
-                continue  # never for a NaN, which must come out
-        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
-        place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
-        _twists(joint_axes, transforms, rates_radps[k], twists)
-        looked, near_m, arm_mps = k, np.inf, 0.0
-        for capsule in range(capsules):
-            fastest_mps[capsule] = _fastest_end(twists[min(link_index[capsule], 6)], placed[capsule])
-            if not fastest_mps[capsule] <= arm_mps:
-                arm_mps = fastest_mps[capsule]
-        for hand in range(present.shape[1]):
-            if not present[k, hand]:
-                continue
-            for body in range(2):
-                for i in range(3):
-                    velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
-            for capsule in range(capsules):
-                most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
-                lower_m = _lower(hands_m, placed, k, hand, capsule) - radius_m[capsule] - thickest_m
-                if lower_m - most_human_m - most_arm_m > good_enough:
-                    near_m = min(near_m, lower_m)
-                    continue
-                for body in range(2):
-                    start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
-                    _, _, _, s, t = nearest_of_segments(start, end, placed[capsule, 0], placed[capsule, 1])
-                    total = 0.0
-                    for i in range(3):
-                        robot[i] = placed[capsule, 0, i]
-                        robot[i] += t * (placed[capsule, 1, i] - placed[capsule, 0, i])
-                        apart[i] = start[i] + s * (end[i] - start[i]) - robot[i]
-                        total += apart[i] * apart[i]
-                        human[i] = velocities[0, i]
-                        human[i] += s * (velocities[body, i] - velocities[0, i])
-                    axes = sqrt(total)
-                    distance = axes - radius_m[capsule] - body_radius_m[body]
-                    near_m = min(near_m, distance)
-                    own_speed = _along(human, apart, -axes)
-                    hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
-                    hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
-                    human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
-                    if distance - human_m - most_arm_m > good_enough:
-                        continue
-                    _velocity(joint_axes, transforms, link_index[capsule], rates_radps[k], robot)
-                    robot_speed = _along(robot, apart, axes)
-                    robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
-                    needed = 0.0
-                    for length in _lengths(
-                        hand_speed, robot_speed, reaction_s[k], stop_s[k], hand_moves, robot_moves
-                    ):
-                        needed += length
-                    if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
-                        least = distance - needed
-                        good_enough = min(good_enough, least)
-                        which[0], which[1], which[2], which[3] = k, hand, capsule, body
-                        what[0], what[1], what[2] = distance, robot_speed, hand_speed
-                        what[3], what[4] = hand_moves, robot_moves
-                        if np.isnan(least) and step >= 0:
-                            return which, what
-    return which, what
-
-
-@compiled
-def farthest_steps(
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
-    present: NDArray[np.bool_],  # (n, hands)
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
-    arm_step_m: NDArray[np.float64],  # (n,), written
-    hand_step_m: NDArray[np.float64],  # (n,), written
-) -> None:
-    """How far, at most, any point of the arm and of a hand goes from each tick to the next.
-
-    Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
-    """
-    n = joints_rad.shape[0]
-    arm_step_m[n - 1] = hand_step_m[n - 1] = 0.0
-    for k in range(n - 1):
-        arm, farthest = 0.0, 0.0
-        for i in range(6):
-            arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
-        for hand in range(hands_m.shape[1]):
-            if present[k, hand] != present[k + 1, hand]:
-                farthest = np.inf
-            for body in range(2):
-                total = 0.0
-                for i in range(3):
-                    total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
-                if not total <= farthest:
-                    farthest = total
-        arm_step_m[k], hand_step_m[k] = arm, sqrt(farthest)
-    if n > 1:
-        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
-
-
-@inlined
-def _speed(
-    hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int
-) -> float:
-    """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before."""
-    n = hands_m.shape[0]
-    if n < 2:
-        return 0.0
-    before = min(k, n - 2)
-    return float((hands_m[before + 1, hand, body, i] - hands_m[before, hand, body, i]) / period_s)
-
-
-@inlined
-def _faster(
-    joints_rad: NDArray[np.float64], rates_radps: NDArray[np.float64], reach_m: NDArray[np.float64], a: int, b: int
-) -> float:
-    """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
-
-    Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
-    the chains of links from j, and from the farther out of i and j, to p.
-    """
-    faster = 0.0
-    for j in range(6):
-        faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
-        turned = 0.0
-        for i in range(6):
-            turned += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[max(i, j)]
-        faster += abs(rates_radps[b, j]) * turned
-    return faster
-
-
-@inlined
-def _twists(
-    joint_axes: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    rates_radps: NDArray[np.float64],
-    twists: NDArray[np.float64],  # (7, 6), written
-) -> None:
-    """Of each link: its angular velocity, and the velocity of its point at the base's origin."""
-    twists[0] = 0.0
-    for joint in range(6):
-        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
-        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
-        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
-        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
-        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
-        twists[joint + 1, 0] = twists[joint, 0] + wx
-        twists[joint + 1, 1] = twists[joint, 1] + wy
-        twists[joint + 1, 2] = twists[joint, 2] + wz
-        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
-        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
-        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
-
-
-@inlined
-def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
-    """The speed [m/s] of the faster of two points (2, 3) of a link."""
-    fastest = 0.0
-    for end in range(2):
-        x, y, z = ends[end, 0], ends[end, 1], ends[end, 2]
-        vx = twist[3] + twist[1] * z - twist[2] * y
-        vy = twist[4] + twist[2] * x - twist[0] * z
-        vz = twist[5] + twist[0] * y - twist[1] * x
-        total = vx * vx + vy * vy + vz * vz
-        if not total <= fastest:
-            fastest = total
-    return sqrt(fastest)
-
-
-@inlined
-def _lower(
-    hands_m: NDArray[np.float64], placed: NDArray[np.float64], k: int, hand: int, capsule: int
-) -> float:
-    """The axes of a hand's bodies and a capsule are no nearer: no point is farther from a middle than half."""
-    between, forearm, link = 0.0, 0.0, 0.0
-    for i in range(3):
-        wrist, elbow = hands_m[k, hand, 0, i], hands_m[k, hand, 1, i]
-        start, end = placed[capsule, 0, i], placed[capsule, 1, i]
-        between += (0.5 * (wrist + elbow) - 0.5 * (start + end)) ** 2
-        forearm += (elbow - wrist) ** 2
-        link += (end - start) ** 2
-    return sqrt(between) - 0.5 * (sqrt(forearm) + sqrt(link))
-
-
-@compiled
-def _velocity(
-    joint_axes: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    link: int,
-    rates_radps: NDArray[np.float64],
-    point: NDArray[np.float64],  # (3,) in the base frame; its velocity [m/s] is written over it
-) -> None:
-    """The velocity of a point that is fixed to a link."""
-    px, py, pz = point[0], point[1], point[2]
-    vx = vy = vz = 0.0
-    for joint in range(min(link, 6)):
-        frame, own = transforms[joint + 1], joint_axes[joint]
-        ax = frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2]
-        ay = frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2]
-        az = frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2]
-        rx, ry, rz = px - frame[0, 3], py - frame[1, 3], pz - frame[2, 3]
-        rate = rates_radps[joint]
-        vx += rate * (ay * rz - az * ry)
-        vy += rate * (az * rx - ax * rz)
-        vz += rate * (ax * ry - ay * rx)
-    point[0], point[1], point[2] = vx, vy, vz
-
-
-@compiled
-def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
-    """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none."""
-    if length == 0.0:
-        return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
-    return float(max(total / length, 0.0))

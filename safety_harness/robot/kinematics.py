@@ -82,7 +82,9 @@ def geometric_jacobian(
 
 @inlined
 def tcp_velocity(
-    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], joint_velocity_radps: NDArray[np.float64]
+    joint_axes: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    joint_velocity_radps: NDArray[np.float64],
 ) -> tuple[float, float, float]:
     """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (6,)."""
     x = y = z = 0.0

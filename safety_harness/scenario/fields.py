@@ -84,7 +84,10 @@ class Field:
         most: float | None = None,
     ) -> float:
         """A quantity in SI, within the bounds given."""
-        value = parse_quantity(self.scalar(dimension.expected), dimension, self.place)
+        if isinstance(self.node, Scalar) and self.node.drawn and self.node.drawn[1] == dimension.si:
+            value = self.node.drawn[0]
+        else:
+            value = parse_quantity(self.scalar(dimension.expected), dimension, self.place)
         bounds = (
             ("above", above, above is None or value > above),
             ("at least", least, least is None or value >= least),

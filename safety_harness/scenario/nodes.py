@@ -34,11 +34,15 @@ _MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 
 @dataclass(frozen=True)
 class Scalar:
-    """A single value: its text, with quotes and folding undone."""
+    """A single value: its text, with quotes and folding undone.
+
+    ``drawn`` is the quantity (value, unit) that the text was made of, where it was made of one.
+    """
 
     text: str
     line: int
     file: Path | None = field(default=None, compare=False, repr=False)
+    drawn: tuple[float, str] | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence as Values
 from dataclasses import dataclass
+from math import isfinite
 from typing import TypeAlias
 
 from safety_harness.exceptions import Place
@@ -115,10 +116,14 @@ def filled(template: Template, parameters: Values[Parameter], values: Values[flo
     parameter = parameters[template.parameter]
     if isinstance(template, Alternatives):
         return filled(template.options[int(values[parameter.column])], parameters, values)
-    texts = [written(value, parameter.distribution.unit) for value in values[parameter.columns]]
-    if len(texts) == 1:
-        return Scalar(texts[0], template.line)
-    return Sequence(tuple(Scalar(text, template.line) for text in texts), template.line)
+    unit = parameter.distribution.unit
+    measures = tuple(_measure(value, unit, template.line) for value in values[parameter.columns])
+    return measures[0] if len(measures) == 1 else Sequence(measures, template.line)
+
+
+def _measure(value: float, unit: str, line: int) -> Scalar:
+    """A quantity and its text; what is not finite is for the reader of the text to refuse."""
+    return Scalar(written(value, unit), line, drawn=(float(value), unit) if isfinite(value) else None)
 
 
 def written(value: float, unit: str) -> str:

@@ -85,9 +85,10 @@ def history(trace: Trace, name: str) -> NDArray[Any]:
 
     What goes over all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
     """
+    assert TICK.fields is not None
     known = _histories(trace)
     if name not in known:
-        kind, offset = (TICK.fields or {})[name][:2]
+        kind, offset = TICK.fields[name][:2]
         if kind.base == np.bool_:
             known[name] = np.array(trace.ticks[name], order="F")
         else:

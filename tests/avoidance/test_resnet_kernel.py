@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from disagreement import noted
 from numpy.typing import NDArray
 from random_models import normalised_input, one_pass, random_inputs, random_model
 
@@ -77,6 +78,7 @@ def test_a_decision_equals_that_of_pytorch_with_the_same_masks(dropout: Dropout,
                     given = torch.from_numpy(mask) if len(mask) else None
                     answers.append(network(x, given).numpy()[0])
         mean, deviation = summary(model, answers)
+        noted("PyTorch", "decisions with the same masks", "mm", positions[n], mean, 1e3)
         assert positions[n] == pytest.approx(mean, abs=ROUNDING_M)
         assert spreads[n] == pytest.approx(deviation, abs=ROUNDING_M)
 

@@ -9,6 +9,7 @@ from math import inf, isnan, nan
 
 import numpy as np
 import pytest
+from disagreement import noted
 from hypothesis import given, settings
 from random_formulas import P, Run, X, Y, comparisons, formulas, margins_of, runs
 from rtamt_runs import in_rtamt, robustness
@@ -56,6 +57,7 @@ def test_wherever_the_samples_decide_rtamt_says_the_same(formula: Formula, run: 
     decided = np.isfinite(bounds.low) & (bounds.low == bounds.high)
     low = np.where(np.abs(bounds.low) == LEAST, 0.0, bounds.low)
     others = np.array(robustness(in_rtamt(formula), run))
+    noted("rtamt", "margins of random formulas", "SI", low[decided], others[decided])
     assert np.array_equal(low[decided], others[decided])
     assert np.all((bounds.low <= others + LEAST) & (others - LEAST <= bounds.high))
 

@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from safety_harness.certification.selftest_file import read_selftest
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
@@ -30,7 +31,6 @@ from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
 from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
-from safety_harness.certification.selftest_file import read_selftest
 from safety_harness.learning.dataset import generate
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
 from safety_harness.learning.spaces import unseen_both

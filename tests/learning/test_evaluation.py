@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from avoidance.random_models import random_model
+from disagreement import noted
 from uncertainty_toolbox import metrics_accuracy, metrics_calibration
 
 from safety_harness.avoidance.learned import LearnedAvoider
@@ -296,6 +297,7 @@ def agree_with_the_toolbox(predictions: np.ndarray, labels: np.ndarray, stds: np
             mean, std, label, num_bins=21
         )
         assert expected[1:-1] == pytest.approx(levels)
+        noted("uncertainty-toolbox", "shares within intervals", "", curve[:, axis], observed[1:-1])
         assert curve[:, axis] == pytest.approx(observed[1:-1], abs=1e-12)
         ends = np.abs([observed[0] - 0.0, observed[-1] - 1.0]).sum()  # the toolbox counts 0 % and 100 % too
         distance = (np.abs(curve[:, axis] - levels).sum() + ends) / 21

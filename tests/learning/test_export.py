@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import torch
 from avoidance.random_models import random_inputs, random_model
+from disagreement import noted
 
 from safety_harness.avoidance.avoider import checked
 from safety_harness.avoidance.learned import LearnedAvoider
@@ -86,6 +87,7 @@ def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports
             checked(one.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed)))
             for one in (learned, avoider)
         )
+        noted("onnxruntime", "decisions", "mm", ours.position_in_base_m, theirs.position_in_base_m, 1e3)
         assert theirs.position_in_base_m == pytest.approx(ours.position_in_base_m, abs=1e-6)
         assert theirs.spread_m == pytest.approx(ours.spread_m, abs=1e-6)
     with pytest.raises(AvoiderError, match="not finite"):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disagreement import noted
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
@@ -93,6 +94,13 @@ def test_the_decoupled_filter_is_the_nine_state_filter(seed: int) -> None:
             box = random_box(rng)
             update(track, box, PARAMETERS)
             peer.update(box[:, None])
+        noted(
+            "filterpy",
+            "the hand filter's state",
+            "parts of its scale",
+            track["mean"] / scale,
+            peer.x[:, 0] / scale,
+        )
         np.testing.assert_allclose(track["mean"] / scale, peer.x[:, 0] / scale, rtol=1e-9, atol=1e-9)
         expected = peer.P / np.outer(scale, scale)
         np.testing.assert_allclose(

@@ -7,6 +7,7 @@ from math import comb, factorial
 import cv2
 import numpy as np
 import pytest
+from disagreement import noted
 
 from safety_harness.perception.moments import (
     FIRST_MU,
@@ -94,6 +95,8 @@ def test_polygon_moments_equal_sums_over_a_fine_grid() -> None:
 def test_polygon_moments_equal_those_of_opencv_to_order_three() -> None:
     peer = cv2.moments(np.ascontiguousarray(ARROW * 1000.0, dtype=np.float32))
     out = moments_of(ARROW * 1000.0)
+    centroid = (peer["m10"] / peer["m00"], peer["m01"] / peer["m00"])
+    noted("OpenCV", "centroid of a polygon", "parts of its size", out[[XG, YG]], centroid, 1e-3)
     assert out[M00] == pytest.approx(peer["m00"], rel=1e-6)
     assert out[XG] == pytest.approx(peer["m10"] / peer["m00"], rel=1e-6)
     for i, j in ORDERS:

@@ -19,5 +19,7 @@ def test_the_page_is_written_from_the_json_beside_it() -> None:
     found = json.loads((ROOT / "docs" / "reproduction-results.json").read_text("utf-8"))
     page = (ROOT / "docs" / "reproduction-results.md").read_text("utf-8")
     assert "\n".join(module.lines(found)) + "\n" == page
-    assert found["about"]["scale"] == "default"
-    assert found["about"]["trainings"] >= 5
+    assert {run["about"]["scale"] for run in found} == {"default"}
+    assert [one["name"] for run in found for one in run["results"]][-1] == "sensitivity"
+    assert found[0]["about"]["trainings"] >= 5
+    assert not any(run["about"]["missing"] for run in found)

@@ -3,10 +3,12 @@ import numpy as np
 import pytest
 import trimesh
 from arms import random_joints, transforms_of
+from disagreement import noted
 
 from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.closest_approach import closest_approach_between
 from safety_harness.robot.description import load_arm, mesh_paths
-from safety_harness.robot.distance import closest_approach_between, hand_distance, place_capsules
+from safety_harness.robot.distance import hand_distance, place_capsules
 
 ARM = load_arm("ur10")
 CAPSULES = load_capsules("ur10").with_capsule("camera", 7, (0.0, -0.045, 0.0), (0.0, -0.045, 0.02), 0.05)
@@ -69,6 +71,7 @@ def test_distances_and_the_nearest_capsule_are_those_of_the_library() -> None:
             for (a, b), r in zip(placed_at(joints), CAPSULES.radius_m, strict=True)
         ]
         if min(each) > 0.0:
+            noted("coal", "distance of hand and capsules", "mm", ours, min(each), 1e3)
             assert ours == pytest.approx(min(each), abs=1e-6)
             assert each[nearest] == pytest.approx(min(each), abs=1e-6)
         else:

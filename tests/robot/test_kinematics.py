@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from arms import ARMS, bullet_arm, random_joints, transforms_of
+from disagreement import noted
 
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.description import load_arm
@@ -28,7 +29,9 @@ def test_every_link_and_the_tcp_are_where_pybullet_puts_them(name: str) -> None:
             bullet.move(joints)
             transforms = transforms_of(arm, joints)
             for link, ours in zip([*arm.link_names, "tool0"], transforms, strict=True):
-                np.testing.assert_allclose(ours, bullet.transform(link), atol=FLOAT32, err_msg=link)
+                theirs = bullet.transform(link)
+                noted("PyBullet", "where each link is", "mm", ours[:3, 3], theirs[:3, 3], 1e3)
+                np.testing.assert_allclose(ours, theirs, atol=FLOAT32, err_msg=link)
 
 
 @pytest.mark.parametrize("name", ARMS)

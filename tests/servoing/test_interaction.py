@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from disagreement import noted
 from servo_views import (
     DESIRED_AREA,
     DESIRED_DEPTH_M,
@@ -80,6 +81,13 @@ def test_interaction_matrix_equals_the_rates_of_change_of_the_features(dense: bo
                 errors.append(error)
             numeric = rates(errors)
             size = np.abs(matrix).max(axis=1) + 1.0
+            noted(
+                "finite differences",
+                "interaction matrix",
+                "parts of a row",
+                matrix[:, component] / size,
+                numeric / size,
+            )
             np.testing.assert_array_less(np.abs(matrix[:, component] - numeric), 1e-7 * size)
 
 

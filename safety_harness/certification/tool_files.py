@@ -1,12 +1,13 @@
-"""The harness's own trial, from the file that ``safety-harness selftest`` writes."""
+"""What is known of the harness itself, from files: its trial on seeded faults, its independent oracles."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
-from safety_harness.certification.tools import Fault, SelfTest
+from safety_harness.certification.tools import Fault, Oracle, SelfTest
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import refuse_no_file
@@ -19,17 +20,7 @@ ON_TRIAL = ("caught", "survives")  # others are harmless, or do not apply to the
 def read_selftest(path: Path) -> SelfTest:
     """InputError, naming the field, for what is no such file."""
     refuse_no_file(path, "a selftest.json", InputError)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        raise _error(path, "", "a selftest.json", error.strerror or str(error)) from error
-    if len(data) > LARGEST_BYTES:
-        raise _error(path, "", f"at most {LARGEST_BYTES} bytes", "more")
-    try:
-        found = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise _error(path, "", "JSON", str(error)) from error
+    found = _json(path, "a selftest.json")
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise _error(path, "format", repr(FORMAT), repr(found)[:60])
     about, faults = _part(path, found, "about", dict), _part(path, found, "faults", list)
@@ -44,6 +35,38 @@ def read_selftest(path: Path) -> SelfTest:
         source_hash=source,
         present=source == source_hash(),
     )
+
+
+def read_oracles(path: Path) -> tuple[Oracle, ...]:
+    """The table that ``make oracles`` writes; InputError for what is none."""
+    found = _json(path, "a table of oracles")
+    if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
+        raise _error(path, "", "a list of objects", repr(found)[:60])
+    return tuple(_oracle(path, k, one) for k, one in enumerate(found))
+
+
+def _oracle(path: Path, number: int, one: dict[str, Any]) -> Oracle:
+    largest, texts = one.get("largest"), [one.get(name) for name in ("what", "oracle", "unit")]
+    if isinstance(largest, bool) or not isinstance(largest, int | float) or not math.isfinite(largest):
+        raise _error(path, f"[{number}].largest", "a number", repr(largest)[:60])
+    if not all(isinstance(text, str) for text in texts):
+        raise _error(path, f"[{number}]", "what, oracle and unit as texts", repr(texts)[:60])
+    what, oracle, unit = map(str, texts)
+    return Oracle(part=what, against=oracle, largest=f"{largest:.2g} {unit}")
+
+
+def _json(path: Path, expected: str) -> Any:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_BYTES + 1)
+    except OSError as error:
+        raise _error(path, "", expected, error.strerror or str(error)) from error
+    if len(data) > LARGEST_BYTES:
+        raise _error(path, "", f"at most {LARGEST_BYTES} bytes", "more")
+    try:
+        return json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _error(path, "", "JSON", str(error)) from error
 
 
 def _fault(path: Path, number: int, fault: dict[str, Any]) -> Fault:

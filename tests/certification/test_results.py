@@ -1,0 +1,134 @@
+"""From rows that are made up to bounds, checked against scipy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.certification.evidence import Standing
+from safety_harness.certification.results import bounds, claims_of, refuse_hopeless, strata_of
+from safety_harness.exceptions import StatisticsError
+from safety_harness.statistics.sample import Outcome
+from tests.campaign.plans import PLAN, ledger_in, plan_in
+
+MARGIN = {Outcome.HOLDS: 0.05, Outcome.VIOLATED: -0.02}
+
+
+def row(stratum: int, episode: int, first: Outcome, second: Outcome = Outcome.HOLDS) -> Row:
+    judgements = tuple(
+        Judgement(outcome, MARGIN.get(outcome, np.nan) + 1e-6 * episode) for outcome in (first, second)
+    )
+    return Row(
+        stratum=stratum,
+        episode=episode,
+        seed=episode,
+        judgements=judgements,
+        draws=2,
+        decisions=1,
+        proposed=1,
+        cell="right, at rest, to 50 mm, seen, proposed position",
+    )
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    return plan_in(tmp_path)
+
+
+@pytest.fixture
+def ledger(tmp_path: Path, plan: Plan) -> Iterator[Ledger]:
+    with ledger_in(tmp_path, plan) as made:
+        yield made
+
+
+def filled(ledger: Ledger, *, inconclusive: int = 0) -> None:
+    ledger.record(row(0, k, Outcome.VIOLATED if k < 3 else Outcome.HOLDS) for k in range(30))
+    ledger.record(
+        row(1, k, Outcome.INCONCLUSIVE if k < inconclusive else Outcome.HOLDS, Outcome.UNTESTED)
+        for k in range(20)
+    )
+
+
+def test_bounds_are_exact_at_their_share_of_the_plans_confidence(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger)
+    first, second = claims_of(plan, ledger)[0].outcomes
+    chance = (1.0 - plan.confidence) / bounds(plan)
+    assert bounds(plan) == 4
+    assert first.bound is not None
+    assert second.bound is not None
+    assert first.bound.upper == pytest.approx(scipy.stats.beta.ppf(1.0 - chance, 4, 27))
+    assert first.bound.lower == pytest.approx(scipy.stats.beta.ppf(chance, 3, 28))
+    assert second.bound.upper == pytest.approx(1.0 - chance ** (1.0 / 20.0))
+    assert second.bound.lower == 0.0
+    assert first.bound.confidence == pytest.approx(1.0 - chance)
+
+
+def test_inconclusive_runs_count_against_the_claim_and_leave_doubt(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger, inconclusive=1)
+    claim = claims_of(plan, ledger)[0]
+    chance = (1.0 - plan.confidence) / bounds(plan)
+    doubted = claim.outcomes[1]
+    assert doubted.bound is not None
+    assert doubted.bound.upper == pytest.approx(scipy.stats.beta.ppf(1.0 - chance, 2, 19))
+    assert doubted.standing is Standing.DOUBTED
+    assert claim.standing is not Standing.SHOWN
+
+
+def test_a_bound_of_the_kinematic_world_is_of_the_model_only(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger)
+    shown = claims_of(plan, ledger)[0].outcomes[1]
+    assert shown.standing is Standing.DOUBTED
+    assert "model only" in shown.why
+
+
+def test_a_claim_that_was_not_put_to_the_test_has_no_bound(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger)
+    second = claims_of(plan, ledger)[1]
+    assert second.outcomes[1].bound is None
+    assert second.outcomes[1].standing is Standing.UNTESTED
+    assert second.standing is Standing.UNTESTED
+
+
+def test_while_runs_are_missing_there_is_no_bound(plan: Plan, ledger: Ledger) -> None:
+    ledger.record(row(0, k, Outcome.HOLDS) for k in range(29))
+    ledger.record(row(1, k, Outcome.HOLDS) for k in range(20))
+    first, second = claims_of(plan, ledger)[0].outcomes
+    assert (first.standing, first.bound, first.runs) == (Standing.INCOMPLETE, None, 29)
+    assert second.bound is not None  # and it is no tighter for what is missing elsewhere
+    chance = (1.0 - plan.confidence) / bounds(plan)
+    assert second.bound.upper == pytest.approx(1.0 - chance ** (1.0 / 20.0))
+
+
+def test_margins_ascend_to_all_runs(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger)
+    first = claims_of(plan, ledger)[0].outcomes[0]
+    assert list(first.margins_si) == sorted(first.margins_si)
+    assert first.shares[-1] == 1.0
+    assert first.shares[2] == pytest.approx(3 / 30)
+    assert first.least_margin_si == pytest.approx(-0.02)
+
+
+def test_the_strata_say_what_was_run(plan: Plan, ledger: Ledger) -> None:
+    filled(ledger)
+    first, second = strata_of(plan, ledger)
+    assert (first.made, first.planned, first.refused_draws) == (30, 30, 30)
+    assert dict(second.decisions) == {"proposed positions": 20}
+    assert len(first.space_sha256) == 64
+
+
+def test_a_target_that_the_runs_cannot_show_is_refused_with_the_number_that_would_do(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("50 %", "1 %"))
+    with pytest.raises(StatisticsError) as refused:
+        refuse_hopeless(plan)
+    chance = (1.0 - plan.confidence) / bounds(plan)
+    needed = int(np.ceil(np.log(chance) / np.log(1.0 - 0.01)))
+    assert f"at least {needed} runs" in refused.value.expected
+    assert refused.value.got == "30"
+    refuse_hopeless(plan_in(tmp_path / "enough", PLAN))

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safety_harness.certification.tool_files import read_oracles, read_selftest
+from safety_harness.exceptions import InputError
+
+DOCS = Path(__file__).parents[2] / "docs"
+FOUND: dict[str, Any] = {
+    "format": "safety-harness selftest 1",
+    "about": {"profile": "quick", "source_hash": "0"},
+    "faults": [
+        {
+            "fault": "a",
+            "part": "gate",
+            "hazard": "h",
+            "state": "caught",
+            "caught_by": "c",
+            "slightest_caught": "1",
+        },
+        {
+            "fault": "b",
+            "part": "gate",
+            "hazard": "h",
+            "state": "survives",
+            "caught_by": None,
+            "known_limit": "k",
+        },
+        {"fault": "c", "part": "gate", "hazard": "h", "state": "false alarm", "caught_by": "c"},
+        {"fault": "d", "part": "gate", "hazard": "h", "state": "quiet", "caught_by": None},
+    ],
+}
+
+
+def written(folder: Path, found: object) -> Path:
+    file = folder / "file.json"
+    file.write_text(json.dumps(found))
+    return file
+
+
+def test_the_kill_table_tells_caught_from_survived_and_false_alarms(tmp_path: Path) -> None:
+    read = read_selftest(written(tmp_path, FOUND))
+    assert [(fault.name, fault.caught_by) for fault in read.faults] == [("a", "c"), ("b", "")]
+    assert read.false_alarms == ("c",)
+    assert read.caught == 1
+    assert not read.present  # another source
+
+
+def test_what_the_package_measured_of_itself_can_be_read() -> None:
+    assert read_selftest(DOCS / "selftest-results.json").caught > 70
+    assert len(read_oracles(DOCS / "oracles.json")) > 5
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        [],
+        FOUND | {"format": "else"},
+        FOUND | {"faults": {}},
+        FOUND | {"about": 1},
+        FOUND | {"faults": [FOUND["faults"][0] | {"hazard": 3}]},
+    ],
+)
+def test_what_is_no_kill_table_is_refused(tmp_path: Path, found: object) -> None:
+    with pytest.raises(InputError):
+        read_selftest(written(tmp_path, found))
+
+
+@pytest.mark.parametrize(
+    "found", [{}, [1], [{"what": "a", "oracle": "b", "unit": "mm", "largest": "0"}], [{"largest": 1.0}]]
+)
+def test_what_is_no_table_of_oracles_is_refused(tmp_path: Path, found: object) -> None:
+    with pytest.raises(InputError):
+        read_oracles(written(tmp_path, found))
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        read_oracles(tmp_path / "none.json")

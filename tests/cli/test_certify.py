@@ -1,0 +1,212 @@
+"""certify and verify from beginning to end, on runs of 0.4 s in the kinematic world."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from xml.etree import ElementTree
+
+import jsonschema
+import pytest
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.certification.document import read_evidence, schema
+from safety_harness.certification.evidence import Standing
+from safety_harness.cli import certify as certify_module
+from safety_harness.cli import fuzz as fuzz_module
+from safety_harness.cli.certify import certify, verify
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from tests.campaign.plans import PLAN, plan_in
+
+SEARCHING = PLAN + "search:\n  runs: 20\n"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report; copied by tests that change it."""
+    folder = tmp_path_factory.mktemp("certified")
+    plan_in(folder, SEARCHING)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fuzz_module, "_SHRINKING", 10)
+        patch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+        assert certify(folder / "plan.yaml", out=folder / "report", workers=1) == DIFFERS
+    return folder / "report"
+
+
+@pytest.fixture
+def report(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "report"))
+
+
+def words(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    return captured.out + captured.err
+
+
+def test_a_plan_becomes_a_folder_that_says_all_of_it(made: Path) -> None:
+    evidence = read_evidence(made / "evidence.json")
+    jsonschema.Draft202012Validator(schema()).validate(json.loads((made / "evidence.json").read_text()))
+    assert [outcome.runs for outcome in evidence.claims[0].outcomes] == [30, 20]
+    assert evidence.plan.model_only
+    assert evidence.standing is not Standing.SHOWN
+    ElementTree.parse(made / "junit.xml")
+    text = (made / "evidence.html").read_text()
+    assert "Model only" in text
+    assert "It is no certificate" in text
+    assert (made / "plan" / "plan.yaml").read_text() == SEARCHING
+
+
+def test_what_a_search_finds_is_shown_and_is_in_no_bound(made: Path) -> None:
+    evidence = read_evidence(made / "evidence.json")
+    assert evidence.search is not None
+    assert evidence.search.runs == 20
+    searched = [one for one in evidence.counterexamples if not one.independent]
+    declared = [one for one in evidence.counterexamples if one.independent]
+    assert searched
+    assert declared
+    assert all((made / one.trace_file).is_file() for one in evidence.counterexamples)
+    assert sum(outcome.runs for outcome in evidence.claims[0].outcomes) == 50
+
+
+def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = read_evidence(made / "evidence.json")
+    ledger = (made / "ledger.sqlite").read_bytes()
+    assert certify(made.parent / "plan.yaml", out=made, workers=1) == DIFFERS
+    after = read_evidence(made / "evidence.json")
+    assert (made / "ledger.sqlite").read_bytes() == ledger
+    assert after.claims == before.claims
+    assert "searching" not in words(capsys)
+
+
+def test_a_report_stands(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert verify(report, runs=4, seed=1, execute_avoider=False) == AS_EXPECTED
+    said = words(capsys)
+    assert "the report stands" in said
+    assert "4 of 50 runs made again" in said
+    assert said.count("DIFF") == 0
+
+
+def test_a_changed_file_is_noticed(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = report / "evidence.html"
+    file.write_text(file.read_text().replace("refuted", "shown"))
+    assert verify(report, runs=0, seed=1, execute_avoider=False) == DIFFERS
+    assert "evidence.html is not the file that was written" in words(capsys)
+
+
+def test_numbers_that_the_ledger_does_not_give_are_noticed_whatever_the_hashes_say(
+    report: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from safety_harness.certification.folder import write_manifest
+
+    file = report / "evidence.json"
+    found = json.loads(file.read_text())
+    found["claims"][0]["outcomes"][0]["violated"] = 0
+    file.write_text(json.dumps(found))
+    write_manifest(report)
+    assert verify(report, runs=0, seed=1, execute_avoider=False) == DIFFERS
+    said = words(capsys)
+    assert "violated come out otherwise" in said
+    assert "is not the file" not in said
+
+
+def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
+    report: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Somebody makes violations into successes in the ledger, and everything else anew."""
+    import sqlite3
+
+    from safety_harness.certification.folder import write_manifest
+
+    with sqlite3.connect(report / "ledger.sqlite") as connection:
+        connection.execute("UPDATE judgement SET outcome = 0, margin = 0.1 WHERE claim = 0 AND outcome = 1")
+    connection.close()
+    write_manifest(report)
+    assert verify(report, runs=50, seed=1, execute_avoider=False) == DIFFERS
+    said = words(capsys)
+    assert "holds then, violated now" in said
+    lines = said.splitlines()
+    assert any(line.startswith("DIFF") and "stored traces" in line for line in lines)
+    assert any(line.startswith("DIFF") and "runs made again" in line for line in lines)
+
+
+def test_a_folder_that_is_no_report_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert verify(tmp_path, runs=1, seed=1, execute_avoider=False) == BAD_INPUT
+    assert "manifest.json" in words(capsys)
+    (tmp_path / "manifest.json").write_text(
+        '{"format": "safety-harness manifest 1", "sha256": {"../x": "0"}}'
+    )
+    assert verify(tmp_path, runs=1, seed=1, execute_avoider=False) == BAD_INPUT
+    assert "below the report's folder" in words(capsys)
+
+
+def test_a_budget_that_cannot_meet_its_target_is_refused_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan_in(tmp_path, PLAN.replace("50 %", "0.1 %"))
+    assert certify(tmp_path / "plan.yaml", out=tmp_path / "report") == BAD_INPUT
+    said = words(capsys)
+    assert "at least 4380 runs" in said
+    assert not (tmp_path / "report").exists()
+
+
+def test_a_changed_space_is_named(report: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = report.parent / "changed"
+    plan_in(folder, SEARCHING)
+    space = folder / "short.yaml"
+    space.write_text(space.read_text().replace("to 2 m/s", "to 1.9 m/s"))
+    shutil.copytree(made, folder / "report")
+    assert certify(folder / "plan.yaml", out=folder / "report", workers=1) == BAD_INPUT
+    assert "short.yaml changed" in words(capsys)
+
+
+def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan_in(tmp_path, PLAN)
+    real = certify_module.carry_on
+
+    def stopping(*arguments: object, **options: object) -> bool:
+        done = 0
+
+        def enough() -> bool:
+            nonlocal done
+            done += 1
+            return done > 3
+
+        return real(*arguments, **(options | {"enough": enough}))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(certify_module, "carry_on", stopping)
+    out = tmp_path / "report"
+    assert certify(tmp_path / "plan.yaml", out=out, workers=1) == INTERRUPTED
+    partial = read_evidence(out / "evidence.json")
+    assert partial.interrupted
+    assert partial.standing in (Standing.INCOMPLETE, Standing.UNTESTED)
+    assert all(outcome.bound is None for outcome in partial.claims[0].outcomes[:1])
+    monkeypatch.setattr(certify_module, "carry_on", real)
+    assert certify(tmp_path / "plan.yaml", out=out, workers=1) == DIFFERS
+    assert not read_evidence(out / "evidence.json").interrupted
+    with Ledger.open(out / "ledger.sqlite") as ledger:
+        assert next(ledger.missing(0), None) is None
+    words(capsys)
+
+
+def test_a_program_in_a_report_is_not_executed_unasked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from pathlib import Path\n"
+        "from safety_harness import Proposal\n\n\n"
+        "class Up:\n"
+        '    name = "up"\n\n'
+        "    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):\n"
+        "        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])\n"
+    )
+    text = PLAN.replace("avoider: opposite pose", "avoider: mine.py:Up")
+    plan_in(tmp_path, text.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
+    out = tmp_path / "report"
+    assert certify(tmp_path / "plan.yaml", out=out, workers=1) == DIFFERS
+    assert verify(out, runs=2, seed=1, execute_avoider=False) == BAD_INPUT
+    assert "--execute-avoider" in words(capsys)
+    assert verify(out, runs=0, seed=1, execute_avoider=False) == AS_EXPECTED
+    assert verify(out, runs=2, seed=1, execute_avoider=True) == AS_EXPECTED
