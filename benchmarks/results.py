@@ -27,10 +27,10 @@ LIBRARIES = ("numpy", "numba", "pybullet", "torch", "rtamt", "onnxruntime")
 HEAD = """\
 # Ratios
 
-Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work, and
-given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the aim says
-"at most". How each is measured is said at the top of its script. Notes are of a machine as busy as `load` says (the
-number of processes that wanted to run, before and after); compare ratios, not seconds.
+Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work,
+and given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the
+aim says "at most". How each is measured is said at the top of its script. Notes are of a machine as busy as
+`load` says (processes that wanted to run, before and after); compare ratios, not seconds.
 
 """
 
