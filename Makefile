@@ -44,6 +44,7 @@ bench-all: bench
 	$(BIN)/python benchmarks/search_power.py
 	$(BIN)/python benchmarks/flat_bugs.py
 	$(BIN)/python benchmarks/interval_coverage.py
+	$(BIN)/python benchmarks/campaign.py
 	$(BIN)/python benchmarks/convergence.py
 	$(BIN)/python benchmarks/convergence_in_pybullet.py
 

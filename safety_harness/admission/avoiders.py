@@ -82,11 +82,6 @@ def command_line_reference(scenario: Scenario) -> str:
     return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
 
 
-def never_late(reference: str) -> bool:
-    """Is it ours, whose answers may count however long they take, so that a run repeats on a busy machine?"""
-    return reference in NAMES or reference.endswith(MODEL_SUFFIX)
-
-
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, which is executed to resolve it?"""
     return bool(file_and_name(reference)[1])

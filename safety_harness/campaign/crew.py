@@ -29,10 +29,14 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk of which nothing more will come, and why: its worker crashed, hung or grew too large."""
+    """A chunk of which nothing more will come, and why: its worker crashed, hung or grew too large.
+
+    Not ``begun``: before it had come to it, so that none of its episodes can be to blame.
+    """
 
     chunk: Chunk
     why: str
+    begun: bool = True
 
 
 Event = Arrived | Lost

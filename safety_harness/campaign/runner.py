@@ -160,11 +160,11 @@ class _Runner:
     def _lost(self, event: Lost) -> None:
         """One at a time again; an episode that is lost alone too often has failed to run."""
         waiting = sorted(self._out.pop(event.chunk))
-        alone = len(event.chunk.episodes) == 1
+        to_blame = event.begun and len(event.chunk.episodes) == 1
         self._retried += len(waiting)
         for episode in waiting:
             key = (event.chunk.stratum, episode)
-            self._tried[key] += alone
+            self._tried[key] += to_blame
             if self._tried[key] >= ATTEMPTS:
                 seed = root_seed(self.plan, *key)
                 why = f"failed to run, {ATTEMPTS} times: {event.why}"

@@ -41,7 +41,7 @@ def bounds_figure(claim: ClaimEvidence, *, prefix: str) -> str:
         if claim.target is not None:
             least = min(least, claim.target / 3.0)
         axes.set_xscale("log")
-        low = 10.0 ** np.floor(np.log10(least))
+        low = _decade_below(least)
         axes.set_xlim(low, 1.0)
         for lane, outcome in enumerate(rows):
             _interval(axes, lane, outcome, low)
@@ -143,8 +143,8 @@ def margins_figure(claim: ClaimEvidence, *, prefix: str) -> str:
         axes.axvline(0.0, color=Ink.LIMIT.sentinel, linewidth=1.4, linestyle=(0, (4, 3)))
         least = min(outcome.shares[0] for outcome in rows)
         axes.set_yscale("log")
-        axes.set_ylim(10.0 ** np.floor(np.log10(least)), 1.0)
-        decades = [10.0**k for k in range(int(np.floor(np.log10(least))), 1)]
+        axes.set_ylim(_decade_below(least), 1.0)
+        decades = [10.0**k for k in range(round(np.log10(_decade_below(least))), 1)]
         axes.set_yticks(decades, [percent(decade) for decade in decades])
         axes.grid(True)
         axes.xaxis.set_major_formatter(lambda value, _: with_minus(f"{value + 0.0:g}"))
@@ -209,6 +209,11 @@ def separation_figure(cases: tuple[SeparationCase, ...], *, prefix: str) -> str:
                 for case in cases
             ),
         )
+
+
+def _decade_below(share: float) -> float:
+    """Where a logarithmic axis of shares begins: a tenth at most, so that it has a length."""
+    return float(10.0 ** min(np.floor(np.log10(share)), -1.0))
 
 
 def _swatch(ink: Ink) -> Artist:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.certification import tables
-from safety_harness.certification.argument import KIND_WORDS, STATE, Element, argument_of
+from safety_harness.certification.argument import KIND_WORDS, STATE, argument_of
 from safety_harness.certification.argument_svg import argument_svg
+from safety_harness.certification.cells import Table
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     CounterexampleEvidence,
@@ -20,7 +20,19 @@ from safety_harness.certification.evidence import (
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, seconds, start_s
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tables import Table
+from safety_harness.certification.tables import (
+    calibration,
+    counterexamples,
+    coverage,
+    files,
+    hazards,
+    outcomes,
+    quantiles,
+    separation,
+    strata,
+    verdicts,
+)
+from safety_harness.certification.tool_tables import agreement, kills, oracles, rerun
 from safety_harness.certification.verdicts import percent
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -87,7 +99,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         state=STATE,
         counts=_counts(evidence),
         meanings=MEANINGS,
-        tables=tables,
+        tables=_tables(evidence),
         claims=[_claim(claim) for claim in evidence.claims],
         counterexamples=views,
         top=top,
@@ -115,8 +127,8 @@ def _claim(claim: ClaimEvidence) -> ClaimView:
     prefix = f"claim-{claim.number}-"
     return ClaimView(
         claim=claim,
-        table=tables.outcomes(claim),
-        quantiles=tables.quantiles(claim),
+        table=outcomes(claim),
+        quantiles=quantiles(claim),
         bounds=Markup(bounds_figure(claim, prefix=f"{prefix}bounds-")),
         margins=Markup(margins_figure(claim, prefix=f"{prefix}margins-")),
     )
@@ -152,11 +164,6 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> Count
     )
 
 
-def leaves(element: Element) -> list[Element]:
-    """Every element of an argument that nothing supports."""
-    return [element] if not element.below else [leaf for one in element.below for leaf in leaves(one)]
-
-
 def _coverage_map(evidence: Evidence) -> Markup:
     if not evidence.coverage.cells:
         return Markup("")
@@ -166,3 +173,22 @@ def _coverage_map(evidence: Evidence) -> Markup:
             cells, violating, prefix="coverage-map-", title="Coverage of the domain by the declared runs"
         )
     )
+
+
+def _tables(evidence: Evidence) -> dict[str, object]:
+    """Every table that is not a claim's own, by the name that the page calls it."""
+    makers = (
+        verdicts,
+        hazards,
+        strata,
+        separation,
+        coverage,
+        counterexamples,
+        calibration,
+        agreement,
+        oracles,
+        kills,
+        files,
+    )
+    known: dict[str, object] = {make.__name__: make(evidence) for make in makers}
+    return known | {"reruns": [rerun(one) for one in evidence.credibility.reruns]}

@@ -1,58 +1,12 @@
-"""The tables of the evidence report, as cells of text: one macro of the page draws them all."""
+"""The tables of the evidence report."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from safety_harness.certification.argument import STATE
-from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome, Standing
-from safety_harness.certification.tools import Rerun
+from safety_harness.certification.cells import DASH, Cell, Table, count, number, standing, words
+from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome
 from safety_harness.certification.verdicts import percent
-from safety_harness.report.words import count_words, with_minus
+from safety_harness.report.words import with_minus
 from safety_harness.search.coverage import AXES
-
-DASH = "\u2013"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict."""
-
-    text: str
-    sort: str = ""
-    number: bool = False
-    state: str = ""
-    href: str = ""
-    note: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """``head`` names the columns; the first cell of each row names the row."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-
-def words(text: str, *, href: str = "", note: str = "") -> Cell:
-    """A cell of words."""
-    return Cell(text=text, href=href, note=note)
-
-
-def number(text: str, sort: float | None = None) -> Cell:
-    """A cell of a number, sorted by ``sort``."""
-    return Cell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
-
-
-def count(value: int) -> Cell:
-    """A cell of a whole number."""
-    return number(f"{value:,}".replace(",", "\u202f"), value)
-
-
-def standing(value: Standing) -> Cell:
-    """A cell of a claim's standing."""
-    return Cell(text=value.value, state=STATE[value])
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
@@ -286,68 +240,6 @@ def counterexamples(evidence: Evidence) -> Table:
                 words(", ".join(file for file in (one.scenario_file, one.trace_file) if file)),
             )
             for one in evidence.counterexamples
-        ),
-    )
-
-
-def agreement(evidence: Evidence) -> Table | None:
-    """The largest differences between the two worlds."""
-    known = evidence.credibility.agreement
-    if known is None:
-        return None
-    present = "this very source" if known.present else f"another source, {known.source_hash}"
-    return Table(
-        caption=f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
-        f"{count_words(known.disagreements, 'verdict', 'verdicts')} of {known.verdicts} differ, "
-        f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
-        "violated).",
-        head=("What", "Largest difference"),
-        rows=tuple((words(what), number(largest)) for what, largest in known.differences),
-    )
-
-
-def rerun(known: Rerun) -> Table:
-    """What changes when declared random runs are made again with something else."""
-    return Table(
-        caption=f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
-        f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
-        f"{known.optimistic} of them from holds to violated.",
-        head=("Claim", "Largest change of the margin"),
-        rows=tuple((words(sentence), number(largest)) for sentence, largest in known.largest),
-    )
-
-
-def oracles(evidence: Evidence) -> Table | None:
-    """What was checked against software that we did not write."""
-    rows = evidence.credibility.oracles
-    if not rows:
-        return None
-    return Table(
-        caption="Parts checked against software that is not ours, with the largest disagreement seen "
-        f"({evidence.credibility.oracles_measured_with}).",
-        head=("Part", "Against", "Largest disagreement"),
-        rows=tuple((words(row.part), words(row.against), words(row.largest)) for row in rows),
-    )
-
-
-def kills(evidence: Evidence) -> Table | None:
-    """Every seeded fault and what caught it."""
-    test = evidence.selftest
-    if test is None:
-        return None
-    return Table(
-        caption=f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
-        "caught.",
-        head=("Fault", "Part", "Hazard", "Caught by", "Smallest caught"),
-        rows=tuple(
-            (
-                words(fault.name),
-                words(fault.part),
-                words(fault.hazard),
-                Cell(text=fault.caught_by) if fault.caught_by else Cell(text="survived", state="violated"),
-                words(fault.smallest or DASH, note=fault.known_limit),
-            )
-            for fault in test.faults
         ),
     )
 

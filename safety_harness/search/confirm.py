@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, described, spread_threshold_of
+from safety_harness.avoidance.avoider import described
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.search.draws import OtherDraws
 from safety_harness.search.trials import World, mishap_of
-from safety_harness.seeds import Branch
-from safety_harness.seeds import seed as leaf
 from safety_harness.trace.trace import Trace
 
 
@@ -69,34 +68,6 @@ class Confirm:
         admitted = admit(scenario)
         others = [_with_draws(admitted, k) for k in range(draws)]
         return sum(self.complaint.is_in(self.world([one])[0]) for one in others)
-
-
-@dataclass(frozen=True, eq=False)
-class OtherDraws:
-    """An avoider with other seeds: the k-th stream of its own randomness."""
-
-    avoider: Avoider
-    stream: int
-
-    @property
-    def name(self) -> str:
-        """The avoider's own."""
-        return self.avoider.name
-
-    @property
-    def spread_threshold_m(self) -> float | None:
-        """The avoider's own; AvoiderError as there."""
-        return spread_threshold_of(self.avoider)
-
-    def propose(
-        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
-    ) -> Proposal:
-        """What the avoider says with another seed."""
-        return self.avoider.propose(
-            hand_position_in_base_m=hand_position_in_base_m,
-            tcp_position_in_base_m=tcp_position_in_base_m,
-            seed=leaf(seed, Branch.SEARCH, 5, self.stream),
-        )
 
 
 def _with_draws(admitted: Admitted, stream: int) -> Admitted:

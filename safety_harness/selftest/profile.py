@@ -1,4 +1,4 @@
-"""How much is tried: ``quick`` in a couple of minutes on two cores, ``nightly`` in an hour or so."""
+"""How much is tried: ``quick`` in a couple of minutes on two idle cores, ``nightly`` everything there is."""
 
 from __future__ import annotations
 

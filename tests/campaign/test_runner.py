@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -90,6 +91,26 @@ def test_an_episode_that_is_always_lost_has_failed_to_run_and_costs_no_other(
         assert "failed to run" in why
         assert "it was lost" in why
     assert sum(chunk.episodes == (5,) and chunk.stratum == 0 for chunk in crew.given) == ATTEMPTS
+
+
+def test_an_episode_that_no_worker_came_to_is_not_to_blame(tmp_path: Path, plan: Plan) -> None:
+    class NotYet(Here):
+        def take(self, timeout_s: float) -> Sequence[Event]:
+            found = super().take(timeout_s)
+            return [replace(one, begun=False) if isinstance(one, Lost) else one for one in found]
+
+    crew = NotYet(2, lose=[(0, 5)])
+    looks = 0
+
+    def enough() -> bool:
+        nonlocal looks
+        looks += 1
+        return looks > 200
+
+    with ledger_in(tmp_path, plan) as ledger:
+        assert not run_campaign(plan, ledger, crew, enough=enough)
+        assert tally_of(ledger).done == 49
+    assert sum(chunk.episodes == (5,) for chunk in crew.given) > ATTEMPTS
 
 
 def test_the_first_violations_are_kept_by_their_numbers(tmp_path: Path, plan: Plan) -> None:

@@ -154,7 +154,7 @@ def test_a_changed_space_is_named(report: Path, made: Path, capsys: pytest.Captu
     folder = report.parent / "changed"
     plan_in(folder, SEARCHING)
     space = folder / "short.yaml"
-    space.write_text(space.read_text().replace("2 m/s", "1.9 m/s"))
+    space.write_text(space.read_text().replace("to 2 m/s", "to 1.9 m/s"))
     shutil.copytree(made, folder / "report")
     assert certify(folder / "plan.yaml", out=folder / "report", workers=1) == BAD_INPUT
     assert "short.yaml changed" in words(capsys)

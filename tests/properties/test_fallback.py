@@ -136,6 +136,28 @@ def test_calling_it_a_stop_and_moving_on_is_violated() -> None:
     assert evaluation.verdict is Verdict.VIOLATED
 
 
+def test_every_decision_that_left_nothing_is_judged_and_the_worst_is_told() -> None:
+    """Before the one that was there, one that could be used; after it one at the very end of the run."""
+    trace = heads_out_of_reach()
+    (only,) = trace.decisions
+    ticks, decisions = trace.ticks.copy(), np.repeat(trace.decisions, 3)
+    at = (int(only["tick"]) - 10, int(only["tick"]), len(ticks) - 1)
+    ticks["decision"] = -1
+    for number, tick in enumerate(at):
+        ticks["decision"][tick] = number
+        tcp = ticks["transform_tcp_to_base"][tick, :3, 3]
+        decisions["tick"][number], decisions["time_s"][number] = tick, ticks["time_s"][tick]
+        decisions["joint_position_rad"][number] = ticks["joint_position_rad"][tick]
+        decisions["tcp_position_in_base_m"][number] = tcp
+        far = (0.0, 0.0, 0.01) if number == 0 else (0.0, 2.0, 0.0)
+        decisions["proposed_position_in_base_m"][number] = tcp + np.array(far)
+    three = replace(trace, ticks=ticks, decisions=decisions, decision_latency_s=np.zeros(3))
+    alone, evaluation = STOPS.evaluate(trace), STOPS.evaluate(three)
+    assert evaluation.exercised == 2
+    assert (evaluation.margin, evaluation.worst_time_s) == (alone.margin, float(only["time_s"]))
+    assert evaluation.reason == "way left of a stop's, worst of 2"
+
+
 def test_a_certain_answer_that_cannot_be_used_need_not_be() -> None:
     far = Displaced((0.0, 2.0, 0.0), spread_m=0.01, spread_threshold_m=0.02)
     assert USED.evaluate(run(scenario(VISIT), avoider=far)).verdict is Verdict.INCONCLUSIVE

@@ -86,6 +86,25 @@ def test_a_run_that_ends_before_the_time_allowed_is_no_evidence(visit: Trace) ->
     assert IN_TIME.evaluate(short).verdict is Verdict.INCONCLUSIVE
 
 
+def test_a_hand_that_is_near_from_the_first_tick_on_counts_once(visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    ticks["track_valid"][:, 0] = True
+    ticks["predicted_hand_in_base_m"][:, 0] = ticks["transform_tcp_to_base"][:, :3, 3] + 0.1
+    ticks["mode"] = Mode.REPULSING
+    evaluation = IN_TIME.evaluate(replace(visit, ticks=ticks))
+    assert (evaluation.verdict, evaluation.exercised) == (Verdict.HOLDS, 1)
+
+
+@pytest.mark.parametrize("field", ["transform_tcp_to_base", "predicted_hand_in_base_m"])
+def test_what_is_no_number_is_inconclusive_and_the_reason_says_from_when(field: str, visit: Trace) -> None:
+    at = int(np.flatnonzero(predicted_near(visit))[3])
+    ticks = visit.ticks.copy()
+    ticks[field][at:] = np.nan
+    evaluation = IN_TIME.evaluate(replace(visit, ticks=ticks))
+    assert evaluation.verdict is Verdict.INCONCLUSIVE
+    assert evaluation.reason.endswith(f"is not finite from {visit.time_s[at]:.3f} s")
+
+
 def test_a_controller_that_minds_only_closer_hands_is_too_late() -> None:
     evaluation = IN_TIME.evaluate(minds_hands_within(0.3))
     assert evaluation.verdict is Verdict.VIOLATED

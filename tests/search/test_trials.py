@@ -6,19 +6,19 @@ import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.avoidance.avoider import Proposal
+from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search import trials as trials_module
-from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
+from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.coverage import AXES, Cell, Coverage, cell_of
+from safety_harness.search.draws import OtherDraws
 from safety_harness.search.explain import circumstances, ingredients, seen_of
 from safety_harness.search.outcomes import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
@@ -108,25 +108,37 @@ def test_an_avoider_that_raises_in_a_corner_is_a_mishap_of_one_kind_whatever_its
     assert np.isfinite(found.margins[2]).all()
 
 
-def test_our_own_avoiders_are_waited_for_and_a_users_are_not(
-    tmp_path: Path,
-) -> None:
-    def slow(**_: object) -> object:
-        time.sleep(0.15)  # the deadline is 100 ms
+class Slow:
+    """Thinks beyond the deadline, which is 100 ms."""
+
+    name = "slow"
+
+    def propose(self, **_: object) -> Proposal:
+        time.sleep(0.15)
         return Proposal(np.array([0.6, 0.1, 0.4]))
 
-    (tmp_path / "mine.py").write_text(CRASHING)
-    avoiders = ("opposite pose", str(tmp_path / "mine.py") + ":Crashing")
-    faults = []
-    for avoider in avoiders:
-        scenario = Trials(SHORT, in_pybullet, avoider=avoider).scenario(POINTS[1], 11)
-        admitted = admit(scenario, avoider=SimpleNamespace(name="slow", propose=slow))
-        (trace,) = in_pybullet([admitted])
-        assert isinstance(trace, Trace)
-        faults.append([str(fault) for fault in trace.decisions["fault"]])
-    assert faults[0]
-    assert not any(faults[0])
-    assert faults[1][0] == "no answer within 100 ms"
+
+class SlowForMany(Slow):
+    """Is asked for many at once in the kinematic world, where there is no clock."""
+
+    def propose_many(
+        self, hands: np.ndarray, tcps: np.ndarray, seeds: object
+    ) -> tuple[np.ndarray, np.ndarray]:
+        return np.tile([0.6, 0.1, 0.4], (len(hands), 1)), np.zeros((len(hands), 3))
+
+
+@pytest.mark.parametrize(
+    "avoider", [SlowForMany(), OtherDraws(SlowForMany(), 1), Slow(), OtherDraws(Slow(), 1)]
+)
+def test_who_has_no_clock_in_the_kinematic_world_has_none_where_findings_are_confirmed(
+    avoider: Avoider,
+) -> None:
+    scenario = outcomes()[0].scenario(POINTS[1], 11)
+    (trace,) = in_pybullet([admit(scenario, avoider=avoider)])
+    assert isinstance(trace, Trace)
+    asked = avoider.avoider if isinstance(avoider, OtherDraws) else avoider
+    fault = "" if isinstance(asked, SlowForMany) else "no answer within 100 ms"
+    assert str(trace.decisions["fault"][0]) == fault
 
 
 def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPatch) -> None:

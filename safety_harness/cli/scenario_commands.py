@@ -1,0 +1,181 @@
+"""Commands about scenario files, spaces and traces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from safety_harness.cli.options import Files, OfAvoider, Out, Seed, TraceFile, TraceFiles, end
+
+commands = typer.Typer()
+
+
+@commands.command()
+def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
+    """Run scenario files in PyBullet, judge their claims and write a report.
+
+    One line a claim goes to standard output: verdict, margin, time of the worst moment.
+    At the end a table says how often each claim was put to the test.
+    Exit code 0: every verdict as its file expects; 1: any differs, a run failed, or a claim that was
+    expected to tell something was never put to the test; 2: bad input, nothing was run; 130: interrupted,
+    what was finished is kept.
+    """
+    from safety_harness.cli.run import run as run_files
+
+    end(run_files(files, out, avoider))
+
+
+@commands.command()
+def validate(files: Files, avoider: OfAvoider = None) -> None:
+    """Read and check scenario files without running them, and tell every mistake of every file.
+
+    A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard
+    error with file, line, what was expected and what came.
+    Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.
+    """
+    from safety_harness.cli.validate import validate as validate_files
+
+    end(validate_files(files, avoider))
+
+
+@commands.command()
+def fmt(
+    files: Files,
+    check: Annotated[
+        bool, typer.Option("--check", help="Change nothing; only say what would change.")
+    ] = False,
+) -> None:
+    """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
+
+    Comments stay, and so do the units that you wrote; the file means what it meant before.
+    Exit code 0; 1: with --check, a file would change; 2: a file cannot be read, others are laid out.
+    """
+    from safety_harness.cli.fmt import format_files
+
+    end(format_files(files, check=check))
+
+
+@commands.command()
+def explain(
+    key: Annotated[list[str] | None, typer.Argument(help="A key, such as: critical distance.")] = None,
+) -> None:
+    """Say what a key of scenario files means: its unit, bounds, default and an example.
+
+    A key that stands in several places is explained for each; "camera.rate" means one of them.
+    Without a key, all are listed.
+    Exit code 0; 2: there is no such key.
+    """
+    from safety_harness.cli.explain import explain_key
+
+    end(explain_key(key or []))
+
+
+@commands.command()
+def claims(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
+    ] = None,
+) -> None:
+    """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
+
+    A whole claim is explained by the one that understands it. Without words, all are listed.
+    Exit code 0; 2: nothing in the catalogue has these words.
+    """
+    from safety_harness.cli.claims import explain_claims
+
+    end(explain_claims(words or []))
+
+
+@commands.command()
+def new(
+    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
+) -> None:
+    """Write a scenario file with comments to start from; it runs as it is.
+
+    Exit code 0; 2: there is such a file already, or it cannot be written.
+    """
+    from safety_harness.cli.new import new as new_file
+
+    end(new_file(file))
+
+
+@commands.command()
+def schema() -> None:
+    """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
+
+    It is also docs/schema/scenario.schema.json. Exit code 0.
+    """
+    from safety_harness.cli.schema import print_schema
+
+    end(print_schema())
+
+
+@commands.command()
+def replay(trace: TraceFile, avoider: OfAvoider = None) -> None:
+    """Repeat a recorded run bit by bit: "identical", or the first step that differs.
+
+    A trace that was made with a Python file of yours needs that file named by --avoider, as repeating
+    the run executes it.
+    Exit code 0: identical; 1: it differs; 2: not a trace that can be read; 130: interrupted.
+    """
+    from safety_harness.cli.replay import replay as replay_trace
+
+    end(replay_trace(trace, avoider))
+
+
+@commands.command()
+def judge(
+    traces: TraceFiles,
+    claim: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="In place of the traces' own: a sentence of the catalogue or a formula, such as 'always "
+            "hand distance > 30 mm', expected to hold. May be repeated.",
+            metavar="SENTENCE",
+        ),
+    ] = None,
+) -> None:
+    """Judge stored traces again by their claims, or by others, without simulating.
+
+    Exit codes as for run.
+    """
+    from safety_harness.cli.replay import judge_again
+
+    end(judge_again(traces, claim or ()))
+
+
+@commands.command()
+def show(
+    files: Annotated[list[Path], typer.Argument(help="Scenario files or spaces.", metavar="FILE...")],
+    out: Annotated[Path, typer.Option(help="Folder for pictures, or the picture of one file.")] = Path(
+        "reports/show"
+    ),
+    draws: Annotated[int, typer.Option(help="Draws of a space in its picture.", min=1)] = 200,
+    seed: Seed = 0,
+) -> None:
+    """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
+
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cli.show import show as show_files
+
+    end(show_files(files, out=out, draws=draws, seed=seed))
+
+
+@commands.command()
+def sample(
+    space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
+    out: Annotated[Path, typer.Option(help="Folder for the scenario files.")] = Path("reports/sample"),
+    count: Annotated[int, typer.Option(help="How many that can be tried.")] = 10,
+    seed: Seed = 0,
+) -> None:
+    """Draw scenarios from a space, independently, each as a file that run takes.
+
+    Draws that cannot be tried (a start out of reach, ...) are counted, drawn again, and said.
+    Exit code 0; 2: bad input, or a space of which next to nothing can be tried; 130: interrupted.
+    """
+    from safety_harness.cli.show import sample as sample_space
+
+    end(sample_space(space, out=out, count=count, seed=seed))
