@@ -62,6 +62,11 @@ class Ratio:
     def __str__(self) -> str:
         if math.isnan(self.value):
             return f"{self.what}: {self.verdict}: {self.note}"
-        spread = f"{self.value:.3g} ({self.least:.3g} to {self.greatest:.3g})"
+        spread = f"{shown(self.value)} ({shown(self.least)} to {shown(self.greatest)})"
         words = (f"{self.what}: {spread}", self.aimed, self.verdict, self.note)
         return "; ".join(word for word in words if word)
+
+
+def shown(value: float) -> str:
+    """Three digits, or whole numbers from 100 on."""
+    return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"

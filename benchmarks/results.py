@@ -18,7 +18,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ratios import Ratio
+from ratios import Ratio, shown
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "RESULTS.md"
@@ -27,10 +27,10 @@ LIBRARIES = ("numpy", "numba", "pybullet", "torch", "rtamt", "onnxruntime")
 HEAD = """\
 # Ratios
 
-Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work, and
-given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the aim says
-"at most". How each is measured is said at the top of its script. Notes are of a machine as busy as `load` says (the
-number of processes that wanted to run, before and after); compare ratios, not seconds.
+Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work,
+and given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the
+aim says "at most". How each is measured is said at the top of its script. Notes are of a machine as busy as
+`load` says (processes that wanted to run, before and after); compare ratios, not seconds.
 
 """
 
@@ -54,7 +54,7 @@ def row_of(ratio: Ratio, script: str, loads: str) -> str:
     """A line of the table."""
     value = spread = "-"
     if ratio.verdict != "not measured":
-        value, spread = f"{ratio.value:.3g}", f"{ratio.least:.3g} to {ratio.greatest:.3g}"
+        value, spread = shown(ratio.value), f"{shown(ratio.least)} to {shown(ratio.greatest)}"
     cells = (ratio.what, value, spread, ratio.aimed, ratio.verdict, ratio.note, loads, f"`{script}.py`")
     return "| " + " | ".join(cells) + " |"
 

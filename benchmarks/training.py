@@ -1,8 +1,8 @@
 """What does an epoch of training cost, next to an ordinary loop of PyTorch?
 
-Run: python benchmarks/training.py.  Both train the regression ResNet with dropout on the same samples, on one thread, in
-turns.  The ordinary loop reads a sample at a time through a Dataset and a DataLoader, as tutorials have it,
-with nn.Dropout and Adam; ours also validates, and writes a checkpoint.
+Run: python benchmarks/training.py.  Both train the regression ResNet with dropout on the same samples, on
+one thread, in turns.  The ordinary loop reads a sample at a time through a Dataset and a DataLoader, as
+tutorials have it, with nn.Dropout and Adam; ours also validates, and writes a checkpoint.
 """
 
 from __future__ import annotations

@@ -79,6 +79,8 @@ def _page(path: Path) -> str:
 
 def _shown(path: Path) -> str:
     """The text of a file, or of all files of a folder."""
+    if path.suffix == ".md":
+        return path.read_text(encoding="utf-8")
     texts = [f"# {path.relative_to(ROOT)}"]
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*.*") if "__pycache__" not in p.parts)
     for file in files:

@@ -18,7 +18,7 @@ ALONE = {"NO_MKDOCS_2_WARNING": "1"}
 
 
 def build(config: Path, site: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-f", str(config), "-d", str(site)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(config), "-d", str(site)]
     return subprocess.run(command, capture_output=True, text=True, env=os.environ | ALONE, timeout=300)
 
 
