@@ -9,6 +9,7 @@ nanny.
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import tempfile
 import threading
@@ -104,6 +105,7 @@ class DaskCrew:
                 expected="the address (tcp://...) or the file of a Dask scheduler that answers",
                 got=f"{self.address}: {error or type(error).__name__}",
             ) from error
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
         self._shipment = Shipment(self.plan.files, self.plan.identity)
         self._looked_s = -math.inf
         self._look_around([])
