@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -102,6 +103,12 @@ def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_re
                 module = PACKAGE.parent / (node.module or "").replace(".", "/")
                 assert node.level == 0, file
                 assert module.with_suffix(".py").is_file(), f"{file}: {node.module} is no file"
+
+
+def test_no_two_files_of_tests_have_one_name() -> None:
+    """Folders of tests are no packages: of two modules with one name the second is the first."""
+    names = Counter(file.name for file in Path(__file__).parent.rglob("*.py") if file.name != "conftest.py")
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_only_the_reproduction_and_the_command_line_import_learning() -> None:

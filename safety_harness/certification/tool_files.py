@@ -19,7 +19,6 @@ ON_TRIAL = ("caught", "survives")  # others are harmless, or do not apply to the
 
 def read_selftest(path: Path) -> SelfTest:
     """InputError, naming the field, for what is no such file."""
-    refuse_no_file(path, "a selftest.json", InputError)
     found = _json(path, "a selftest.json")
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise _error(path, "format", repr(FORMAT), repr(found)[:60])
@@ -58,6 +57,7 @@ def _oracle(path: Path, place: int, one: dict[str, Any]) -> Oracle:
 
 
 def _json(path: Path, expected: str) -> Any:
+    refuse_no_file(path, expected, InputError)
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)

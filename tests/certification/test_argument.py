@@ -5,7 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 from xml.etree import ElementTree
 
-from made_up import evidence
+from made_up_evidence import evidence
 
 from safety_harness.certification.argument import Element, Kind, argument_of
 from safety_harness.certification.argument_svg import _Layout, argument_svg

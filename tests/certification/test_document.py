@@ -7,7 +7,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from made_up import evidence
+from made_up_evidence import evidence
 
 from safety_harness.certification.document import as_text, read_evidence, schema
 from safety_harness.exceptions import InputError

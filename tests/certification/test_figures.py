@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from xml.etree import ElementTree
 
-from made_up import claims, evidence
+from made_up_evidence import claims, evidence
 
 from safety_harness.certification.evidence import Bound
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from made_up import STRATA, evidence
+from made_up_evidence import STRATA, evidence
 
 from safety_harness.certification.evidence import Standing
 from safety_harness.certification.junit import junit_xml

@@ -116,7 +116,7 @@ def test_mistakes_are_explained_and_nothing_is_written(
     out = tmp_path / "out.json"
     for models, options, said in (
         ([], {}, "at least one model"),
-        ([tmp_path / "none.safetensors"], {}, "No such file"),
+        ([tmp_path / "none.safetensors"], {}, "no such file"),
         ([model, broken], {}, "broken.safetensors"),
         ([elsewhere], {}, "seen.tcp_low_m"),
         ([model], {"samples": 9}, "--samples"),

@@ -46,7 +46,7 @@ def test_mistakes_are_explained_and_nothing_is_written(
         (model, {"format": "onxx"}, "'onnx' or 'torchscript'"),
         (model, {"seed": -1}, "--seed"),
         (model, {"format": "torchscript"}, "ends in .pt"),
-        (tmp_path / "none.safetensors", {}, "No such file"),
+        (tmp_path / "none.safetensors", {}, "no such file"),
     ):
         assert export(source, out=tmp_path / "out.onnx", **options) == BAD_INPUT  # type: ignore[arg-type]
         assert said in capsys.readouterr().err

@@ -42,9 +42,9 @@ from safety_harness.space.read import read_space
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace, save_trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
-from tests.certification.made_up import evidence
+from tests.certification.made_up_evidence import evidence
 from tests.search.short_space import TEXT as SHORT
-from tests.selftest.made_up import CAUGHT, LIMIT, SURVIVES, about
+from tests.selftest.made_up_faults import CAUGHT, LIMIT, SURVIVES, about
 
 ROOT = Path(__file__).parents[2]
 SCENARIO = """\

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from made_up import (
+from made_up_faults import (
     CAUGHT,
     EVERY_KIND,
     LIMIT,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import factory
 import page
 import pytest
-from made_up import HOSTILE, STRATA, evidence
+from made_up_evidence import HOSTILE, STRATA, evidence
 
 from safety_harness.certification.evidence import Standing
 from safety_harness.certification.page import render

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browsing import colour, show
-from made_up import evidence
+from made_up_evidence import evidence
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
