@@ -109,6 +109,14 @@ class OnnxAvoider:
         It is asked the same question twice, about the cell's own desired TCP and nominal hand: what
         cannot answer, answers in another shape, or not twice the same, is refused.
         """
+        try:
+            return cls._load(path, settings)
+        except UnicodeDecodeError as error:  # of a damaged name
+            place = Place(file=path)
+            raise ModelError(place=place, expected="names in UTF-8", got=error.reason) from error
+
+    @classmethod
+    def _load(cls, path: Path, settings: Settings) -> OnnxAvoider:
         session = open_session(path)
         own = dict(session.get_modelmeta().custom_metadata_map)
         exported = Exported.of(path, own[KEY]) if KEY in own else None
