@@ -41,7 +41,7 @@ from safety_harness.avoidance.model_file import (
     refuse_foreign_seen_space,
     seen_of,
 )
-from safety_harness.exceptions import ModelError
+from safety_harness.exceptions import ModelError, Place
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.settings import Settings
 

@@ -10,12 +10,15 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.exceptions import InputError
-from tests.hostile.formats import FORMATS, Format
+from safety_harness.avoidance.onnx_model import HAND, OnnxAvoider
+from safety_harness.exceptions import InputError, ModelError
+from safety_harness.settings import DEFAULTS
+from tests.hostile.formats import FORMATS, Format, onnx_bytes
 
 quick = hypothesis_settings(
     max_examples=30,
     deadline=None,
+    derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 each = pytest.mark.parametrize("kind", FORMATS, ids=lambda kind: kind.name)
@@ -85,6 +88,13 @@ def test_parts_that_are_missing_doubled_or_foreign_are_refused_or_harmless(
         new = choose.draw(st.binary(max_size=20) | st.sampled_from([b"", data[begin:end] * 2, b"\0" * 1_000]))
         data = data[:begin] + new + data[end:]
     outcome(kind, tmp_path, data)
+
+
+def test_a_name_in_an_onnx_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.onnx"
+    path.write_bytes(onnx_bytes().replace(HAND.encode(), b"\xee" + HAND.encode()[1:]))
+    with pytest.raises(ModelError, match=r"model\.onnx"):
+        OnnxAvoider.load(path, DEFAULTS)
 
 
 @hashed
