@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,12 @@ from safety_harness.trace.trace import Trace
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--oracles", type=Path, help="write the largest disagreements with oracles to this file")
+
+
+def pytest_configure() -> None:
+    """A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
