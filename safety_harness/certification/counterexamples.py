@@ -25,8 +25,7 @@ from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
 
 FOLDER, SEARCH = "counterexamples", "search"
-MOST = 16  # on the page: each has drawings and a replay of some 0.3 MB
-MOST_OF_A_CLAIM = 4
+MOST = 40  # with pictures on the page: drawings and a replay take some 0.2 MB, 0.3 at most
 MOST_LINES = 14
 TO = "A counterexample to:"
 
@@ -40,11 +39,11 @@ _VIOLATIONS = (
 
 @dataclass(eq=False)
 class _Kind:
-    """Violations that are one thing to a reader; the worst one's place, and how many there are."""
+    """Violations that are one thing to a reader, how many there are, and the worst whose trace is kept."""
 
     stratum: int
-    episode: int
     words: str
+    episode: int | None = None
     count: int = 0
 
 
@@ -53,17 +52,15 @@ def declared_counterexamples(
 ) -> Iterator[tuple[CounterexampleEvidence, JudgedRun]]:
     """Of the plan's own runs, their traces written below ``folder``; numbers are not given yet."""
     for number, claim in enumerate(plan.claims):
-        shown = 0
         for kind in _kinds(ledger, number):
-            data = ledger.trace(kind.stratum, kind.episode)
-            if data is None or shown == MOST_OF_A_CLAIM:
+            data = None if kind.episode is None else ledger.trace(kind.stratum, kind.episode)
+            if data is None:
                 continue
             stratum = plan.strata[kind.stratum].name
             file = folder / FOLDER / f"claim-{number + 1}-stratum-{kind.stratum + 1}-run-{kind.episode}.trace"
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(data)
             run = judged_run(trace_from(data), file=file)
-            shown += 1
             yield _evidence(
                 run,
                 number,
@@ -77,19 +74,22 @@ def declared_counterexamples(
             )
 
 
+def kinds_without_trace(plan: Plan, ledger: Ledger) -> int:
+    """How many kinds of violation, over all claims, have no kept trace to be shown by."""
+    return sum(kind.episode is None for claim in range(len(plan.claims)) for kind in _kinds(ledger, claim))
+
+
 def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
-    """The worst first; of each kind the worst whose trace is kept."""
+    """The worst first."""
     kept = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
     found: dict[tuple[int, str], _Kind] = {}
-    counts: dict[tuple[int, str], int] = {}
     for stratum, episode, words, _ in ledger.all(_VIOLATIONS, claim, int(Outcome.VIOLATED)):
         parts = (words or "no hand").split(", ")
         key = (stratum, f"{parts[0]}, {parts[-1]}")
-        counts[key] = counts.get(key, 0) + 1
-        if key not in found and (stratum, episode) in kept:
-            found[key] = _Kind(stratum, episode, key[1])
-    for key, kind in found.items():
-        kind.count = counts[key]
+        kind = found.setdefault(key, _Kind(*key))
+        kind.count += 1
+        if kind.episode is None and (stratum, episode) in kept:
+            kind.episode = episode
     return list(found.values())
 
 

@@ -13,6 +13,7 @@ from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.certification.counterexamples import (
     MOST,
     declared_counterexamples,
+    kinds_without_trace,
     numbered,
     search_evidence,
     search_results,
@@ -69,6 +70,7 @@ def gather(
         *_of_claims(claims),
         *_of_strata(ledger, strata),
         *(Finding(text=text, place="strata") for text in damaged),
+        *_of_kinds(kinds_without_trace(plan, ledger)),
         *_of_searches(plan, folder, examples),
         *_of_tools(credibility, trials.selftest),
     ]
@@ -181,6 +183,11 @@ def _of_strata(ledger: Ledger, strata: tuple[Stratum, ...]) -> list[Finding]:
             text = f"{stratum.name}: the avoider gave no usable answer to {faults} questions"
             found.append(Finding(text=text, place="strata"))
     return found
+
+
+def _of_kinds(untraced: int) -> list[Finding]:
+    text = f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
+    return [Finding(text=text, place="counterexamples")] if untraced else []
 
 
 def _of_searches(plan: Plan, folder: Path, examples: tuple[CounterexampleEvidence, ...]) -> list[Finding]:

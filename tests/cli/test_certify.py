@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -11,6 +13,8 @@ import jsonschema
 import pytest
 
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.session import plan_of
+from safety_harness.certification.counterexamples import declared_counterexamples, kinds_without_trace
 from safety_harness.certification.document import read_evidence, schema
 from safety_harness.certification.evidence import Standing
 from safety_harness.cli import certify as certify_module
@@ -67,6 +71,25 @@ def test_what_a_search_finds_is_shown_and_is_in_no_bound(made: Path) -> None:
     assert declared
     assert all((made / one.trace_file).is_file() for one in evidence.counterexamples)
     assert sum(outcome.runs for outcome in evidence.claims[0].outcomes) == 50
+
+
+def test_every_violation_of_the_declared_runs_is_of_a_kind_that_is_shown(made: Path) -> None:
+    evidence = read_evidence(made / "evidence.json")
+    like_it = [0] * len(evidence.claims)
+    for one in evidence.counterexamples:
+        if one.independent:
+            assert one.claim is not None
+            like_it[one.claim - 1] += one.like_it
+    assert like_it == [sum(outcome.violated for outcome in claim.outcomes) for claim in evidence.claims]
+    assert sum(like_it) > 0
+
+
+def test_kinds_of_violation_whose_traces_are_not_kept_are_counted(report: Path) -> None:
+    with closing(sqlite3.connect(report / "ledger.sqlite")) as connection, connection:
+        connection.execute("DELETE FROM trace")
+    with Ledger.open(report / "ledger.sqlite") as ledger, plan_of(ledger) as plan:
+        assert not list(declared_counterexamples(plan, ledger, report))
+        assert kinds_without_trace(plan, ledger) > 0
 
 
 def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
