@@ -29,8 +29,9 @@ HEAD = """\
 
 Written by `make bench`. A ratio is formed within each turn of two sides that take turns on the same work,
 and given as median (least to greatest) of the turns; more than one means that ours is quicker, but where the
-aim says "at most". How each is measured is said at the top of its script. Notes are of a machine as busy as
-`load` says (processes that wanted to run, before and after); compare ratios, not seconds.
+aim says "at most", or the row names two others. How each is measured is said at the top of its script. Notes
+are of a machine as busy as `load` says (processes that wanted to run, before and after); compare ratios, not
+seconds.
 
 """
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from safety_harness.exceptions import OutputError, Place, ScenarioError
 from safety_harness.scenario.compose import Library
-from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
 from safety_harness.space.space import ScenarioSpace
@@ -102,8 +102,8 @@ def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:
     for reference in references:
         file = file_and_name(reference)[0] or reference
         try:
-            path = (folder / Path(file).expanduser()).resolve()
+            path = resolved(folder / os.path.expanduser(file))
             if file and path.is_file():
                 yield path
-        except (OSError, ValueError, RuntimeError):  # too long for a name, or no name at all
+        except (OSError, ValueError):  # too long for a name, or no name at all
             continue

@@ -278,11 +278,6 @@ class Evidence:
     provenance: Provenance
     files: tuple[StoredFile, ...]
 
-    @property
-    def graver_first(self) -> tuple[ClaimEvidence, ...]:
-        """The claims, those that need a reader first."""
-        return tuple(sorted(self.claims, key=lambda claim: GRAVITY.index(claim.standing)))
-
 
 GRAVITY = (
     Standing.REFUTED,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import System
 from safety_harness.report.words import changed_settings, setting_words
 from safety_harness.robot.description import urdf_file
+from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.settings import Settings
@@ -47,7 +49,7 @@ def model_of(scenario: Scenario) -> Model | None:
         return load_model(shipped_model(scenario.avoider))
     if scenario.avoider.endswith(MODEL_SUFFIX):
         folder = scenario.file.parent if scenario.file else Path()
-        return load_model((folder / Path(scenario.avoider).expanduser()).resolve())
+        return load_model(resolved(folder / os.path.expanduser(scenario.avoider)))
     return None
 
 

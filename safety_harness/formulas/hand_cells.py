@@ -19,8 +19,9 @@ from safety_harness.properties.hand_distance import (
     joint_reach_m,
 )
 from safety_harness.properties.hand_paths import HandPaths, hand_bend_m
-from safety_harness.robot.closest_approach import closest_approach_between
+from safety_harness.robot.closest_approach import DEEPEST, approach_between
 from safety_harness.robot.description import load_arm
+from safety_harness.robot.distance import chain_lengths
 from safety_harness.trace.trace import Trace
 
 
@@ -139,8 +140,10 @@ def _bounds(
 ) -> NDArray[np.float64]:
     """(n-1,) certified lower bound of the distance from each instant to the next."""
     bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
+    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
+    room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
     for k in range(bounds.shape[0]):
-        bounds[k], _ = closest_approach_between(
+        bounds[k], _, _ = approach_between(
             joint_origins,
             joint_axes,
             flange,
@@ -148,6 +151,8 @@ def _bounds(
             start_in_link,
             end_in_link,
             radius_m,
+            reach_m,
+            room,
             joints_rad[k],
             joints_rad[k + 1],
             hands_m[k],

@@ -25,6 +25,7 @@ from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import Place, RegionError
 from safety_harness.geometry.regions import Box, Region
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.settings import Settings, Vector3
 
 SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
@@ -32,7 +33,6 @@ SEEN_HAND_HALF_SIZE_M: Vector3 = (0.300, 0.300, 0.300)
 UNSEEN_TCP_FACTOR = 2.0
 UNSEEN_HAND_FACTOR = 1.5
 REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
-_MODEL_SUFFIX, _ONNX_SUFFIX = ".safetensors", ".onnx"
 
 
 @dataclass(frozen=True)
@@ -66,9 +66,9 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     if avoider in SHIPPED:
         return _of_metadata(load_model(shipped_model(avoider)).seen, avoider)
     path = (folder or Path()) / os.path.expanduser(avoider)
-    if avoider.endswith(_MODEL_SUFFIX):
+    if avoider.endswith(MODEL_SUFFIX):
         return _of_metadata(load_model(path).seen, avoider)
-    if avoider.endswith(_ONNX_SUFFIX):
+    if avoider.endswith(ONNX_SUFFIX):
         exported = _exported_seen(path)
         if exported is not None:
             return _of_metadata(exported, avoider)

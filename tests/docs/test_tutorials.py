@@ -24,6 +24,7 @@ def test_every_file_and_command_of_the_tutorial_does_what_it_says(page: Path, tm
     [
         ("```sh\nfalse\n```\n", "ended with 1"),
         ("```sh\ntrue # exit code 1\n```\n", "ended with 0"),
+        ("```sh\nexit 2 # exit code 0|1\n```\n", "ended with 2"),
         ("```sh\necho one two\n```\n```text\none ... three\n```\n", "told"),
         ("```sh\necho one two\n```\n```text\none\n```\n", "told"),
         ('```yaml title="a"\nx\n```\n```sh\ncat a\n```\n```text\ny\n```\n', "told"),

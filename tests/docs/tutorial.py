@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _FENCE = re.compile(r"^```(\w+)(?: title=\"([^\"]+)\")?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-_EXIT = re.compile(r"#\s*exit code (\d+|any)\s*$")
+_EXIT = re.compile(r"#\s*exit code (\d+(?:\|\d+)*)\s*$")
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def _run(line: str, folder: Path) -> str:
         ["bash", "-c", line], cwd=folder, env=environment, capture_output=True, text=True, timeout=900
     )
     expected = _EXIT.search(line)
-    code = expected[1] if expected else "0"
-    if code not in ("any", str(done.returncode)):
+    codes = (expected[1] if expected else "0").split("|")
+    if str(done.returncode) not in codes:
         raise TutorialError(f"{line}\nended with {done.returncode}\n{done.stdout}\n{done.stderr}")
     return done.stdout
 

@@ -181,6 +181,7 @@ JSON = [kind for kind in FORMATS if kind.file.endswith(".json")]
 def test_values_of_another_kind_are_refused_or_harmless(kind: Format, value: bytes, tmp_path: Path) -> None:
     data = kind.whole()
     values = list(re.finditer(rb'(?<=[:\[,] )(-?[0-9][-+.0-9e]*|true|false|null|"[^"]*")(?=[,\n}\]])', data))
+    assert values
     for found in values[:: max(1, len(values) // 60)]:
         refusal = outcome(kind, tmp_path, data[: found.start()] + value + data[found.end() :])
         if kind.name == "evidence" and value in NO_NUMBERS[:3] and found[1][:1].isdigit():
