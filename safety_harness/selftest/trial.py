@@ -24,7 +24,7 @@ RUN_FAILED = "the run can be carried through"
 LEAST_M = 0.050  # of the catalogue's own sentence about the hand distance
 Words = Mapping[str, Evaluation]  # by sentence
 
-# By how much a claim has to hold without the fault, so that its violation is no matter of a hair [SI].
+# How far apart the margins with and without a fault have to be, so that it is no matter of a hair [SI].
 CLEAR = {
     Unit.LENGTH: 1e-3,
     Unit.ANGLE: 1e-3,
@@ -173,7 +173,7 @@ class Trials:
 
 
 def alarms_between(sound: Words, faulty: Words, scenario: str) -> tuple[Alarm, ...]:
-    """The sentences that hold clearly of the sound run and are violated in the faulty one."""
+    """The sentences that hold of the sound run and are violated in the faulty one, by more than a hair."""
     return tuple(
         Alarm(
             claim=claim,
@@ -182,7 +182,7 @@ def alarms_between(sound: Words, faulty: Words, scenario: str) -> tuple[Alarm, .
             before=sound[claim].margin_text(),
         )
         for claim, evaluation in faulty.items()
-        if evaluation.verdict is Verdict.VIOLATED and holds_clearly(sound[claim])
+        if fallen(sound[claim], evaluation)
     )
 
 
@@ -192,11 +192,13 @@ def confirmed_by(kept: Kept, alarms: Sequence[Alarm]) -> tuple[Alarm, ...]:
     return tuple(replace(one, true=refuted and one.claim == HAND_DISTANCE.example) for one in alarms)
 
 
-def holds_clearly(evaluation: Evaluation) -> bool:
-    """Does it hold, and by more than a hair?"""
-    if evaluation.verdict is not Verdict.HOLDS:
+def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
+    """Did a claim hold, and is it violated now, with margins that are more than a hair apart?"""
+    if (sound.verdict, faulty.verdict) != (Verdict.HOLDS, Verdict.VIOLATED):
         return False
-    return evaluation.margin is None or evaluation.margin >= CLEAR[evaluation.unit]
+    if sound.margin is None or faulty.margin is None:
+        return True
+    return sound.margin - faulty.margin >= CLEAR[sound.unit]
 
 
 def words_on(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
