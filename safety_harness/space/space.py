@@ -127,20 +127,14 @@ class ScenarioSpace:
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
         """The scenario of values (d,), as ``values_at`` gives them."""
         tree, name = filled(self.template, self.parameters, values.tolist()), name or self.name
-        if self._known is None:
-            drawn = scenario_of(tree, self.file, self.recordings, name=name)
-        else:
-            drawn = scenario_again(self._known, self._varying, tree, self.recordings, name=name)
+        drawn = scenario_again(self._known, self._varying, tree, self.recordings, name=name)
         return drawn if self.has_seed else replace(drawn, seed=seed)
 
     @cached_property
-    def _known(self) -> Scenario | None:
-        """A scenario that says what all of them say; None where not even the simplest can be read."""
+    def _known(self) -> Scenario:
+        """The simplest, which says what all of them say; that it can be read is tried with the space."""
         tree = filled(self.template, self.parameters, self.simplest_values.tolist())
-        try:
-            return scenario_of(tree, self.file, self.recordings, name=self.name)
-        except InputError:
-            return None
+        return scenario_of(tree, self.file, self.recordings, name=self.name)
 
     @cached_property
     def _varying(self) -> frozenset[str]:

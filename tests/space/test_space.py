@@ -46,13 +46,6 @@ def test_what_all_scenarios_say_is_read_once_and_each_is_as_if_read_alone(space:
         assert [claim.place for claim in scenario.claims] == [claim.place for claim in alone.claims]
 
 
-def test_a_space_whose_simplest_scenario_is_refused_has_others() -> None:
-    space = of_duration("one of 0 s, 3 s")
-    with pytest.raises(ScenarioError):
-        _ = space.simplest
-    assert {space.scenario(values).duration_s for values in scaled(space, 40) if values[0] == 1.0} == {3.0}
-
-
 @pytest.mark.parametrize("space", SPACES, ids=ids)
 def test_a_draw_is_the_same_wherever_and_in_whatever_order_it_is_made(space: ScenarioSpace) -> None:
     later, earlier = space.draw(7, 3), space.draw(7, 1)
