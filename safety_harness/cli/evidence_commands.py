@@ -85,9 +85,9 @@ def selftest(
     A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
     table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
     the faults are seeded into yours. Harmless changes are tried as well, and must raise no alarm.
-    Ctrl-C keeps what was tried.
-    Exit code 0; 1: a fault survives that is no stated limit, or a harmless change raises an alarm; 2: bad
-    input; 130: interrupted.
+    What was tried is kept, however it ends.
+    Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
+    fault applies; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.selftest import selftest as try_harness
 
