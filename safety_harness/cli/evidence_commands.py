@@ -51,13 +51,14 @@ def verify(
     ] = None,
     execute_avoider: Annotated[
         bool,
-        typer.Option("--execute-avoider", help="Allow the Python file in the report to be executed."),
+        typer.Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
     ] = False,
 ) -> None:
-    """Check a report: hashes, its numbers from the ledger, stored traces judged again, some runs made again.
+    """Check a report: files, plan, ledger, stored traces, its numbers and page computed anew, some runs again.
 
-    What has changed since (source, versions, networks, platform) is named.
-    Exit code 0: the report stands; 1: it does not, and why; 2: no report; 130: interrupted.
+    What has changed since (source, versions, networks, platform) is named, and so is what was not checked.
+    Exit code 0: the report stands; 1: it does not, and why; 2: no report, or a program in it that may not be
+    executed; 130: interrupted.
     """
     from safety_harness.cli.certify import verify as verify_folder
 
