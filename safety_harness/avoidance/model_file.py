@@ -8,7 +8,6 @@ what ``save_model`` writes, ``load_model`` takes.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
@@ -24,6 +23,7 @@ from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, Bounds,
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.settings import Settings, Vector3
+from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness model 1"
 KIND = "regression resnet"
@@ -150,13 +150,9 @@ def save_model(model: Model, path: Path) -> None:
     except (TypeError, ValueError, SafetensorError) as error:
         refuse(path, None, "a model of numbers and plain texts", str(error))
     _parse(data, path)
-    temporary = path.with_name(path.name + ".part")
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
-        os.replace(temporary, path)
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(data)
     except OSError as error:
         raise OutputError(
             place=Place(file=path), expected="a file that can be written", got=error.strerror or str(error)

@@ -7,7 +7,6 @@ epoch draws from a generator of its own, a leaf of the training's seed.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from safetensors.numpy import save
 
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.recipes import Recipe
+from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness checkpoint 1"
 KEY = "safety_harness"  # of the metadata
@@ -94,13 +94,9 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
         {f"{group}/{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()},
         metadata={KEY: json.dumps(text, sort_keys=True)},
     )
-    temporary = path.with_name(path.name + ".part")
     try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(content)
     except OSError as error:
         raise OutputError.of(path, error) from error
 
