@@ -240,7 +240,7 @@ def _torchscript_bytes(model: Model, metadata: str) -> bytes:
 
 
 def _load_onnx(path: Path) -> Function:
-    session = open_session(path)
+    session = open_session(path, path.read_bytes())  # just written
 
     def function(
         hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
