@@ -19,6 +19,7 @@ from safetensors.numpy import save
 
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.recipes import Recipe
+from safety_harness.scenario.files import refuse_no_file
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness checkpoint 1"
@@ -103,6 +104,7 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
     """Read the checkpoint of *this* training; ModelError if it is of another one, or damaged."""
+    refuse_no_file(path, "a checkpoint of a training", ModelError)
     try:
         with safe_open(path, framework="np") as file:
             text = json.loads((file.metadata() or {}).get(KEY, "null"))
@@ -116,7 +118,7 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
             raise _refused(path, name, *_difference(expected, text.get(name)))
     try:
         history = tuple(Epoch(**epoch) for epoch in text["history"])
-        members = range(history[-1].member + 1)
+        members = range(recipe.members)[: history[-1].member + 1]
     except (KeyError, IndexError, TypeError) as error:
         raise _refused(path, "history", "the epochs that were trained", repr(error)) from error
     return Checkpoint(
