@@ -151,6 +151,8 @@ class CampaignProgress:
             f"{progress.tally.done}/{progress.tally.planned} episodes, {progress.rate:.1f} a second, "
             f"{_time_left(progress.left_s)}"
         )
+        if not progress.workers:
+            head += "; NO WORKER IS THERE"
         if progress.retried or progress.replaced:
             head += f"; {progress.replaced} workers replaced, {progress.retried} episodes tried again"
         if progress.tally.failed:
