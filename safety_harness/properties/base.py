@@ -18,14 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import MAX_HANDS, Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS
-from safety_harness.trace.trace import Trace, history, numbers, once_a_trace
+from safety_harness.trace.records import COLUMNS, as_numbers
+from safety_harness.trace.trace import Trace, once_a_trace
 
 HORIZON_M = 1e3
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
+# (f, 3): first column, the one after the last, and how many there are for each hand; 0 if not of hands
+FIELDS = np.array(
+    [(c.start, c.stop, (c.stop - c.start) // MAX_HANDS * (name in OF_HANDS)) for name, c in COLUMNS.items()]
+)
 
 
 class Unit(Enum):
@@ -123,50 +127,56 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     wrong = first_inconsistency(trace)
     if wrong is not None:
         return f"the trace contradicts itself: {wrong}"
+    unreal = first_unreal(trace)
     for name in fields:
-        row = first_unreal(trace, name)
-        if row >= 0:
+        row = unreal[name]
+        if row < len(trace.ticks):
             return f"{name} is not finite from {trace.time_s[row]:.3f} s"
     return None
 
 
-def first_unreal(trace: Trace, name: str) -> int:
-    """The first tick at which a floating-point field is not finite, of a hand that is there; -1 if none."""
-    known = _first_unreal(trace)
-    if name not in known:
-        columns, present = numbers(trace)[COLUMNS[name]], history(trace, "hand_present")
-        width = len(columns) // present.shape[1] if name in OF_HANDS else 0
-        known[name] = _first_row(columns, width, present)
-    return known[name]
+@once_a_trace
+def first_unreal(trace: Trace) -> dict[str, int]:
+    """By field of numbers the first of n ticks at which it is not finite, of a hand that is there; else n."""
+    rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
+    return dict(zip(COLUMNS, _first_unreal(rows, endless(trace), FIELDS, present).tolist(), strict=True))
 
 
 @once_a_trace
-def _first_unreal(_: Trace) -> dict[str, int]:
-    """By field, those that somebody has asked for."""
-    return {}
+def endless(trace: Trace) -> NDArray[np.int64]:
+    """(c,) how many values of each column of ``as_numbers`` are not below ENDLESS, NaN among them."""
+    return _endless(as_numbers(trace.ticks))
 
 
 @compiled
-def _first_row(
-    columns: NDArray[np.float64],  # (c, n)
-    width: int,  # of each hand's own; 0 for a field that is not of hands
+def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    found = np.zeros(rows.shape[1], np.int64)
+    for k in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            found[column] += not abs(rows[k, column]) < ENDLESS
+    return found
+
+
+@compiled
+def _first_unreal(
+    rows: NDArray[np.float64],  # (n, c)
+    endless: NDArray[np.int64],  # (c,)
+    fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
-) -> int:
-    """The first of n with one in any column that is not below ENDLESS, or -1."""
-    n = columns.shape[1]
-    first = n
-    for column in range(columns.shape[0]):
-        beyond = 0
-        for k in range(n):
-            beyond += not abs(columns[column, k]) < ENDLESS
-        if beyond == 0:
-            continue
-        for k in range(first):
-            there = width == 0 or present[k, column // width]
-            if there and not abs(columns[column, k]) < ENDLESS:
-                first = k
-                break
-    return first if first < n else -1
+) -> NDArray[np.int64]:
+    """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""
+    found = np.full(fields.shape[0], rows.shape[0])
+    for field in range(fields.shape[0]):
+        start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
+        for column in range(start, stop):
+            if endless[column] == 0:
+                continue
+            for k in range(found[field]):
+                there = width == 0 or present[k, (column - start) // width]
+                if there and not abs(rows[k, column]) < ENDLESS:
+                    found[field] = k
+                    break
+    return found
 
 
 def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
