@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
@@ -129,17 +130,17 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
         return f"the trace contradicts itself: {wrong}"
     unreal = first_unreal(trace)
     for name in fields:
-        row = unreal[name]
-        if row < len(trace.ticks):
-            return f"{name} is not finite from {trace.time_s[row]:.3f} s"
+        if name in unreal:
+            return f"{name} is not finite from {trace.time_s[unreal[name]]:.3f} s"
     return None
 
 
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
-    """By field of numbers the first of n ticks at which it is not finite, of a hand that is there; else n."""
+    """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
     rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    return dict(zip(COLUMNS, _first_unreal(rows, endless(trace), FIELDS, present).tolist(), strict=True))
+    first = _first_unreal(rows, endless(trace), FIELDS, present).tolist()
+    return {name: tick for name, tick in zip(COLUMNS, first, strict=True) if tick < len(rows)}
 
 
 @once_a_trace
@@ -191,6 +192,14 @@ def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return begins
 
 
+def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(k,) where each stretch of a state (n,) begins, and (k,) the first after its end."""
+    padded = np.zeros(len(state) + 2, np.int8)
+    padded[1:-1] = state
+    change = padded[1:] - padded[:-1]
+    return np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+
+
 def times_begun(state: NDArray[np.bool_]) -> int:
     """How often a state (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
@@ -205,7 +214,7 @@ def judged(
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
     comes from nothing that can have happened and is no evidence at all.
     """
-    if not np.isfinite(margin):
+    if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS
     if margin < 0.0:

@@ -11,15 +11,12 @@ from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
-from safety_harness.properties.true_motion import joint_reach_m, true_motion
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
 from safety_harness.robot.closest_approach import DEEPEST, approach_between
-from safety_harness.robot.description import ArmModel, load_arm
+from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
-from safety_harness.settings import Settings
-from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
@@ -110,7 +107,7 @@ def _words(distance_m: float) -> str:
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
-    names = capsules_of(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
+    names = capsules_of(trace).names
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
@@ -119,7 +116,7 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    _, link_index, start_in_link, end_in_link, radius_m = capsules_of(arm, settings)
+    capsules = capsules_of(trace)
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
@@ -127,10 +124,10 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
             arm.joint_origins,
             arm.joint_axes,
             arm.flange,
-            link_index,
-            start_in_link,
-            end_in_link,
-            radius_m,
+            capsules.link_index,
+            capsules.start_in_link,
+            capsules.end_in_link,
+            capsules.radius_m,
             joints_rad,
             hand_m,
             elbow_m,
@@ -199,20 +196,6 @@ def _joint_bends(
             found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * reach_m[joint]
         found[k] *= period_s / 4.0
     return found
-
-
-def capsules_of(
-    arm: ArmModel, settings: Settings
-) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Names (n,), links (n,), both ends in their link (n, 3) [m] and radii (n,) [m] of an arm's capsules."""
-    capsules = cell_capsules(load_capsules(arm.name), settings)
-    return (
-        tuple(capsules.names),
-        capsules.link_index,
-        capsules.start_in_link,
-        capsules.end_in_link,
-        capsules.radius_m,
-    )
 
 
 @compiled

@@ -48,7 +48,8 @@ class HandPredictions:
         if len(found_m) == 0:
             return inconclusive(self, "never exercised: no hand was tracked")
         tick, track = divmod(worst, errors_m.shape[1])
-        median_m = np.median(found_m)
+        found_m.sort()
+        median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
         horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
         return judged(
             self,

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
-from safety_harness.geometry.segments import nearest_of_segments
+from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
 from safety_harness.properties.separation import lengths
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
-
-ROUNDING_M = 1e-9  # by which a bound, computed otherwise, may be off
 
 
 @compiled
@@ -60,7 +58,7 @@ def least_separation(
         k = step if step >= 0 else first_look
         if step == 0:
             least = np.inf  # what was found at the first look counts in its turn
-        if not judged[k] or not present[k].any():
+        if not judged[k]:
             continue
         human_mps = hand_step_m[k] / period_s
         v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
@@ -86,7 +84,7 @@ def least_separation(
                     velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
             for capsule in range(capsules):
                 most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
-                lower_m = _lower(hands_m, placed, k, hand, capsule) - radius_m[capsule] - thickest_m
+                lower_m = axes_lower_m(hands_m[k, hand], placed[capsule]) - radius_m[capsule] - thickest_m
                 if lower_m - most_human_m - most_arm_m > good_enough:
                     continue
                 for body in range(2):
@@ -180,13 +178,15 @@ def faster_mps(
     Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
     the chains of links from j, and from the farther out of i and j, to p.
     """
-    faster = 0.0
+    faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    for i in range(6):
+        beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
     for j in range(6):
+        turn = abs(joints_rad[b, j] - joints_rad[a, j])
+        before += turn
+        beyond -= turn * reach_m[j]
         faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
-        turned = 0.0
-        for i in range(6):
-            turned += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[max(i, j)]
-        faster += abs(rates_radps[b, j]) * turned
+        faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
     return faster
 
 
@@ -226,21 +226,6 @@ def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float
         if not total <= fastest:
             fastest = total
     return sqrt(fastest)
-
-
-@inlined
-def _lower(
-    hands_m: NDArray[np.float64], placed: NDArray[np.float64], k: int, hand: int, capsule: int
-) -> float:
-    """The axes of a hand and a capsule are no nearer: no point is farther from a middle than half."""
-    between, forearm, link = 0.0, 0.0, 0.0
-    for i in range(3):
-        wrist, elbow = hands_m[k, hand, 0, i], hands_m[k, hand, 1, i]
-        start, end = placed[capsule, 0, i], placed[capsule, 1, i]
-        between += (0.5 * (wrist + elbow) - 0.5 * (start + end)) ** 2
-        forearm += (elbow - wrist) ** 2
-        link += (end - start) ** 2
-    return sqrt(between) - 0.5 * (sqrt(forearm) + sqrt(link))
 
 
 @compiled

@@ -9,16 +9,22 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    runs_of,
+    times_begun,
+    unreadable,
+)
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.least_separation import hand_steps, least_separation
 from safety_harness.properties.separation import Separation, lengths, separation_terms
-from safety_harness.properties.true_motion import joint_reach_m, true_motion
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
-from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace, once_a_trace
 
@@ -93,7 +99,7 @@ class ProtectiveSeparation:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
         arm = load_arm(trace.scenario.robot.arm_name)
-        capsules = cell_capsules(load_capsules(arm.name), settings)
+        capsules = capsules_of(trace)
         reaction_s, stop_s = times_left_s(trace)
         which, what = least_separation(
             arm.joint_origins,
@@ -183,11 +189,8 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     reaction_s = np.full(len(time_s), braking.reaction_time_s)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
     stopping = trace.ticks["limits"] & int(Limit.BRAKING) != 0
-    if not stopping.any():
-        return reaction_s, stop_s
-    edges = np.diff(stopping.astype(int), prepend=0, append=0)
     whole_s = stop_s.copy()
-    for first, after in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, after in zip(*runs_of(stopping), strict=True):
         run = slice(first, after)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
@@ -201,8 +204,7 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 def described(trace: Trace, found: Separation) -> str:
     """The pair and its terms in a sentence."""
-    capsules = load_capsules(trace.scenario.robot.arm_name)
-    part = (*capsules.names, "camera")[found.capsule].replace("_", " ")
+    part = capsules_of(trace).names[found.capsule].replace("_", " ")
     whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
     terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
     return (

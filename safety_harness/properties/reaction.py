@@ -15,13 +15,14 @@ from safety_harness.properties.base import (
     Unit,
     inconclusive,
     judged,
+    runs_of,
     times_begun,
     unreadable,
 )
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 EPS_S = 1e-9  # times are multiples of the control period, to rounding
 
@@ -29,7 +30,7 @@ EPS_S = 1e-9  # times are multiples of the control period, to rounding
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is the controller repulsing, or stopped for protection?"""
-    mode = history(trace, "mode")
+    mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
@@ -109,8 +110,7 @@ class GivesWay:
         if occasions == 0:
             return inconclusive(self, "never exercised: no predicted hand came within the critical distance")
         longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
-        edges = np.diff((~gives_way(trace)).astype(int), prepend=0, append=0)
-        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
             inside = np.flatnonzero(near[first:end])
             if len(inside) == 0:
                 continue

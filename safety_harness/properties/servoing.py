@@ -16,10 +16,10 @@ from safety_harness.compiled import compiled
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
-from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
@@ -30,12 +30,11 @@ GRACE_S = 1.0  # for getting up to speed
 def left_at(trace: Trace) -> int | None:
     """The tick from which on no true hand is within the critical distance of the TCP, else None."""
     near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-    mode = history(trace, "mode")
-    busy = np.flatnonzero(near | (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP))
+    busy = np.flatnonzero(near | gives_way(trace))
     if len(busy) == 0:
         return 0
     first = int(busy[-1]) + 1
-    return first if first < len(mode) else None
+    return first if first < len(near) else None
 
 
 @once_a_trace
@@ -150,6 +149,7 @@ class GainSwitchReached:
         )
 
 
+@once_a_trace
 def _errors(trace: Trace) -> NDArray[np.float64]:
     """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
     sse = history(trace, "sse")

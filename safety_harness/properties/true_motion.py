@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import sqrt
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
-from safety_harness.robot.description import ArmModel, load_arm
+from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import chain_lengths
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.simulation.truth import cell_capsules
@@ -81,16 +80,16 @@ def _nearest_m(
     return nearest
 
 
+@once_a_trace
+def capsules_of(trace: Trace) -> CapsuleSet:
+    """The arm's and the camera's."""
+    return cell_capsules(load_capsules(trace.scenario.robot.arm_name), trace.scenario.settings)
+
+
+@once_a_trace
 def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
     """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    arm = load_arm(trace.scenario.robot.arm_name)
-    return _joint_reach_m(arm, cell_capsules(load_capsules(arm.name), trace.scenario.settings))
-
-
-@lru_cache(maxsize=16)
-def _joint_reach_m(arm: ArmModel, capsules: CapsuleSet) -> NDArray[np.float64]:
-    reach_m = chain_lengths(
+    arm, capsules = load_arm(trace.scenario.robot.arm_name), capsules_of(trace)
+    return chain_lengths(
         arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
     )
-    reach_m.setflags(write=False)
-    return reach_m

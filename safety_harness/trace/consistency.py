@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import reduce
 from operator import or_
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +81,19 @@ def _length(trace: Trace) -> Iterator[Inconsistency]:
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     scenario, ticks = trace.scenario, trace.ticks
     raw = [ticks[name].view(np.uint8) for name in BOOLEANS]
-    values = (ticks["time_s"], *raw, *(ticks[name] for name in OTHERS))
+    values: list[NDArray[Any]] = [trace.time_s, *raw, *(ticks[name] for name in OTHERS)]
+    time_s, present, visible, tracked, capsule, sse, mode, limits, faults, decision = values
     first = _first_wrong(
-        *values,
+        time_s,
+        present,
+        visible,
+        tracked,
+        capsule,
+        sse,
+        mode,
+        limits,
+        faults,
+        decision,
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
