@@ -24,6 +24,7 @@ from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.places import Replaced
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
 
@@ -117,7 +118,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         raise InadmissibleError(
             place=place, expected=f"an avoider's name or file, {SENTENCE}", got=repr(reference)
         )
-    return replace(scenario, avoider=reference, places={**scenario.places, "avoider": place})
+    return replace(scenario, avoider=reference, places=Replaced(scenario.places, "avoider", place))
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
