@@ -25,7 +25,7 @@ from typing import Any
 from safety_harness.campaign.pool import pool
 from safety_harness.compiled import sources_of
 from safety_harness.exceptions import InputError, OutputError
-from safety_harness.report.text_file import write_whole
+from safety_harness.whole_file import write_whole
 
 RESULT = "result.json"
 HEARTBEAT_S = 60.0  # of a step that takes long

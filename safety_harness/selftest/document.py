@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from safety_harness.report.text_file import write_whole
 from safety_harness.selftest.outcome import Outcome, tally_of
+from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.report.page_parts import render_page
-from safety_harness.report.text_file import write_whole
 from safety_harness.selftest.document import About
 from safety_harness.selftest.outcome import Outcome, State, tally_of
 from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
+from safety_harness.whole_file import write_whole
 
 STATE_CLASS = {
     State.CAUGHT: "holds",
