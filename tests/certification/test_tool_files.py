@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from safety_harness.certification.findings import of_selftest
-from safety_harness.certification.tool_files import read_oracles, read_selftest
+from safety_harness.certification.tool_files import STATES, read_oracles, read_selftest
 from safety_harness.exceptions import InputError
 from safety_harness.selftest.document import document
+from safety_harness.selftest.outcome import State
 from tests.selftest.made_up_faults import EVERY_KIND, about
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -114,3 +115,7 @@ def test_what_is_no_table_of_oracles_is_refused(tmp_path: Path, found: object) -
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         read_oracles(tmp_path / "none.json")
+
+
+def test_every_state_of_a_self_test_can_be_read() -> None:
+    assert set(STATES) == {state.value for state in State}
