@@ -22,7 +22,7 @@ from safety_harness.cli.campaign_lines import (
     bound_lines,
     claim_lines,
     difference_line,
-    margin_text,
+    failure_lines,
     summary,
 )
 from safety_harness.cli.console import (
@@ -139,7 +139,7 @@ def compare(first: Path, second: Path) -> int:
                 worse = worse or one.low > 0.0
                 result(difference_line(one, before.declared.confidence))
             for found in worse_episodes(before, after):
-                was, now = (margin_text(found.unit, margin) for margin in (found.before, found.after))
+                was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
                 result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
         return DIFFERS if worse else AS_EXPECTED
 
@@ -170,14 +170,14 @@ def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
-    return DIFFERS if any(stratum.failed for stratum in tally.strata) else AS_EXPECTED
+    return DIFFERS if tally.failed else AS_EXPECTED
 
 
 def _tell(ledger: Ledger) -> None:
     tally = tally_of(ledger)
     result(f"{ledger.path}: {ledger.declared.title}")
     result(summary(ledger.declared, tally))
-    for line in claim_lines(ledger.declared, tally):
+    for line in failure_lines(ledger) + claim_lines(ledger.declared, tally):
         result(line)
     if tally.complete:
         for line in bound_lines(ledger):
