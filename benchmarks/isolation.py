@@ -1,5 +1,7 @@
 """What does it cost that a user's avoider is asked in another process?  Run: python benchmarks/isolation.py.
 
+With ``--onnx FILE`` the avoider is that of an ONNX file, else the Python file of the example.
+
 The same avoider here and there take turns, so that a busy machine slows both; values are median (least to
 greatest) over the turns.
 """
@@ -10,6 +12,7 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 
 # isort: split
 
+import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,9 +22,12 @@ from ratios import Ratio, say
 
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.isolation.host import host_of
-from safety_harness.avoidance.isolation.isolated import isolated_avoider
+from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
+from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
+from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.exceptions import Place
+from safety_harness.settings import DEFAULTS
 
 FILE = Path(__file__).parents[1] / "examples" / "upwards.py"
 TURNS, ONE_BY_ONE, IN_ONE_MESSAGE, BEGUN = 9, 1_000, 256, 5
@@ -53,9 +59,15 @@ def microseconds(what: Callable[[], object], count: int) -> float:
     return (time.perf_counter() - begun_s) / count * 1e6
 
 
-def measured() -> list[tuple[float, float, float]]:
+def here_and_there(onnx: Path | None = None) -> tuple[Avoider, IsolatedAvoider]:
+    """The same avoider in this process and in another."""
+    if onnx is None:
+        return Upwards(), isolated_avoider(FILE, "Upwards", Place())
+    return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)[0]
+
+
+def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, float]]:
     """Microseconds a question in turns: here, there, there and many in one message."""
-    here, there = Upwards(), isolated_avoider(FILE, "Upwards", Place())
     questions = [Question(HAND, TCP, seed, 10.0, True) for seed in range(IN_ONE_MESSAGE)]
     one_by_one(there)
     return [
@@ -68,19 +80,18 @@ def measured() -> list[tuple[float, float, float]]:
     ]
 
 
-def begun_anew() -> list[float]:
+def begun_anew(there: IsolatedAvoider) -> list[float]:
     """Milliseconds from the end of a process to the first answer of the next."""
-    there, host = isolated_avoider(FILE, "Upwards", Place()), host_of(FILE, FILE.read_bytes())
     question, begun = Question(HAND, TCP, 0, 10.0, True), []
     for _ in range(BEGUN):
-        host.end()
+        there._host.end()
         begun.append(microseconds(lambda: there.answers([question], together=False), 1) / 1e3)
     return begun
 
 
 def ratios() -> list[Ratio]:
     """A question in another process over one in this; one by one over many in one message."""
-    turns = measured()
+    turns = measured(*here_and_there())
     note = f"{min(there for _, there, _ in turns):.0f} us"
     return [
         Ratio.of("a question, in another process over in this one", [b / a for a, b, _ in turns], note=note),
@@ -90,11 +101,14 @@ def ratios() -> list[Ratio]:
 
 def main() -> None:
     """Print the table."""
-    turns = measured()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--onnx", type=Path)
+    here, there = here_and_there(parser.parse_args().onnx)
+    turns = measured(here, there)
     say("one question, in this process", [turn[0] for turn in turns], "us")
     say("one question, in another", [turn[1] for turn in turns], "us")
     say(f"one of {IN_ONE_MESSAGE} questions in one message", [turn[2] for turn in turns], "us")
-    say("a process begun anew, up to its first answer", begun_anew(), "ms")
+    say("a process begun anew, up to its first answer", begun_anew(there), "ms")
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@ before leaves no part of a batch.  Others may read while one process writes.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -25,6 +24,7 @@ from safety_harness.campaign.rows import Row
 from safety_harness.campaign.schema import create as create_tables
 from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
+from safety_harness.whole_file import replacing
 
 _EPISODE = f"INSERT INTO episode VALUES ({', '.join('?' * 15)})"
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
@@ -39,7 +39,6 @@ class Ledger:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
-        self._cells: dict[str, int] = {}
         self.declared = read_declared(connection, path)
 
     @classmethod
@@ -47,11 +46,8 @@ class Ledger:
         """A ledger without episodes at ``path``, where there must be none: whole or not at all."""
         if path.exists():
             raise LedgerError(place=Place(file=path), expected="no file there yet", got="one")
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.unlink(missing_ok=True)
-            with explained(path):
+            with replacing(path) as unfinished, explained(path):
                 connection = sqlite3.connect(unfinished, isolation_level=None)
                 try:
                     connection.execute("BEGIN")
@@ -60,18 +56,17 @@ class Ledger:
                     connection.execute("COMMIT")
                 finally:
                     connection.close()
-            os.replace(unfinished, path)
         except OSError as error:
             raise OutputError.of(path, error) from error
-        finally:
-            with suppress(OSError):
-                unfinished.unlink(missing_ok=True)
         return cls.open(path, write=True, check=False)
 
     @classmethod
-    def open(cls, path: Path, *, write: bool = False, check: bool = True) -> Ledger:
-        """The ledger at ``path``; LedgerError when it cannot be used.  ``check`` looks at all its pages."""
-        connection = connect(path, write=write, check=check)
+    def open(cls, path: Path, *, write: bool = False, check: bool = True, alone: bool = False) -> Ledger:
+        """The ledger at ``path``; LedgerError when it cannot be used.
+
+        ``check`` looks at all its pages; ``alone`` at nothing that lies beside the file.
+        """
+        connection = connect(path, write=write, check=check, alone=alone)
         try:
             return cls(path, connection)
         except BaseException:
@@ -160,14 +155,15 @@ class Ledger:
             self._connection.execute(insert, (began, workers, machine))
 
     def missing(self, stratum: int) -> Iterator[range]:
-        """The planned episodes that are not there yet, as ranges in their order."""
-        expected = 0
+        """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
+        after = self.stopped_after(stratum)
+        end, expected = self.declared.planned[stratum] if after is None else after, 0
         for (episode,) in self.all("SELECT episode FROM episode WHERE stratum = ? ORDER BY episode", stratum):
             if episode > expected:
                 yield range(expected, episode)
             expected = episode + 1
-        if expected < self.declared.planned[stratum]:
-            yield range(expected, self.declared.planned[stratum])
+        if expected < end:
+            yield range(expected, end)
 
     def violations_kept(self, stratum: int) -> list[int]:
         """The episodes with a violation whose traces are there, in their order."""

@@ -23,7 +23,6 @@ from safety_harness.cli.campaign_lines import (
     claim_lines,
     difference_line,
     failure_lines,
-    margin_text,
     summary,
 )
 from safety_harness.cli.console import (
@@ -140,7 +139,7 @@ def compare(first: Path, second: Path) -> int:
                 worse = worse or one.low > 0.0
                 result(difference_line(one, before.declared.confidence))
             for found in worse_episodes(before, after):
-                was, now = (margin_text(found.unit, margin) for margin in (found.before, found.after))
+                was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
                 result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
         return DIFFERS if worse else AS_EXPECTED
 

@@ -20,7 +20,6 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
@@ -30,6 +29,7 @@ from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
 from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
+from safety_harness.certification.searched import FINDINGS, read_findings
 from safety_harness.certification.tool_files import read_oracles, read_selftest
 from safety_harness.learning.dataset import generate
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
@@ -43,6 +43,7 @@ from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace, save_trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 from tests.certification.made_up_evidence import evidence
+from tests.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 from tests.search.short_space import TEXT as SHORT
 from tests.selftest.made_up_faults import CAUGHT, LIMIT, SURVIVES, about
 
@@ -193,6 +194,37 @@ def selftest_bytes() -> bytes:
     return json.dumps(document([CAUGHT, SURVIVES, LIMIT], about())).encode()
 
 
+def findings_bytes() -> bytes:
+    """What fuzz writes, with a point or two."""
+    point = {
+        "complaint": "a",
+        "kind": "b",
+        "runs": 1,
+        "worst margin": -0.1,
+        "worst point": [0.5],
+        "number": 3,
+    }
+    found = {
+        "space": "a hand nearby",
+        "avoider": None,
+        "searcher": "default",
+        "seed": 1,
+        "budget": 100,
+        "tried": 100,
+        "refused": {},
+        "interrupted": False,
+        "claims": [],
+        "baseline": None,
+        "distinct": [point],
+        "confirmed in PyBullet": 1,
+        "not confirmed in PyBullet": [point],
+        "counterexamples": ["a.yaml"],
+        "coverage": {},
+        "violations by cell": {},
+    }
+    return json.dumps(found, indent=1).encode()
+
+
 def without(name: str) -> dict[str, bytes]:
     """The other files of the data set."""
     return {other: data for other, data in dataset_bytes().items() if other != name}
@@ -262,7 +294,7 @@ FORMATS = [
         text=False,
         sealed=True,
     ),
-    Format("ONNX model", "file.onnx", onnx_bytes, lambda path: OnnxAvoider.load(path, DEFAULTS), text=False),
+    Format("ONNX model", "file.onnx", onnx_bytes, onnx_read, text=False),
     Format(
         "data set",
         ARRAYS,
@@ -281,6 +313,8 @@ FORMATS = [
         hashed=True,
         beside=lambda: without(MANIFEST),
     ),
+    Format("checkpoint", "file.safetensors", checkpoint_bytes, checkpoint_read, text=False),
+    Format("kept failure", "file.yaml", SCENARIO.encode, kept_read),
     Format("plan", "plan.yaml", PLAN.encode, read_plan, beside=lambda: {"short.yaml": SHORT.encode()}),
     Format("ledger", "ledger.sqlite", ledger_bytes, _ledger_read, text=False),
     Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),
@@ -292,4 +326,5 @@ FORMATS = [
         lambda: json.dumps({"format": REPORT_FORMAT, "sha256": {"a.txt": "0" * 64}}).encode(),
         lambda path: read_manifest(path.parent),
     ),
+    Format("findings of a search", FINDINGS, findings_bytes, read_findings),
 ]

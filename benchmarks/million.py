@@ -1,0 +1,138 @@
+"""A million episodes of 500 control ticks in the unseen spaces, really run: how long, and in what memory?
+
+Run: python benchmarks/million.py FOLDER [--episodes N] [--workers N].
+
+A campaign in the kinematic world over the three unseen spaces of the paper's Table 3, 4 s an episode: drawn,
+admitted, run with the shipped network, looked at for contradictions, judged by the spaces' own claims and
+committed to a ledger.  Ctrl-C and the same command again go on.  At the end: minutes of this session, the
+rate, the most memory of a process, rows and bytes, and how long questions to the ledger take.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import argparse
+import os
+import resource
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.runner import Progress
+from safety_harness.campaign.session import carry_on, processes
+from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.statistics.sample import Outcome
+
+SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
+STRATA = ("unseen-both", "unseen-hand", "unseen-tcp")
+CLAIMS = ("repulsive poses reachable", "joint speeds within limits", "TCP speed never above 250 mm/s")
+LONGER, SHORTER = "duration: 10 s", "duration: 4 s"  # 500 control ticks
+
+
+def plan_in(folder: Path, episodes: int) -> Plan:
+    """The plan, and the shipped spaces with a shorter duration beside it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        "plan: the unseen spaces",
+        "about: how long a million episodes take",
+        "world: kinematic",
+        "seed: 1",
+    ]
+    lines.append("strata:")
+    for number, name in enumerate(STRATA):
+        text = (SPACES / f"{name}.yaml").read_text()
+        assert LONGER in text
+        (folder / f"{name}.yaml").write_text(text.replace(LONGER, SHORTER))
+        runs = episodes // len(STRATA) + (number < episodes % len(STRATA))
+        lines += [f"  - stratum: {name.replace('-', ' ')}", f"    space: {name}.yaml", f"    runs: {runs}"]
+    lines += ["claims:", *(f"  - claim: {claim}" for claim in CLAIMS)]
+    lines += ["keep: {random traces: 10, violations: 10}"]
+    file = folder / "plan.yaml"
+    file.write_text("\n".join(lines) + "\n")
+    return read_plan(file)
+
+
+def watch(begun_s: float) -> Callable[[Progress], None]:
+    """A line every half a minute."""
+    last_s = begun_s
+
+    def say(progress: Progress) -> None:
+        nonlocal last_s
+        if time.monotonic() - last_s >= 30.0:
+            last_s = time.monotonic()
+            print(f"  {progress.tally.done:,} after {(last_s - begun_s) / 60.0:.1f} min", flush=True)
+
+    return say
+
+
+def megabytes(who: int) -> float:
+    """The most memory that this process (or the largest of those it started) has had."""
+    return resource.getrusage(who).ru_maxrss / 1024.0
+
+
+def timed(what: str, question: Callable[[], object]) -> None:
+    """How long an answer takes."""
+    begun_s = time.monotonic()
+    question()
+    print(f"  {what}: {time.monotonic() - begun_s:.2f} s")
+
+
+def told(path: Path, plan: Plan) -> None:
+    """What the ledger says of the episodes, and how large it is."""
+    with Ledger.open(path, check=False) as ledger:
+        done, seconds, decisions = next(
+            ledger.all("SELECT count(*), sum(seconds), sum(proposed + opposite + stopped) FROM episode")
+        )
+        (judged,) = next(ledger.all("SELECT count(*) FROM judgement"))
+        print(f"  {1e3 * seconds / done:.2f} ms an episode in its worker, {decisions / done:.3f} decisions")
+        bytes_ = sum(file.stat().st_size for file in path.parent.glob(f"{path.name}*"))
+        print(f"  {done + judged:,} rows, {bytes_:,} bytes, {bytes_ / done:.0f} an episode")
+        for number, claim in enumerate(CLAIMS):
+            rows = ledger.all("SELECT outcome, count(*) FROM judgement WHERE claim = ? GROUP BY 1", number)
+            counts = ", ".join(f"{count:,} {Outcome(outcome).name.lower()}" for outcome, count in rows)
+            print(f"  {claim}: {counts}")
+        timed("counts and worst margins", lambda: tally_of(ledger))
+        timed("one sample for an estimate", lambda: ledger.sample("unseen both", plan.claims[0].sentence))
+        timed("fingerprint", lambda: print(f"  {fingerprint_of(ledger)}"))
+    timed("opening, every page looked at", lambda: Ledger.open(path).close())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run, or go on, and tell."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--episodes", type=int, default=1_000_000)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    given = parser.parse_args(arguments)
+    plan, path = plan_in(given.folder, given.episodes), given.folder / "ledger.sqlite"
+    begun_s, load = time.monotonic(), os.getloadavg()[0]
+    before = 0
+    if path.exists():
+        with Ledger.open(path, check=False) as ledger:
+            before = tally_of(ledger).done
+    try:
+        carry_on(plan, path, processes(given.workers), on_progress=watch(begun_s))
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on")
+    seconds = time.monotonic() - begun_s
+    with Ledger.open(path, check=False) as ledger:
+        done = tally_of(ledger).done
+    print(
+        f"{done - before:,} episodes in {seconds / 60.0:.1f} min, {(done - before) / seconds:.0f} a second, "
+    )
+    print(f"  {given.workers} workers; load before and after {load:.1f}, {os.getloadavg()[0]:.1f}")
+    print(f"  at most {megabytes(resource.RUSAGE_SELF):.0f} MB in the runner, ", end="")
+    print(f"{megabytes(resource.RUSAGE_CHILDREN):.0f} MB in any other process")
+    told(path, plan)
+
+
+if __name__ == "__main__":
+    main()
