@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from examples import VISIT, run, scenario
 
+from safety_harness.avoidance.gate import REACH_MARGIN_M
 from safety_harness.properties.accelerations import TcpAcceleration
 from safety_harness.properties.decision_time import waited_s
 from safety_harness.properties.fallback_poses import FallbackPoses
 from safety_harness.properties.finite import FiniteTrace, bad_decisions
 from safety_harness.properties.hand_paths import hand_bend_m, hand_paths
+from safety_harness.properties.positions import spare_m
 from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
 from safety_harness.properties.servoing import Converged
 from safety_harness.properties.spread_calibration import (
@@ -82,6 +84,11 @@ def test_a_fallback_that_is_nowhere_is_a_radius_short_of_every_hand(visit: Trace
         assert part.margin == -RADIUS_M
         assert part.verdict is Verdict.VIOLATED
         assert part.worst_time_s == visit.decisions["time_s"][0]
+
+
+def test_a_position_that_is_nowhere_lacks_the_gate_s_margin_too(visit: Trace) -> None:
+    nowhere = np.full(3, np.nan)
+    assert spare_m(visit, visit.decisions[0], nowhere) == pytest.approx(-RADIUS_M - REACH_MARGIN_M)
 
 
 def test_from_a_hand_at_the_tcp_itself_any_way_leads_away(visit: Trace) -> None:

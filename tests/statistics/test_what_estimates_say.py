@@ -12,6 +12,7 @@ from streams import declared, violations, with_margins
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.binomial import bounds_of, chance_of_each
+from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.planning import Aim, allowed_violations, power, runs_needed
 from safety_harness.statistics.rare import Splitting, split
@@ -34,6 +35,8 @@ def test_estimates_name_the_claim_and_the_stratum_that_they_are_of() -> None:
     found = compare(sample, other)
     assert (bounds.stratum, bounds.claim) == (found.stratum, found.claim) == ("unseen", "a claim")
     assert nested(np.eye(3)).claim == "a claim"
+    margins = with_margins(np.linspace(-1.0, 1.0, 100))
+    assert tolerance_bound(margins, 0.9).content == 0.9
 
 
 @pytest.mark.parametrize(("confidence", "family", "field"), [(1.0, 1, "confidence"), (0.9, 0, "claims")])
