@@ -79,7 +79,7 @@ def read_declared(connection: sqlite3.Connection, path: Path) -> Declared:
             units=tuple(Unit[unit] for _, unit, _ in claims),
             targets=tuple(target for *_, target in claims),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise LedgerError(
             place=Place(file=path),
             expected="a ledger with its plan",

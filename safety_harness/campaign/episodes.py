@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import NAMES
+from safety_harness.admission.avoiders import NAMES, is_a_program
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import HOPELESS, why_refused
@@ -20,7 +20,7 @@ from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, described
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.campaign.rows import Judgement, Row
-from safety_harness.exceptions import InputError
+from safety_harness.exceptions import CampaignError, InputError
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
 from safety_harness.scenario.model import Scenario, Verdict
@@ -66,11 +66,13 @@ class Bench:
     """Runs a plan's episodes in this process.
 
     Avoiders of files are made once: one that remembers earlier runs gives episodes that are not independent,
-    and depend on which process ran which.
+    and depend on which process ran which.  Without ``programs`` no Python file is executed, whatever a draw
+    names: CampaignError then.
     """
 
     plan: Plan
     worker: str = ""
+    programs: bool = True
     _avoiders: dict[str, Avoider] = field(default_factory=dict)
     _seen: dict[str, Seen] = field(default_factory=dict)
     _random: dict[int, frozenset[int]] = field(default_factory=dict)
@@ -116,6 +118,8 @@ class Bench:
         return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=HOPELESS)
 
     def _admit(self, scenario: Scenario) -> Admitted:
+        if not self.programs and is_a_program(scenario.avoider):
+            raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
         known = self._avoiders.get(scenario.avoider)
         admitted = admit(scenario, avoider=known, rehearsed=known is not None)
         if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
@@ -135,21 +139,27 @@ class Bench:
         yield from (replace(row, seconds=each_s) for row in rows)
 
     def _row(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
-        claims = self.plan.claims
         if isinstance(run, Exception):
-            failure = f"the run failed: {described(run)}"
-            return Row.failed(stratum, drawn.episode, drawn.seed, len(claims), failure, draws=drawn.draws)
+            failure, claims = f"the run failed: {described(run)}", len(self.plan.claims)
+            return Row.failed(stratum, drawn.episode, drawn.seed, claims, failure, draws=drawn.draws)
+        row = self.row_of(stratum, drawn.episode, drawn.draws, run)
+        wanted = drawn.episode in self._kept_whatever(stratum) or (keep_violations and row.violates)
+        return replace(row, trace=trace_bytes(run)) if wanted else row
+
+    def row_of(self, stratum: int, episode: int, draws: int, run: Trace) -> Row:
+        """What is noted down of a run, judged by the plan's claims."""
         broken = why_broken(run)
         judgements = tuple(
-            judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken) for one in claims
+            judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken)
+            for one in self.plan.claims
         )
         decided = run.decisions["outcome"]
-        row = Row(
+        return Row(
             stratum=stratum,
-            episode=drawn.episode,
-            seed=drawn.seed,
+            episode=episode,
+            seed=root_seed(self.plan, stratum, episode),
             judgements=judgements,
-            draws=drawn.draws,
+            draws=draws,
             decisions=len(decided),
             proposed=int(np.count_nonzero(decided == Decided.PROPOSED)),
             opposite=int(np.count_nonzero(decided == Decided.OPPOSITE)),
@@ -161,8 +171,6 @@ class Bench:
             failure=broken,
             worker=self.worker,
         )
-        wanted = drawn.episode in self._kept_whatever(stratum) or (keep_violations and row.violates)
-        return replace(row, trace=trace_bytes(run)) if wanted else row
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:
         if stratum not in self._random:

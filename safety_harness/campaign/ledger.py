@@ -39,7 +39,6 @@ class Ledger:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
-        self._cells: dict[str, int] = {}
         self.declared = read_declared(connection, path)
 
     @classmethod
@@ -62,9 +61,12 @@ class Ledger:
         return cls.open(path, write=True, check=False)
 
     @classmethod
-    def open(cls, path: Path, *, write: bool = False, check: bool = True) -> Ledger:
-        """The ledger at ``path``; LedgerError when it cannot be used.  ``check`` looks at all its pages."""
-        connection = connect(path, write=write, check=check)
+    def open(cls, path: Path, *, write: bool = False, check: bool = True, alone: bool = False) -> Ledger:
+        """The ledger at ``path``; LedgerError when it cannot be used.
+
+        ``check`` looks at all its pages; ``alone`` at nothing that lies beside the file.
+        """
+        connection = connect(path, write=write, check=check, alone=alone)
         try:
             return cls(path, connection)
         except BaseException:
@@ -153,14 +155,15 @@ class Ledger:
             self._connection.execute(insert, (began, workers, machine))
 
     def missing(self, stratum: int) -> Iterator[range]:
-        """The planned episodes that are not there yet, as ranges in their order."""
-        expected = 0
+        """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
+        after = self.stopped_after(stratum)
+        end, expected = self.declared.planned[stratum] if after is None else after, 0
         for (episode,) in self.all("SELECT episode FROM episode WHERE stratum = ? ORDER BY episode", stratum):
             if episode > expected:
                 yield range(expected, episode)
             expected = episode + 1
-        if expected < self.declared.planned[stratum]:
-            yield range(expected, self.declared.planned[stratum])
+        if expected < end:
+            yield range(expected, end)
 
     def violations_kept(self, stratum: int) -> list[int]:
         """The episodes with a violation whose traces are there, in their order."""

@@ -6,12 +6,12 @@ import fcntl
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import IO
 from urllib.parse import quote
 
-from safety_harness.campaign.schema import APPLICATION_ID, VERSION, migrate
+from safety_harness.campaign.schema import APPLICATION_ID, VERSION, create, migrate
 from safety_harness.exceptions import InputError, LedgerError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
 
@@ -47,15 +47,17 @@ def _unfinished(path: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
-def connect(path: Path, *, write: bool, check: bool = True) -> sqlite3.Connection:
+def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
     """A connection to the ledger at ``path``; LedgerError for one that is damaged or of another version.
 
-    One that only reads may do so while another writes, and sees what was there when it began to look.
+    One that only reads may do so while another writes, and sees what was there when it began to look; one
+    that reads the file ``alone`` sees nothing of what lies beside it, leaves nothing there, and takes it
+    for a stranger's: no table, view or trigger but a ledger's.
     """
     refuse_no_ledger(path)
     with explained(path):
         try:
-            connection = _open(path, "rw" if write else "ro")
+            connection = _open(path, "rw" if write else "ro&immutable=1" if alone else "ro")
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
         except sqlite3.OperationalError:
             if write or _unfinished(path):
@@ -63,6 +65,8 @@ def connect(path: Path, *, write: bool, check: bool = True) -> sqlite3.Connectio
             connection = _open(path, "ro&immutable=1")  # a folder that cannot be written: no shared memory
         try:
             _refuse_other_version(connection, path)
+            if alone:
+                _refuse_other_tables(connection, path)
             if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
                 found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
                 if found != "ok":
@@ -98,6 +102,25 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if not 1 <= version <= VERSION:
         raise _error(path, f"a ledger of version 1 to {VERSION}", f"version {version}, of a newer program")
+
+
+def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
+    """LedgerError unless every table is one: a view in its place would say what is not there, for ever."""
+    connection.execute("PRAGMA trusted_schema = OFF")
+    with closing(sqlite3.connect(":memory:")) as whole:
+        create(whole)
+        known = dict(whole.execute("SELECT name, type FROM sqlite_master"))
+        columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
+    found = dict(connection.execute("SELECT name, type FROM sqlite_master"))
+    other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
+    other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
+    if other:
+        raise _error(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
+
+
+def _columns(connection: sqlite3.Connection, table: str) -> list[tuple[str, int]]:
+    """Names, and whether they are hidden or computed."""
+    return [(row[1], row[6]) for row in connection.execute(f"PRAGMA table_xinfo({table})")]
 
 
 @contextmanager

@@ -127,11 +127,15 @@ class Plan:
         """Of all strata together."""
         return sum(stratum.runs for stratum in self.strata)
 
+    @property
+    def avoider_here(self) -> str | None:
+        """Its avoider as the working directory sees it; None if it names none."""
+        return None if self.avoider is None else _from(self.file.parent, self.avoider)
+
     def with_avoider(self, scenario: Scenario) -> Scenario:
         """The scenario with the plan's avoider, if it names one."""
-        if self.avoider is None:
-            return scenario
-        return with_avoider(scenario, _from(self.file.parent, self.avoider), self.avoider_place)
+        reference = self.avoider_here
+        return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
 
 
 def read_plan(path: Path) -> Plan:

@@ -6,25 +6,26 @@ outcome and the stratum is the same.
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.evidence import CounterexampleEvidence, SearchEvidence
-from safety_harness.certification.stored import judged_run, trace_from
-from safety_harness.exceptions import InputError, TraceError
+from safety_harness.certification.evidence import CounterexampleEvidence
+from safety_harness.certification.searched import Searched
+from safety_harness.certification.stored import judged_run, trace_of
+from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import margin_words
+from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.search.explain import circumstances
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
 
-FOLDER, SEARCH = "counterexamples", "search"
+FOLDER = "counterexamples"
+LARGEST_SCENARIO_BYTES = 2**20
 MOST = 40  # with pictures on the page: drawings and a replay take some 0.2 MB, 0.3 at most
 MOST_LINES = 14
 TO = "A counterexample to:"
@@ -37,6 +38,19 @@ _VIOLATIONS = (
 )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Example:
+    """A counterexample and its run; ``data`` is the trace of a declared one.
+
+    Without ``shown`` there is none to show: ``problem`` says why, or no trace of its kind was kept.
+    """
+
+    shown: CounterexampleEvidence | None = None
+    run: JudgedRun | None = None
+    data: bytes | None = None
+    problem: str = ""
+
+
 @dataclass(eq=False)
 class _Kind:
     """Violations that are one thing to a reader, how many there are, and the worst whose trace is kept."""
@@ -47,36 +61,34 @@ class _Kind:
     count: int = 0
 
 
-def declared_counterexamples(
-    plan: Plan, ledger: Ledger, folder: Path
-) -> Iterator[tuple[CounterexampleEvidence, JudgedRun]]:
-    """Of the plan's own runs, their traces written below ``folder``; numbers are not given yet."""
+def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example]:
+    """Of the plan's own runs: of each kind the worst whose trace is kept, or none that can be shown."""
     for number, claim in enumerate(plan.claims):
         for kind in _kinds(ledger, number):
             data = None if kind.episode is None else ledger.trace(kind.stratum, kind.episode)
-            if data is None:
-                continue
             stratum = plan.strata[kind.stratum].name
-            file = folder / FOLDER / f"claim-{number + 1}-stratum-{kind.stratum + 1}-run-{kind.episode}.trace"
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(data)
-            run = judged_run(trace_from(data), file=file)
-            yield _evidence(
+            if data is None:
+                yield Example()
+                continue
+            try:
+                run = judged_run(trace_of(plan, kind.stratum, data))
+            except InputError as error:
+                where = f"{stratum}, run {kind.episode}"
+                yield Example(problem=f"{where}: its stored trace cannot be read: {error.got}")
+                continue
+            name = f"claim-{number + 1}-stratum-{kind.stratum + 1}-run-{kind.episode}.trace"
+            shown = _evidence(
                 run,
                 number,
                 claim.sentence,
                 origin=f"declared run {kind.episode} of {stratum}",
                 independent=True,
                 like_it=kind.count,
-                folder=folder,
+                trace=f"{FOLDER}/{name}",
                 scenario="",
                 lines=(f"kind: {kind.words}", *_circumstances(run)),
             )
-
-
-def kinds_without_trace(plan: Plan, ledger: Ledger) -> int:
-    """How many kinds of violation, over all claims, have no kept trace to be shown by."""
-    return sum(kind.episode is None for claim in range(len(plan.claims)) for kind in _kinds(ledger, claim))
+            yield Example(shown=shown, run=run, data=data)
 
 
 def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
@@ -96,37 +108,38 @@ def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
 def _circumstances(run: JudgedRun) -> tuple[str, ...]:
     try:
         lines = circumstances(run.trace)
-    except InputError as error:  # the seen space of a network that is not there any more
-        return (f"where it lies relative to the training data is not known: {error}",)
+    except InputError:
+        return ("where it lies relative to the training data is not known: its network is not there",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())
 
 
-def searched_counterexamples(plan: Plan, folder: Path) -> Iterator[tuple[CounterexampleEvidence, JudgedRun]]:
+def searched_counterexamples(plan: Plan, searches: Sequence[Searched], folder: Path) -> Iterator[Example]:
     """What the search wrote below ``folder``: shrunk, confirmed and explained scenario files with traces."""
     sentences = [claim.sentence for claim in plan.claims]
-    for stratum, found in search_results(plan, folder):
-        for name in found.get("counterexamples", []):
-            file = folder / SEARCH / slug(stratum) / Path(str(name)).name
+    for one in searches:
+        for name in one.found.counterexamples if one.found else ():
+            file = one.folder / name
             trace = file.with_suffix(".trace")
-            if not trace.is_file():
-                continue
             try:
-                run = judged_run(load_trace(trace), file=trace)
-            except TraceError:
+                run = judged_run(load_trace(trace))
+                sentence, lines = _told(file)
+            except InputError as error:
+                got = "no trace" if not trace.is_file() else error.got
+                yield Example(problem=f"{one.stratum}: the search's {name} cannot be shown: {got}")
                 continue
-            sentence, lines = _told(file)
-            yield _evidence(
+            shown = _evidence(
                 run,
                 sentences.index(sentence) if sentence in sentences else None,
                 sentence,
-                origin=f"the search of {stratum}, shrunk",
+                origin=f"the search of {one.stratum}, shrunk",
                 independent=False,
                 like_it=1,
-                folder=folder,
-                scenario=file.relative_to(folder).as_posix() if file.is_file() else "",
+                trace=trace.relative_to(folder).as_posix(),
+                scenario=file.relative_to(folder).as_posix(),
                 lines=lines[:MOST_LINES],
             )
+            yield Example(shown=shown, run=run)
 
 
 def _evidence(
@@ -137,88 +150,55 @@ def _evidence(
     origin: str,
     independent: bool,
     like_it: int,
-    folder: Path,
+    trace: str,
     scenario: str,
     lines: Sequence[str],
-) -> tuple[CounterexampleEvidence, JudgedRun]:
-    assert run.trace_file is not None
-    trace = run.trace_file.relative_to(folder).as_posix()
+) -> CounterexampleEvidence:
     sentences = [one.sentence for one in run.trace.scenario.claims]
     place = sentences.index(sentence) if sentence in sentences else None
-    return (
-        CounterexampleEvidence(
-            number=0,
-            claim=None if claim is None else claim + 1,
-            sentence=sentence,
-            origin=origin,
-            independent=independent,
-            like_it=like_it,
-            margin="\u2013" if place is None else margin_words(run.evaluations[place]),
-            scenario_file=scenario,
-            trace_file=trace,
-            command=shlex.join(["safety-harness", "replay", trace]),
-            lines=tuple(lines),
-        ),
-        replace(run, replay_command=shlex.join(["safety-harness", "replay", trace])),
-    )
-
-
-def numbered(
-    pairs: Sequence[tuple[CounterexampleEvidence, JudgedRun]],
-) -> tuple[tuple[CounterexampleEvidence, ...], dict[int, JudgedRun]]:
-    """Numbers from 1, and the runs by them; only the first ``MOST`` have pictures."""
-    examples = tuple(replace(one, number=k) for k, (one, _) in enumerate(pairs, start=1))
-    runs = {k: run for k, (_, run) in enumerate(pairs, start=1) if k <= MOST}
-    return examples, runs
-
-
-def _told(file: Path) -> tuple[str, list[str]]:
-    """What a counterexample's file says in its comments: to what it is one, and below the gap why."""
-    try:
-        lines = file.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError):
-        lines = []
-    head = [line[1:].strip() for line in lines if line.startswith("#")]
-    told = next((line.removeprefix(TO).strip() for line in head if line.startswith(TO)), "something")
-    return told, [line for line in head[head.index("") + 1 :] if line] if "" in head else []
-
-
-def search_results(plan: Plan, folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """(stratum, what its findings.json says) for every stratum that was searched."""
-    for stratum in plan.strata:
-        file = folder / SEARCH / slug(stratum.name) / "findings.json"
-        if file.is_file():
-            try:
-                found = json.loads(file.read_text(encoding="utf-8"))
-            except (OSError, ValueError):
-                continue
-            if isinstance(found, dict):
-                yield stratum.name, found
-
-
-def search_evidence(plan: Plan, folder: Path) -> SearchEvidence | None:
-    """What was hunted for and how; None where the plan asks for no search or none was made."""
-    results = list(search_results(plan, folder))
-    if not results:
-        return None
-    lines = []
-    for stratum, found in results:
-        distinct, refuted = len(found.get("distinct", [])), len(found.get("not confirmed in PyBullet", []))
-        lines.append(
-            f"{stratum}: {found.get('tried', 0)} runs of the searcher {found.get('searcher', 'unknown')} in "
-            f"the kinematic world, {distinct} distinct violations; "
-            f"{len(found.get('counterexamples', []))} were shrunk and confirmed in PyBullet, "
-            f"{refuted} were not confirmed"
-        )
-    lines.append("A search looks where violations are: its counts are no estimate of anything.")
-    return SearchEvidence(
-        runs=sum(int(found.get("tried", 0)) for _, found in results),
-        searcher=str(results[0][1].get("searcher", "unknown")),
+    return CounterexampleEvidence(
+        number=0,
+        claim=None if claim is None else claim + 1,
+        sentence=sentence,
+        origin=origin,
+        independent=independent,
+        like_it=like_it,
+        margin="\u2013" if place is None else margin_words(run.evaluations[place]),
+        scenario_file=scenario,
+        trace_file=trace,
+        command=shlex.join(["safety-harness", "replay", trace]),
         lines=tuple(lines),
     )
 
 
-def slug(name: str) -> str:
-    """A stratum's name as a folder's."""
-    kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower())
-    return kept.strip("-")[:60] or "stratum"
+def numbered(examples: Sequence[Example]) -> tuple[Example, ...]:
+    """With numbers from 1, those that cannot be shown left out."""
+    shown = [one for one in examples if one.shown is not None]
+    return tuple(
+        replace(one, shown=replace(one.shown, number=number))
+        for number, one in enumerate(shown, start=1)
+        if one.shown is not None
+    )
+
+
+def write_traces(examples: Sequence[Example], folder: Path) -> None:
+    """The declared ones' traces below ``folder``, in place of all that were there.  Raises OSError."""
+    keep = {one.shown.trace_file for one in examples if one.shown is not None}
+    for file in (folder / FOLDER).glob("claim-*-stratum-*-run-*.trace"):
+        if file.relative_to(folder).as_posix() not in keep:
+            file.unlink()
+    for one in examples:
+        if one.data is not None and one.shown is not None:
+            file = folder / one.shown.trace_file
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(one.data)
+
+
+def _told(file: Path) -> tuple[str, list[str]]:
+    """What a counterexample's file says in its comments: to what it is one, and below the gap why."""
+    place = Place(file=file)
+    data = read_bytes(file, most=LARGEST_SCENARIO_BYTES, place=place, error=ScenarioError)
+    lines = decode(data, most=LARGEST_SCENARIO_BYTES, file=file, error=ScenarioError).splitlines()
+    head = [line[1:].strip() for line in lines if line.startswith("#")]
+    told = next((line.removeprefix(TO).strip() for line in head if line.startswith(TO)), "something")
+    return told, [line for line in head[head.index("") + 1 :] if line] if "" in head else []

@@ -10,7 +10,6 @@ from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import is_a_program
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.campaign.plan import Plan
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Agreement, Credibility, Oracle, Rerun
 from safety_harness.exceptions import SafetyHarnessError
@@ -25,10 +24,10 @@ NO_CELL = "Nothing here was measured on a real cell."
 
 
 def credibility_of(
-    plan: Plan, stored: Sequence[Stored], *, oracles: tuple[Oracle, ...] = (), oracles_with: str = ""
+    stored: Sequence[Stored], *, oracles: tuple[Oracle, ...] = (), oracles_with: str = ""
 ) -> Credibility:
     """What is known, and what is not and why."""
-    reruns, absent = reruns_of(plan, stored)
+    reruns, absent = reruns_of(stored)
     try:
         agreement = agreement_of()
     except OSError:
@@ -63,9 +62,9 @@ def agreement_of() -> Agreement:
     )
 
 
-def reruns_of(plan: Plan, stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], list[str]]:
+def reruns_of(stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], list[str]]:
     """Declared random runs with smaller physics steps, and in the other world."""
-    chosen = _spread_over(plan, [one.trace for one in stored if one.random])
+    chosen = _spread_over([one.trace for one in stored])
     if not chosen:
         return (), ["No declared random run was stored, so none was made again with other step sizes."]
     if any(is_a_program(trace.scenario.avoider) for trace in chosen):
@@ -107,7 +106,7 @@ def reruns_of(plan: Plan, stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], 
     return tuple(found), []
 
 
-def _spread_over(plan: Plan, traces: list[Trace]) -> list[Trace]:
+def _spread_over(traces: list[Trace]) -> list[Trace]:
     """At most ``MOST_RERUNS``, evenly from all strata; complete ones."""
     complete = [trace for trace in traces if trace.complete]
     step = max(1, -(-len(complete) // MOST_RERUNS))

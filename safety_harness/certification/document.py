@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from safety_harness.certification.evidence import FORMAT, Evidence
+from safety_harness.certification.json_file import read_json
 from safety_harness.exceptions import InputError, Place
-from safety_harness.scenario.files import refuse_no_file
 
 T = TypeVar("T")
 PLAIN = {str: "string", int: "integer", float: "number", bool: "boolean", types.NoneType: "null"}
-LARGEST_BYTES = 64 * 2**20
 
 
 def as_text(evidence: Evidence) -> str:
@@ -30,21 +29,7 @@ def as_text(evidence: Evidence) -> str:
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
-    place = Place(file=path)
-    refuse_no_file(path, "an evidence report as JSON", InputError)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        raise InputError(
-            place=place, expected="an evidence report as JSON", got=error.strerror or str(error)
-        ) from error
-    if len(data) > LARGEST_BYTES:
-        raise InputError(place=place, expected=f"at most {LARGEST_BYTES} bytes", got="more")
-    try:
-        found = json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(place=place, expected="JSON", got=str(error)) from error
+    found = read_json(path, "an evidence report")
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         got = repr(found.get("format"))[:80] if isinstance(found, dict) else type(found).__name__
         raise InputError(place=Place(file=path, field="format"), expected=repr(FORMAT), got=got)

@@ -250,7 +250,6 @@ class Provenance:
     began_at: str
     ended_at: str
     run_seconds_s: float
-    changes: tuple[str, ...]  # since the plan's first run
 
 
 @dataclass(frozen=True, kw_only=True)

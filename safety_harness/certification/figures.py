@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from safety_harness.certification.evidence import ClaimEvidence, Outcome, SeparationCase
-from safety_harness.certification.verdicts import percent
+from safety_harness.certification.verdicts import at_least, at_most, percent
 from safety_harness.report.palette import Ink
 from safety_harness.report.panels import DASHES
 from safety_harness.report.svg import drawing, new_figure, plain, to_svg
@@ -64,7 +64,7 @@ def bounds_figure(claim: ClaimEvidence, *, prefix: str) -> str:
             "probability of a violation, given that the run put the claim to the test", loc="right"
         )
         described = "; ".join(
-            f"{o.stratum}: {percent(o.bound.lower)} to {percent(o.bound.upper)}" for o in rows if o.bound
+            f"{o.stratum}: {at_least(o.bound.lower)} to {at_most(o.bound.upper)}" for o in rows if o.bound
         )
         return to_svg(
             figure,

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.campaign.files import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.counterexamples import write_traces
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence, StoredFile
+from safety_harness.certification.gather import Gathered
+from safety_harness.certification.json_file import part, read_json
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
-from safety_harness.report.evidence import JudgedRun
-from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.files import refuse_no_file, resolved
 from safety_harness.whole_file import write_whole
 
 PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
@@ -30,30 +32,47 @@ PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
 )
 FORMAT = "safety-harness manifest 1"
 MADE = (PAGE, JSON, JUNIT, PDF)
+LOG = f"{LEDGER}-wal"
+PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 16 * 2**20
 
 
-def write_folder(folder: Path, evidence: Evidence, runs: Mapping[int, JudgedRun], ledger: Ledger) -> Evidence:
+def write_folder(folder: Path, gathered: Gathered, ledger: Ledger) -> Evidence:
     """Write all but the PDF and the manifest; the evidence with the hashes of the files beside it.
 
-    OutputError for what cannot be written.
+    What an earlier report left there is taken away.  OutputError for what cannot be written.
     """
     try:
+        _clear(folder)
         unpacked(ledger.files, folder / PLAN)
-        evidence = replace(evidence, files=tuple(_files(folder)))
+        write_traces(gathered.examples, folder)
+        evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
         write_whole(folder / JSON, as_text(evidence))
         write_whole(folder / JUNIT, junit_xml(evidence))
-        write_page(folder / PAGE, evidence, runs)
+        write_page(folder / PAGE, evidence, gathered.runs)
     except OSError as error:
         raise OutputError.of(folder, error) from error
     return evidence
 
 
-def write_manifest(folder: Path) -> None:
-    """Hashes of everything, last of all: the ledger has to be closed."""
+def _clear(folder: Path) -> None:
+    """The PDF of an earlier page, and the copies of its plan that are not this one's any more."""
+    try:
+        earlier = read_manifest(folder)
+    except InputError:
+        earlier = {}
+    (folder / PDF).unlink(missing_ok=True)
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in earlier:
+        if name.startswith(f"{PLAN}/"):
+            (folder / name).unlink(missing_ok=True)
+
+
+def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
+    """Hashes of everything, last of all: the ledger has to be closed.  ``files`` are hashed already."""
     made = (folder / name for name in MADE)
     hashes = {file.name: sha256_of(file) for file in made if file.is_file()}
-    hashes |= {stored.path: stored.sha256 for stored in _files(folder)}
+    hashes |= {stored.path: stored.sha256 for stored in files}
     text = json.dumps({"format": FORMAT, "sha256": dict(sorted(hashes.items()))}, indent=1)
     try:
         write_whole(folder / MANIFEST, text + "\n")
@@ -66,20 +85,16 @@ def read_manifest(folder: Path) -> dict[str, str]:
     file = folder / MANIFEST
     place = Place(file=file)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
-    try:
-        with file.open("rb") as stream:
-            found = json.loads(stream.read(LARGEST_MANIFEST_BYTES))
-        if found["format"] != FORMAT:
-            raise ValueError(f"format {found['format']!r}")
-        hashes = {str(name): str(digest) for name, digest in found["sha256"].items()}
-    except OSError as error:
-        expected = "the folder of a report that certify wrote"
-        raise InputError(place=place, expected=expected, got=error.strerror or "none") from error
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(place=place, expected=FORMAT, got=f"{error}"[:120]) from error
+    found = read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES)
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        got = found.get("format") if isinstance(found, dict) else found
+        raise InputError(place=Place(file=file, field="format"), expected=repr(FORMAT), got=repr(got)[:80])
+    hashes: dict[str, str] = part(file, found, "sha256", dict)
+    root = resolved(folder)
     for name in hashes:
-        path = (folder / name).resolve()
-        if folder.resolve() not in path.parents:
+        part(file, hashes, name, str, "sha256.")
+        plain = "\0" not in name and ".." not in Path(name).parts and Path(name).as_posix() == name
+        if not plain or root not in resolved(folder / name).parents:
             raise InputError(place=place, expected="files below the report's folder", got=repr(name)[:120])
     return hashes
 
@@ -90,10 +105,17 @@ def sha256_of(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _files(folder: Path) -> Iterator[StoredFile]:
-    """Everything but the page and its like, the manifest, and what comes and goes with the ledger."""
-    passing = {f"{LEDGER}{suffix}" for suffix in ("-wal", "-shm", ".lock")}
+def stored_files(folder: Path) -> Iterator[StoredFile]:
+    """What of a report is listed with its hash: all but the page and its like."""
+    for name in names_in(folder):
+        path = folder / name
+        if name not in MADE:
+            yield StoredFile(path=name, sha256=sha256_of(path), bytes=path.stat().st_size)
+
+
+def names_in(folder: Path) -> Iterator[str]:
+    """Every file but the manifest, what comes and goes with the ledger, and hidden ones."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in (*MADE, MANIFEST, *passing) and not path.name.startswith("."):
-            yield StoredFile(path=name, sha256=sha256_of(path), bytes=path.stat().st_size)
+        if name not in (MANIFEST, *PASSING) and not path.name.startswith(".") and path.is_file():
+            yield name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,28 +13,33 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.certification.counterexamples import (
     MOST,
+    Example,
     declared_counterexamples,
-    kinds_without_trace,
     numbered,
-    search_evidence,
-    search_results,
     searched_counterexamples,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import (
-    FORMAT,
-    ClaimEvidence,
-    CounterexampleEvidence,
-    Evidence,
-    Finding,
-    Standing,
-    Stratum,
-)
+from safety_harness.certification.evidence import FORMAT, Evidence, Finding, Standing
 from safety_harness.certification.evidence import Plan as PlanEvidence
 from safety_harness.certification.evidence import Provenance as Origin
+from safety_harness.certification.findings import (
+    of_claims,
+    of_examples,
+    of_searches,
+    of_selftest,
+    of_strata,
+    of_worlds,
+)
 from safety_harness.certification.results import bounds, claims_of, strata_of
+from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
-from safety_harness.certification.stored import calibration_of, coverage_of, readable, separation_of
+from safety_harness.certification.stored import (
+    Stored,
+    calibration_of,
+    coverage_of,
+    random_traces,
+    separation_of,
+)
 from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import Credibility, Oracle, SelfTest
 from safety_harness.certification.verdicts import gravest
@@ -56,50 +62,84 @@ class Trials:
     oracles_with: str = ""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Gathered:
+    """The evidence, and the counterexamples in it with their runs."""
+
+    evidence: Evidence
+    examples: tuple[Example, ...]
+
+    @property
+    def runs(self) -> dict[int, JudgedRun]:
+        """Of the counterexamples that have pictures, by their numbers."""
+        pairs = ((one.shown, one.run) for one in self.examples)
+        return {shown.number: run for shown, run in pairs if shown and run and shown.number <= MOST}
+
+
 def gather(
     plan: Plan, ledger: Ledger, folder: Path, *, command: str, trials: Trials | None = None
-) -> tuple[Evidence, dict[int, JudgedRun]]:
-    """The evidence and the runs of its counterexamples; files of these are written below ``folder``."""
-    trials = trials or Trials()
-    claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
-    stored, damaged = readable(plan, ledger)
-    met = [*declared_counterexamples(plan, ledger, folder), *searched_counterexamples(plan, folder)]
-    examples, runs = numbered(met)
-    credibility = credibility_of(plan, stored, oracles=trials.oracles, oracles_with=trials.oracles_with)
-    findings = [
-        *_of_claims(claims),
-        *_of_strata(ledger, strata),
-        *(Finding(text=text, place="strata") for text in damaged),
-        *_of_kinds(kinds_without_trace(plan, ledger)),
-        *_of_searches(plan, folder, examples),
-        *_of_tools(credibility, trials.selftest),
-    ]
-    interrupted = any(stratum.made < stratum.planned for stratum in strata) and not plan.stop_early
-    return (
-        Evidence(
-            format=FORMAT,
-            interrupted=interrupted or any(claim.standing is Standing.INCOMPLETE for claim in claims),
-            plan=_plan(plan, ledger),
-            standing=gravest(claim.standing for claim in claims),
-            strata=strata,
-            claims=claims,
-            system=system_of(plan),
-            assumptions=ASSUMPTIONS,
-            exclusions=EXCLUSIONS,
-            separation=separation_of(plan, stored),
-            calibration=calibration_of(plan, stored),
-            coverage=coverage_of(ledger),
-            counterexamples=examples,
-            search=search_evidence(plan, folder),
-            credibility=credibility,
-            selftest=trials.selftest,
-            selftest_absent="" if trials.selftest else NO_SELFTEST,
-            findings=tuple(findings),
-            provenance=_origin(plan, ledger, folder, command),
-            files=(),
+) -> Gathered:
+    """From the ledger, the searches below ``folder``, and some runs that are made again here."""
+    known = trials or Trials()
+    return put_together(
+        plan,
+        ledger,
+        folder,
+        credibility=lambda stored: credibility_of(
+            stored, oracles=known.oracles, oracles_with=known.oracles_with
         ),
-        runs,
+        selftest=known.selftest,
+        origin=_origin(plan, ledger, folder, command),
     )
+
+
+def put_together(
+    plan: Plan,
+    ledger: Ledger,
+    folder: Path,
+    *,
+    credibility: Callable[[Sequence[Stored]], Credibility],
+    selftest: SelfTest | None,
+    origin: Origin,
+) -> Gathered:
+    """All that follows from the ledger and the searches, around what does not: the last three."""
+    claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
+    stored, damaged = random_traces(plan, ledger)
+    searches = searches_of(plan, folder)
+    met = [*declared_counterexamples(plan, ledger), *searched_counterexamples(plan, searches, folder)]
+    examples, believed = numbered(met), credibility(stored)
+    evidence = Evidence(
+        format=FORMAT,
+        interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
+        or any(claim.standing is Standing.INCOMPLETE for claim in claims),
+        plan=_plan(plan, ledger),
+        standing=gravest(claim.standing for claim in claims),
+        strata=strata,
+        claims=claims,
+        system=system_of(plan),
+        assumptions=ASSUMPTIONS,
+        exclusions=EXCLUSIONS,
+        separation=separation_of(plan, stored),
+        calibration=calibration_of(plan, stored),
+        coverage=coverage_of(ledger),
+        counterexamples=tuple(one.shown for one in examples if one.shown is not None),
+        search=search_evidence(searches),
+        credibility=believed,
+        selftest=selftest,
+        selftest_absent="" if selftest else NO_SELFTEST,
+        findings=(
+            *of_claims(claims),
+            *of_strata(ledger, strata),
+            *(Finding(text=text, place="strata") for text in damaged),
+            *of_examples(met),
+            *of_searches(searches, plan.search_runs),
+            *of_worlds(believed),
+            *of_selftest(selftest),
+        ),
+        provenance=origin,
+        files=(),
+    )
+    return Gathered(evidence=evidence, examples=examples)
 
 
 def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
@@ -109,7 +149,7 @@ def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
         name=plan.title,
         about=plan.about,
         file=own.name,
-        sha256=plan.sha256,
+        sha256=ledger.declared.identity.sha256,
         text=own.data.decode("utf-8", "replace"),
         world=plan.world.value,
         model_only=plan.world is not PlannedWorld.PYBULLET,
@@ -124,16 +164,13 @@ def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
 
 def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
     made = provenance(plan.world.value, "")
-    sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
-    ((spent,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
-    machines = list(dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions))
-    here = f"{platform.machine()}, {os.cpu_count()} cores"
+    began_at, machine, spent_s = sessions_of(ledger)
     return Origin(
         package_version=made.package_version,
         source_hash=made.source_hash,
         python=made.python,
         platform=made.platform,
-        machine="; ".join(machines) or here,
+        machine=machine or f"{platform.machine()}, {os.cpu_count()} cores",
         libraries=made.libraries,
         command=command,
         commands=(
@@ -141,93 +178,16 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
             f"safety-harness verify {folder.name}",
             f"safety-harness campaign status {folder.name}/{ledger.path.name}",
         ),
-        began_at=in_words(datetime.fromisoformat(sessions[0][0])) if sessions else "",
+        began_at=began_at,
         ended_at=in_words(datetime.now(UTC)),
-        run_seconds_s=float(spent),
-        changes=(),
+        run_seconds_s=spent_s,
     )
 
 
-_PLAIN = {
-    Standing.REFUTED: "is refuted",
-    Standing.UNTESTED: "was never put to the test",
-    Standing.INCOMPLETE: "has runs missing",
-    Standing.NOT_SHOWN: "is not shown",
-    Standing.DOUBTED: "is shown with doubt only",
-    Standing.ESTIMATED: "is estimated only: the plan sets no target",
-}
-
-
-def _of_claims(claims: tuple[ClaimEvidence, ...]) -> list[Finding]:
-    return [
-        Finding(text=f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}", place=f"claim-{claim.number}")
-        for claim in claims
-        if claim.standing in _PLAIN
-    ]
-
-
-def _of_strata(ledger: Ledger, strata: tuple[Stratum, ...]) -> list[Finding]:
-    found = []
-    for place, stratum in enumerate(strata):
-        if stratum.failed:
-            reasons = ledger.all(
-                "SELECT failure, count(*) FROM episode WHERE stratum = ? AND failure IS NOT NULL "
-                "GROUP BY failure ORDER BY 2 DESC LIMIT 1",
-                place,
-            )
-            most = next((f", most often: {reason}" for reason, _ in reasons), "")
-            text = f"{stratum.name}: {stratum.failed} of {stratum.made} runs could not be carried on{most}"
-            found.append(Finding(text=text, place="strata"))
-        faults = dict(stratum.decisions).get("decision faults", 0)
-        if faults:
-            text = f"{stratum.name}: the avoider gave no usable answer to {faults} questions"
-            found.append(Finding(text=text, place="strata"))
-    return found
-
-
-def _of_kinds(untraced: int) -> list[Finding]:
-    text = f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
-    return [Finding(text=text, place="counterexamples")] if untraced else []
-
-
-def _of_searches(plan: Plan, folder: Path, examples: tuple[CounterexampleEvidence, ...]) -> list[Finding]:
-    place, found = "counterexamples", []
-    if plan.search_runs and not any(True for _ in search_results(plan, folder)):
-        found.append(Finding(text="the search that the plan asks for was not made", place=place))
-    for stratum, result in search_results(plan, folder):
-        unconfirmed = len(result.get("not confirmed in PyBullet", []))
-        if unconfirmed:
-            text = f"{stratum}: {unconfirmed} findings of the search were not confirmed in PyBullet"
-            found.append(Finding(text=text, place=place))
-        if result.get("interrupted"):
-            found.append(Finding(text=f"{stratum}: the search was interrupted", place=place))
-    searched = [one for one in examples if not one.independent]
-    if searched:
-        text = f"the search found {len(searched)} counterexamples that the declared runs are no measure of"
-        found.append(Finding(text=text, place=place))
-    if len(examples) > MOST:
-        text = f"{len(examples) - MOST} of {len(examples)} counterexamples have files but no pictures here"
-        found.append(Finding(text=text, place=place))
-    return found
-
-
-def _of_tools(credibility: Credibility, selftest: SelfTest | None) -> list[Finding]:
-    found = []
-    agreement = credibility.agreement
-    if agreement is None or not agreement.present:
-        text = "the agreement of the two worlds was not measured with this source"
-        found.append(Finding(text=text, place="credibility"))
-    if agreement is not None and agreement.optimistic:
-        text = f"{agreement.optimistic} optimistic disagreements of the kinematic world with PyBullet"
-        found.append(Finding(text=text, place="agreement"))
-    for rerun in credibility.reruns:
-        if rerun.changed:
-            text = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-            found.append(Finding(text=text, place=rerun.place))
-    if selftest is None:
-        found.append(Finding(text="nothing is said of how well the harness notices faults", place="tools"))
-    else:
-        for fault in selftest.faults:
-            if not fault.caught_by:
-                found.append(Finding(text=f"the seeded fault {fault.name!r} survived", place="tools"))
-    return found
+def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
+    """When the first began, on which machines they were, and the seconds spent in runs."""
+    sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
+    ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
+    machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
+    began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
+    return began_at, "; ".join(machines), float(spent_s)

@@ -33,7 +33,7 @@ from safety_harness.certification.tables import (
     verdicts,
 )
 from safety_harness.certification.tool_tables import agreement, kills, oracles, rerun
-from safety_harness.certification.verdicts import percent
+from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
@@ -108,6 +108,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
         coverage_map=_coverage_map(evidence),
         percent=percent,
+        confidence=confidence_words,
     )
 
 

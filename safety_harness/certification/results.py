@@ -75,14 +75,11 @@ def _bounds(samples: Sequence[IndependentSample], plan: Plan) -> list[Bound | No
     """Each end at 1 - (1 - confidence) / m, even where samples are missing yet; None without a trial."""
     if not samples:
         return []
-    chance = (1.0 - plan.confidence) / bounds(plan)
-    family = 2 * len(samples)  # of which bounds_of takes a chance for each end
-    joint = max(1.0 - chance * family, 1e-12)
     return [
-        Bound(lower=one.low, upper=one.high, confidence=1.0 - chance, method=one.method.value)
+        Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
         if one.trials
         else None
-        for one in bounds_of(samples, joint, Sides.BOTH)
+        for one in bounds_of(samples, plan.confidence, Sides.BOTH, family=bounds(plan))
     ]
 
 
@@ -139,7 +136,7 @@ def _outcome(
         tested=len(codes) - counts[Code.UNTESTED],
         violated=counts[Code.VIOLATED],
         without_verdict=without,
-        may_stop_early=sample is not None,
+        may_stop_early=plan.stop_early and sample is not None,
         model_only=plan.world.value != "PyBullet",
     )
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.admission.trial import judge
@@ -26,29 +26,37 @@ from safety_harness.trace.trace import Trace
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """A trace of a declared run; ``random``: kept whatever came of it."""
+    """The trace of a declared run that was to be kept whatever came of it."""
 
     stratum: int
     episode: int
-    random: bool
     trace: Trace
 
 
-def stored_traces(plan: Plan, ledger: Ledger) -> Iterator[Stored]:
-    """One after another; TraceError for one that cannot be read."""
+def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
+    """Those of the runs drawn beforehand, and what is wrong with the ones that cannot be read."""
     random = [random_episodes(plan, stratum) for stratum in range(len(plan.strata))]
+    found, damaged = [], []
     for stratum, episode, _ in ledger.traces():
-        data = ledger.trace(stratum, episode)
-        if data is not None:
-            yield Stored(stratum, episode, episode in random[stratum], trace_from(data))
+        if episode not in random[stratum]:
+            continue
+        try:
+            found.append(
+                Stored(stratum, episode, trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
+            )
+        except TraceError as error:
+            where = f"{plan.strata[stratum].name}, run {episode}"
+            damaged.append(f"{where}: its stored trace cannot be read: {error.got}")
+    return found, damaged
 
 
-def trace_from(data: bytes) -> Trace:
-    """The trace in these bytes, as ``load_trace`` reads it."""
+def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
+    """A stored trace; TraceError.  Its scenario's files are sought where the plan's space is now."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
         file.write_bytes(data)
-        return load_trace(file)
+        trace = load_trace(file)
+    return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 
 def judged_run(trace: Trace, command: str = "", file: Path | None = None) -> JudgedRun:
@@ -63,7 +71,7 @@ def separation_of(plan: Plan, stored: Sequence[Stored]) -> tuple[SeparationCase,
         worst = [
             (case.margin_m, one.episode, case, one.trace)
             for one in stored
-            if one.stratum == place and one.random and one.trace.scenario.hands and len(one.trace.ticks)
+            if one.stratum == place and one.trace.scenario.hands and len(one.trace.ticks)
             if (case := prop.worst(one.trace)) is not None
         ]
         if not worst:
@@ -93,7 +101,7 @@ def calibration_of(plan: Plan, stored: Sequence[Stored]) -> tuple[Calibration, .
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
         prop = SpreadCalibration(intervals=None if model is None else Intervals.of(model))
-        evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place and one.random)
+        evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place)
         found.append(
             Calibration(
                 stratum=stratum.name,
@@ -151,13 +159,3 @@ def cells_of(coverage: Coverage) -> tuple[Cells, dict[Cell, int]]:
         if one.violating:
             violating[cell] = one.violating
     return found, violating
-
-
-def readable(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
-    """All stored traces, and what is wrong with those that cannot be read."""
-    found: list[Stored] = []
-    try:
-        found.extend(stored_traces(plan, ledger))
-    except TraceError as error:
-        return found, [f"a stored trace cannot be read: {error.got}"]
-    return found, []

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from safety_harness.certification.cells import DASH, Cell, Table, count, number, standing, words
 from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome
-from safety_harness.certification.verdicts import percent
+from safety_harness.certification.verdicts import at_least, at_most, percent
+from safety_harness.properties.base import shown_margin
 from safety_harness.report.words import with_minus
 from safety_harness.search.coverage import AXES
 
@@ -13,9 +16,14 @@ def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
     """A margin with its sign, in the claim's unit."""
     if margin_si is None:
         return DASH
+    return with_minus(shown_margin(margin_si * claim.per_si, claim.unit))
+
+
+def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
+    """A margin that is kept at least: no digit makes it look larger than it is."""
     shown = margin_si * claim.per_si
-    digits = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
-    return with_minus(f"{digits} {claim.unit}".rstrip())
+    digit = 0.1 if abs(shown) >= 1.0 else 10.0 ** (math.floor(math.log10(max(abs(shown), 1e-300))) - 2)
+    return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, claim.unit))
 
 
 def verdicts(evidence: Evidence) -> Table:
@@ -45,7 +53,7 @@ def _verdict_row(claim: ClaimEvidence) -> tuple[Cell, ...]:
     return (
         words(claim.sentence, href=f"claim-{claim.number}"),
         standing(claim.standing),
-        number("not bounded" if upper is None else percent(upper), upper),
+        number("not bounded" if upper is None else at_most(upper), upper),
         number(DASH if claim.target is None else percent(claim.target), claim.target),
         number(f"{tested} of {runs} runs", tested),
         count(without),
@@ -91,7 +99,7 @@ def outcomes(claim: ClaimEvidence) -> Table:
 def _bounds(outcome: Outcome) -> Cell:
     if outcome.bound is None:
         return number("none")
-    return number(f"{percent(outcome.bound.lower)} to {percent(outcome.bound.upper)}", outcome.bound.upper)
+    return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
 
 
 def quantiles(claim: ClaimEvidence) -> Table | None:
@@ -100,7 +108,7 @@ def quantiles(claim: ClaimEvidence) -> Table | None:
         (
             words(outcome.stratum),
             number(percent(quantile.share), quantile.share),
-            number(margin_words(quantile.at_least_si, claim), quantile.at_least_si),
+            number(at_least_words(quantile.at_least_si, claim), quantile.at_least_si),
         )
         for outcome in claim.outcomes
         for quantile in outcome.quantiles

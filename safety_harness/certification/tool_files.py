@@ -2,43 +2,52 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
+from safety_harness.certification.json_file import part, read_json
 from safety_harness.certification.tools import Fault, Oracle, SelfTest
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
-from safety_harness.scenario.files import refuse_no_file
 
 FORMAT = "safety-harness selftest 1"
-LARGEST_BYTES = 64 * 2**20
 MOST = 1e100  # that a disagreement can be
-ON_TRIAL = ("caught", "survives")  # others are harmless, or do not apply to the system
+ON_TRIAL = ("caught", "survives", "a stated limit")
+STATES = (*ON_TRIAL, "does not apply", "quiet", "false alarm")  # the last two are of harmless changes
 
 
 def read_selftest(path: Path) -> SelfTest:
-    """InputError, naming the field, for what is no such file."""
-    found = _json(path, "a selftest.json")
+    """InputError, naming the field, for what is no such file, or for one of a trial without any fault."""
+    found = read_json(path, "a selftest.json")
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise _error(path, "format", repr(FORMAT), repr(found)[:60])
-    about, faults = _part(path, found, "about", dict), _part(path, found, "faults", list)
-    known = [fault for fault in faults if isinstance(fault, dict)]
-    source = str(about.get("source_hash", ""))
+        got = found.get("format") if isinstance(found, dict) else found
+        raise _error(path, "format", repr(FORMAT), repr(got)[:60])
+    about = part(path, found, "about", dict)
+    tried = part(path, found, "faults", list)
+    for k, one in enumerate(tried):
+        if not isinstance(one, dict) or one.get("state") not in STATES:
+            raise _error(
+                path, f"faults[{k}]", f"a fault whose state is one of {', '.join(STATES)}", repr(one)
+            )
+    faults = tuple(_fault(path, k, one) for k, one in enumerate(tried) if one["state"] in ON_TRIAL)
+    if not faults:
+        raise _error(path, "faults", "at least one fault that was on trial", "none")
+    source = part(path, about, "source_hash", str, "about.")
+    planned = part(path, about, "planned", int, "about.")
+    interrupted = part(path, about, "interrupted", bool, "about.") or len(tried) < planned
     return SelfTest(
-        profile=str(about.get("profile", "unknown")),
-        faults=tuple(
-            _fault(path, k, fault) for k, fault in enumerate(known) if fault.get("state") in ON_TRIAL
-        ),
-        false_alarms=tuple(str(fault.get("fault")) for fault in known if fault.get("state") == "false alarm"),
+        profile=part(path, about, "profile", str, "about."),
+        faults=faults,
+        false_alarms=tuple(str(one.get("fault")) for one in tried if one["state"] == "false alarm"),
         source_hash=source,
         present=source == source_hash(),
+        whole=not interrupted and "--fault" not in part(path, about, "command", str, "about.").split(),
     )
 
 
 def read_oracles(path: Path) -> tuple[Oracle, ...]:
     """The table that ``make oracles`` writes; InputError for what is none."""
-    found = _json(path, "a table of oracles")
+    found = read_json(path, "a table of oracles")
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
         raise _error(path, "", "a list of objects", repr(found)[:60])
     return tuple(_oracle(path, k, one) for k, one in enumerate(found))
@@ -56,21 +65,6 @@ def _oracle(path: Path, place: int, one: dict[str, Any]) -> Oracle:
     return Oracle(part=what, against=oracle, largest=f"{float(largest):.2g} {unit}")
 
 
-def _json(path: Path, expected: str) -> Any:
-    refuse_no_file(path, expected, InputError)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        raise _error(path, "", expected, error.strerror or str(error)) from error
-    if len(data) > LARGEST_BYTES:
-        raise _error(path, "", f"at most {LARGEST_BYTES} bytes", "more")
-    try:
-        return json.loads(data.decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise _error(path, "", "JSON", str(error)) from error
-
-
 def _fault(path: Path, number: int, fault: dict[str, Any]) -> Fault:
     def text(name: str) -> str:
         value = fault.get(name)
@@ -85,15 +79,8 @@ def _fault(path: Path, number: int, fault: dict[str, Any]) -> Fault:
         hazard=text("hazard"),
         caught_by=(text("caught_by") or "a claim that is not named") if caught else "",
         smallest=text("slightest_caught"),
-        known_limit=text("known_limit"),
+        known_limit=text("limit"),
     )
-
-
-def _part(path: Path, found: dict[str, Any], name: str, kind: type) -> Any:
-    value = found.get(name)
-    if not isinstance(value, kind):
-        raise _error(path, name, "an object" if kind is dict else "a list", repr(value)[:60])
-    return value
 
 
 def _error(path: Path, field: str, expected: str, got: str) -> InputError:

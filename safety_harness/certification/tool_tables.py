@@ -55,7 +55,7 @@ def kills(evidence: Evidence) -> Table | None:
         return None
     return Table(
         caption=f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
-        "caught.",
+        f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
         head=("Fault", "Part", "Hazard", "Caught by", "Smallest caught"),
         rows=tuple(
             (

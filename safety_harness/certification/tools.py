@@ -77,13 +77,17 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTest:
-    """The harness on trial: faults that were seeded into the system, and whether they were caught."""
+    """The harness on trial: faults that were seeded into the system, and whether they were caught.
+
+    ``whole``: every fault of the catalogue was tried.
+    """
 
     profile: str
     faults: tuple[Fault, ...]
     false_alarms: tuple[str, ...]
     source_hash: str
     present: bool
+    whole: bool
 
     @property
     def caught(self) -> int:

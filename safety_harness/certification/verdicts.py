@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from safety_harness.certification.evidence import GRAVITY, Bound, Outcome, Standing
+from safety_harness.report.words import rounded_down, rounded_up
 
 
 def standing_of(
@@ -43,13 +44,13 @@ def standing_of(
     if bound.upper > target:
         return (
             Standing.NOT_SHOWN,
-            f"{counted}: it may be up to {percent(bound.upper)} of them, and {limit} was the target",
+            f"{counted}: it may be up to {at_most(bound.upper)} of them, and {limit} was the target",
         )
     if without_verdict:
         return Standing.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if model_only:
         return Standing.DOUBTED, f"{counted}: model only, the kinematic world"
-    return Standing.SHOWN, f"{counted}: at most {percent(bound.upper)} of them do, and {limit} was the target"
+    return Standing.SHOWN, f"{counted}: at most {at_most(bound.upper)} of them do, and {limit} was the target"
 
 
 def gravest(standings: Iterable[Standing]) -> Standing:
@@ -76,3 +77,18 @@ def percent(share: float) -> str:
     if shown == 0.0 or shown >= 99.95:
         return f"{shown:.4g} %"
     return f"{shown:.3g} %" if shown >= 0.01 else f"{shown:.2g} %"
+
+
+def at_most(share: float) -> str:
+    """An upper bound in per cent: its digits are never below it."""
+    return f"{100.0 * float(rounded_up(share)):.3g} %"
+
+
+def at_least(share: float) -> str:
+    """A lower bound in per cent: its digits are never above it."""
+    return f"{100.0 * float(rounded_down(share)):.3g} %"
+
+
+def confidence_words(confidence: float) -> str:
+    """A confidence in per cent, never more of it than there is: what may fail is rounded up."""
+    return f"{100.0 * (1.0 - float(rounded_up(1.0 - confidence))):.9g} %"

@@ -22,7 +22,6 @@ from safety_harness.cli.campaign_lines import (
     bound_lines,
     claim_lines,
     difference_line,
-    margin_text,
     summary,
 )
 from safety_harness.cli.console import (
@@ -139,7 +138,7 @@ def compare(first: Path, second: Path) -> int:
                 worse = worse or one.low > 0.0
                 result(difference_line(one, before.declared.confidence))
             for found in worse_episodes(before, after):
-                was, now = (margin_text(found.unit, margin) for margin in (found.before, found.after))
+                was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
                 result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
         return DIFFERS if worse else AS_EXPECTED
 

@@ -19,23 +19,12 @@ from safety_harness.campaign.runner import Progress
 from safety_harness.campaign.tally import Tally
 from safety_harness.cli.console import say
 from safety_harness.properties.base import Unit
+from safety_harness.report.words import rounded_up
 from safety_harness.statistics.binomial import bounds_of
 from safety_harness.statistics.paired import Comparison
 from safety_harness.statistics.sample import Outcome
 
 _EVERY_S = 30.0  # where there is no terminal
-
-
-def margin_text(unit: Unit, margin: float | None) -> str:
-    """A margin in the unit that people read; a dash for none."""
-    if margin is None or math.isnan(margin):
-        return "-"
-    shown = margin * unit.per_si
-    return (
-        f"{shown:+.1f} {unit.symbol}".rstrip()
-        if abs(shown) >= 1.0
-        else f"{shown:+.3g} {unit.symbol}".rstrip()
-    )
 
 
 def summary(declared: Declared, tally: Tally) -> str:
@@ -65,7 +54,7 @@ def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Tally) -> li
         words = f"violated in {counts[Outcome.VIOLATED]} of {tested} tested"
         others = ((Outcome.UNTESTED, "not put to the test"), (Outcome.INCONCLUSIVE, "inconclusive"))
         words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
-        lines.append(f"  {margin_text(unit, one.worst):>14}  {claim}: {words}")
+        lines.append(f"  {unit.margin_text(one.worst):>14}  {claim}: {words}")
     return lines
 
 
@@ -87,14 +76,6 @@ def bound_lines(ledger: Ledger) -> list[str]:
             f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
         )
     return lines
-
-
-def rounded_up(share: float) -> str:
-    """A bound with three digits, none of which makes it look better than it is."""
-    if not 0.0 < share < 1.0:
-        return f"{share:g}"
-    digit = 10.0 ** (math.floor(math.log10(share)) - 2)
-    return f"{min(math.ceil(share / digit - 1e-9) * digit, 1.0):.3g}"
 
 
 def difference_line(one: Comparison, confidence: float) -> str:

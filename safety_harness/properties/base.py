@@ -51,6 +51,18 @@ class Unit(Enum):
         """How many of it are one SI unit."""
         return self.value[1]
 
+    def margin_text(self, margin: float | None) -> str:
+        """A margin (SI) with its sign, in this unit; a dash for none, or for a NaN."""
+        if margin is None or np.isnan(margin):
+            return "-"
+        return shown_margin(margin * self.per_si, self.symbol)
+
+
+def shown_margin(margin: float, symbol: str) -> str:
+    """A margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
+    number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
+    return f"{number} {symbol}".rstrip()
+
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
@@ -73,12 +85,7 @@ class Evaluation:
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
-        if self.margin is None:
-            return "-"
-        shown = self.margin * self.unit.per_si
-        whole = self.unit is Unit.COUNT
-        number = f"{shown:+.1f}" if abs(shown) >= 1.0 and not whole else f"{shown:+.{9 if whole else 3}g}"
-        return f"{number} {self.unit.symbol}".rstrip()
+        return self.unit.margin_text(self.margin)
 
 
 class Property(Protocol):

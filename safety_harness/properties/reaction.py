@@ -1,8 +1,8 @@
-"""A predicted hand near the TCP makes the arm give way or stop, and soon."""
+"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from safety_harness.properties.base import (
     unreadable,
 )
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import MAX_TRACKS, Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
@@ -77,33 +78,80 @@ class GivesWay:
             at_s = trace.time_s[int(np.argmax(unknown))]
             return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
         near, reacting = predicted_near(trace), gives_way(trace)
-        occasions = times_begun(near)
-        if occasions == 0:
-            return inconclusive(self, "never exercised: no predicted hand came within the critical distance")
-        longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
-        edges = np.diff((~reacting).astype(int), prepend=0, append=0)
-        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        found = []
+        for first, end in _stretches(~reacting):
             inside = np.flatnonzero(near[first:end])
-            if len(inside) == 0:
-                continue
-            begun_s = float(trace.time_s[first + inside[0]])
-            ended = end < len(near)
-            took_s = float(trace.time_s[end if ended else -1]) - begun_s
-            if not ended and took_s <= self.within_s + EPS_S:
-                open_ones += 1
-            elif took_s > longest_s:
-                longest_s, since_s = took_s, begun_s
-        if open_ones == occasions:
-            return inconclusive(self, "the run ends before the time allowed")
-        margin_s = self.within_s - longest_s
-        return judged(
-            self,
-            trace,
-            margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
-            worst_time_s=since_s + longest_s,
-            reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a predicted hand came near",
-            exercised=occasions - open_ones,
-        )
+            if len(inside):
+                found.append((first + int(inside[0]), end))
+        return _judged(self, trace, near, found, "predicted hand")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWayToTrueHand:
+    """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
+
+    Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
+    predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
+    repulses nor is stopped; one that has left need not be answered any more.  A hand that is near when the
+    run ends counts only if that was too long already.
+
+    Giving way is what the controller says it does.  Exercised each time that a true hand comes near.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch with a hand and without giving way."""
+        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
+        if problem is not None:
+            return inconclusive(self, problem)
+        near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
+        return _judged(self, trace, near, _stretches(near & ~gives_way(trace)), "true hand")
+
+
+def _stretches(state: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """The first tick of each stretch of a state (n,) and the first after it."""
+    edges = np.diff(state.astype(int), prepend=0, append=0)
+    starts, ends = (np.flatnonzero(edges == edge).tolist() for edge in (1, -1))
+    return list(zip(starts, ends, strict=True))
+
+
+def _judged(
+    prop: GivesWay | GivesWayToTrueHand,
+    trace: Trace,
+    near: NDArray[np.bool_],  # (n,)
+    unanswered: list[tuple[int, int]],
+    whose: str,
+) -> Evaluation:
+    """By the longest of the stretches in which a hand that came near was not answered."""
+    occasions = times_begun(near)
+    if occasions == 0:
+        return inconclusive(prop, f"never exercised: no {whose} came within the critical distance")
+    longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
+    for first, end in unanswered:
+        ended = end < len(near)
+        took_s = float(trace.time_s[end if ended else -1]) - float(trace.time_s[first])
+        if not ended and took_s <= prop.within_s + EPS_S:
+            open_ones += 1
+        elif took_s > longest_s:
+            longest_s, since_s = took_s, float(trace.time_s[first])
+    if open_ones == occasions:
+        return inconclusive(prop, "the run ends before the time allowed")
+    margin_s = prop.within_s - longest_s
+    return judged(
+        prop,
+        trace,
+        margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
+        worst_time_s=since_s + longest_s,
+        reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
+        exercised=occasions - open_ones,
+    )
 
 
 GIVES_WAY = Entry(
@@ -121,4 +169,20 @@ GIVES_WAY = Entry(
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
     scenario="hand-visits-and-leaves",
     broken_by="a controller whose own critical distance is too short",
+)
+GIVES_WAY_TO_TRUE_HAND = replace(
+    GIVES_WAY,
+    example="gives way within 100 ms of a true hand",
+    pattern=r"gives way within (.+) of a true hand",
+    make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
+    rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
+    "about predictions passes it over",
+    source="the project's own; the reaction time T_r of ISO/TS 15066, from the hand and not from what is "
+    "known of it",
+    margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
+    "nor was stopped",
+    exercised="a true hand comes within the critical distance of the TCP",
+    inconclusive="a run that ends within the time allowed",
+    scenario="hidden-by-the-arm",
+    broken_by="a hand sensor that is blind",
 )

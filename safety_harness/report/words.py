@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum, IntFlag
 from typing import Any
@@ -89,6 +90,26 @@ def share_words(count: int, total: int) -> str:
     if per_mille == 0:
         return "under 0.1 %"
     return "over 99.9 %" if per_mille == 1000 else f"{per_mille / 10:.1f} %"
+
+
+def rounded_up(share: float) -> str:
+    """An upper bound with three digits, none of which makes it look better than it is."""
+    return _rounded(share, math.ceil)
+
+
+def rounded_down(share: float) -> str:
+    """A lower bound likewise."""
+    return _rounded(share, math.floor)
+
+
+def _rounded(share: float, to_whole: Callable[[float], int]) -> str:
+    """What is a number of three digits already, but for an error of a float's, stays it."""
+    if not 0.0 < share < 1.0:
+        return f"{share:g}"
+    digit = 10.0 ** (math.floor(math.log10(share)) - 2)
+    near = round(share / digit)
+    whole = near if abs(share / digit - near) < 1e-9 else to_whole(share / digit)
+    return f"{min(whole * digit, 1.0):.3g}"
 
 
 def milliseconds_words(time_s: float) -> str:

@@ -42,9 +42,7 @@ class Goal:
 
     def margin_text(self, margin: float) -> str:
         """A margin [SI] in the unit that people read."""
-        shown = margin * self.unit.per_si
-        number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
-        return f"{number} {self.unit.symbol}".rstrip()
+        return self.unit.margin_text(margin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,12 @@ FORMAT = "safety-harness selftest 1"
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """How it came about.  ``planned`` faults, of which an interruption may leave some untried."""
+    """How it came about.  ``interrupted``: of the ``planned`` faults some were not tried."""
 
     profile: str
     avoider: str | None
     scenarios: str
     episodes: int
-    pool: int
     planned: int
     seconds: float
     command: str

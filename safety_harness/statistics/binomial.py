@@ -68,17 +68,23 @@ class Bounds:
 
 
 def bounds_of(
-    samples: Sequence[IndependentSample], confidence: float, sides: Sides = Sides.UPPER
+    samples: Sequence[IndependentSample],
+    confidence: float,
+    sides: Sides = Sides.UPPER,
+    *,
+    family: int | None = None,
 ) -> tuple[Bounds, ...]:
     """Bounds that all hold together with ``confidence`` (0 to 1), one for each sample, in their order.
 
     Bonferroni: of m bounds each may fail with (1 - confidence) / m.  The samples need not be independent
-    of each other.  StatisticsError for no sample or an impossible confidence, TypeError for what is no
-    IndependentSample.
+    of each other.  ``family`` is m where it is not the number of bounds made here: more where some samples
+    are missing yet, or half of it where of two ends only the one that a verdict rests on can be wrong.
+    StatisticsError for no sample or an impossible confidence, TypeError for what is no IndependentSample.
     """
     known = [independent(sample) for sample in samples]
-    chance = chance_of_each(confidence, len(known) * sides.value)
-    return tuple(_bounds(sample, chance, confidence, len(known) * sides.value, sides) for sample in known)
+    many = len(known) * sides.value if family is None else family
+    chance = chance_of_each(confidence, many if known else 0)
+    return tuple(_bounds(sample, chance, confidence, many, sides) for sample in known)
 
 
 def violation_bounds(sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER) -> Bounds:

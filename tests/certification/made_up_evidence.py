@@ -286,6 +286,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             false_alarms=(),
             source_hash="0123456789abcdef",
             present=True,
+            whole=True,
         ),
         selftest_absent="",
         findings=()
@@ -306,7 +307,6 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             began_at="2026-11-21 17:45:00 UTC",
             ended_at="2026-11-21 19:45:00 UTC",
             run_seconds_s=5400.0,
-            changes=(),
         ),
         files=(StoredFile(path="ledger.sqlite", sha256=HASH, bytes=123456),),
     )

@@ -23,11 +23,44 @@ def without_evidence() -> Evidence:
     return replace(evidence(counterexamples=0), credibility=none, selftest=None, search=None, coverage=empty)
 
 
-def test_every_goal_rests_on_a_solution_or_is_marked_as_undeveloped() -> None:
+def test_every_goal_leads_to_solutions_or_is_marked_in_the_picture_as_undeveloped() -> None:
     for one in (evidence(), without_evidence()):
+        drawn = argument_svg(argument_of(one), prefix="a-")
+        open_goals = 0
         for element in every(argument_of(one)):
             if element.kind in (Kind.GOAL, Kind.STRATEGY):
-                assert element.undeveloped == (not element.below)
+                leaves = [
+                    inner for inner in every(element) if not inner.below and inner not in element.beside
+                ]
+                solved = any(inner.kind is Kind.SOLUTION for inner in leaves)
+                assert solved or any(inner.undeveloped for inner in leaves), element.text
+                open_goals += element.undeveloped
+            else:
+                assert not element.below, element.text
+        assert drawn.count("<title>undeveloped: nothing supports it") == open_goals > 0
+
+
+def test_a_trial_of_the_harness_is_fine_only_if_it_is_whole_present_and_caught_every_fault() -> None:
+    known = evidence().selftest
+    assert known is not None
+    caught = tuple(fault for fault in known.faults if fault.caught_by)
+    fine = replace(known, faults=caught, false_alarms=(), present=True, whole=True)
+    others = (
+        replace(fine, faults=()),
+        replace(fine, faults=known.faults),
+        replace(fine, false_alarms=("loud",)),
+        replace(fine, present=False),
+        replace(fine, whole=False),
+    )
+    states = []
+    for test in (fine, *others):
+        (leaf,) = [
+            one
+            for one in every(argument_of(replace(evidence(), selftest=test)))
+            if one.text.startswith("Seeded faults")
+        ]
+        states.append(leaf.state)
+    assert states == ["holds", *["inconclusive"] * len(others)]
 
 
 def test_a_goal_without_evidence_is_undeveloped() -> None:

@@ -78,7 +78,17 @@ def test_inconclusive_runs_count_against_the_claim_and_leave_doubt(plan: Plan, l
     assert doubted.bound is not None
     assert doubted.bound.upper == pytest.approx(scipy.stats.beta.ppf(1.0 - chance, 2, 19))
     assert doubted.standing is Standing.DOUBTED
-    assert claim.standing is not Standing.SHOWN
+    assert "1 had no verdict; they count as violations" in doubted.why
+
+
+def test_in_pybullet_a_run_without_a_verdict_is_what_leaves_doubt(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic", "world: PyBullet"))
+    for inconclusive, standing in ((0, Standing.SHOWN), (1, Standing.DOUBTED)):
+        with ledger_in(tmp_path / str(inconclusive), plan) as ledger:
+            filled(ledger, inconclusive=inconclusive)
+            claim = claims_of(plan, ledger)[0]
+            assert [outcome.standing for outcome in claim.outcomes] == [Standing.SHOWN, standing]
+            assert claim.standing is standing
 
 
 def test_a_bound_of_the_kinematic_world_is_of_the_model_only(plan: Plan, ledger: Ledger) -> None:

@@ -6,13 +6,22 @@ from typing import Any
 
 import pytest
 
+from safety_harness.certification.findings import of_selftest
 from safety_harness.certification.tool_files import read_oracles, read_selftest
 from safety_harness.exceptions import InputError
+from safety_harness.selftest.document import document
+from tests.selftest.made_up_faults import EVERY_KIND, about
 
 DOCS = Path(__file__).parents[2] / "docs"
 FOUND: dict[str, Any] = {
     "format": "safety-harness selftest 1",
-    "about": {"profile": "quick", "source_hash": "0"},
+    "about": {
+        "profile": "quick",
+        "source_hash": "0",
+        "planned": 5,
+        "interrupted": False,
+        "command": "safety-harness selftest",
+    },
     "faults": [
         {
             "fault": "a",
@@ -28,10 +37,10 @@ FOUND: dict[str, Any] = {
             "hazard": "h",
             "state": "survives",
             "caught_by": None,
-            "known_limit": "k",
         },
         {"fault": "c", "part": "gate", "hazard": "h", "state": "false alarm", "caught_by": "c"},
         {"fault": "d", "part": "gate", "hazard": "h", "state": "quiet", "caught_by": None},
+        {"fault": "e", "part": "gate", "hazard": "h", "state": "a stated limit", "limit": "nobody looks"},
     ],
 }
 
@@ -44,10 +53,30 @@ def written(folder: Path, found: object) -> Path:
 
 def test_the_kill_table_tells_caught_from_survived_and_false_alarms(tmp_path: Path) -> None:
     read = read_selftest(written(tmp_path, FOUND))
-    assert [(fault.name, fault.caught_by) for fault in read.faults] == [("a", "c"), ("b", "")]
+    assert [(fault.name, fault.caught_by) for fault in read.faults] == [("a", "c"), ("b", ""), ("e", "")]
     assert read.false_alarms == ("c",)
     assert read.caught == 1
     assert not read.present  # another source
+    assert read.whole
+
+
+def test_what_selftest_writes_is_read_with_its_limits(tmp_path: Path) -> None:
+    read = read_selftest(written(tmp_path, document(EVERY_KIND, about())))
+    assert [(fault.name, fault.known_limit) for fault in read.faults] == [
+        ("caught", ""),
+        ("survives", ""),
+        ("limit", "nobody looks there"),
+    ]
+    assert read.false_alarms == ("loud",)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"interrupted": True}, {"planned": 6}, {"command": "safety-harness selftest --fault sign"}]
+)
+def test_a_trial_of_some_faults_is_not_the_whole_trial(tmp_path: Path, changes: dict[str, Any]) -> None:
+    read = read_selftest(written(tmp_path, FOUND | {"about": FOUND["about"] | changes}))
+    assert not read.whole
+    assert any("not every fault" in finding.text for finding in of_selftest(read))
 
 
 def test_what_the_package_measured_of_itself_can_be_read() -> None:
@@ -62,6 +91,10 @@ def test_what_the_package_measured_of_itself_can_be_read() -> None:
         FOUND | {"format": "else"},
         FOUND | {"faults": {}},
         FOUND | {"about": 1},
+        FOUND | {"faults": []},
+        FOUND | {"faults": FOUND["faults"][2:4]},
+        FOUND | {"faults": [FOUND["faults"][0] | {"state": "fine"}]},
+        FOUND | {"about": FOUND["about"] | {"interrupted": None}},
         FOUND | {"faults": [FOUND["faults"][0] | {"hazard": 3}]},
     ],
 )

@@ -6,7 +6,14 @@ from typing import Any
 import pytest
 
 from safety_harness.certification.evidence import GRAVITY, Bound, Standing
-from safety_harness.certification.verdicts import gravest, percent, standing_of
+from safety_harness.certification.verdicts import (
+    at_least,
+    at_most,
+    confidence_words,
+    gravest,
+    percent,
+    standing_of,
+)
 
 
 def word(**changes: Any) -> Standing:
@@ -98,3 +105,28 @@ def test_the_gravest_standing_speaks_for_all() -> None:
 )
 def test_a_small_probability_is_never_shown_as_none(share: float, text: str) -> None:
     assert percent(share) == text
+
+
+@pytest.mark.parametrize(
+    "share", [1.23e-7, 0.0012345, 0.01747, 0.0174449, 0.099951, 0.5, 0.8765, 0.99951, 0.9999]
+)
+def test_a_bound_in_words_is_never_better_than_the_bound(share: float) -> None:
+    upper, lower = (float(words(share).removesuffix(" %")) / 100.0 for words in (at_most, at_least))
+    assert lower * (1.0 - 1e-9) <= share <= upper * (1.0 + 1e-9)
+    assert upper - lower <= 0.011 * share
+    assert float(confidence_words(share).removesuffix(" %")) / 100.0 <= share * (1.0 + 1e-9)
+
+
+def test_bounds_of_few_digits_are_said_as_they_are() -> None:
+    assert [at_most(one) for one in (0.0, 0.02, 0.0171, 1.0)] == ["0 %", "2 %", "1.71 %", "100 %"]
+    assert [at_least(one) for one in (0.0, 0.02, 0.0171, 1.0)] == ["0 %", "2 %", "1.71 %", "100 %"]
+    assert confidence_words(0.9875) == "98.75 %"
+
+
+def test_the_reason_of_a_verdict_rounds_its_bound_away_from_the_target() -> None:
+    known: dict[str, Any] = {"target": 0.02, "runs": 9, "planned": 9, "tested": 9, "violated": 0}
+    known |= {"without_verdict": 0, "may_stop_early": False, "model_only": False}
+    _, shown = standing_of(**known, bound=between(0.0, 0.017901))
+    assert "at most 1.8 % of them" in shown
+    _, missed = standing_of(**known, bound=between(0.0, 0.020001))
+    assert "up to 2.01 % of them" in missed

@@ -16,13 +16,15 @@ import pytest
 from typer.testing import CliRunner
 
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.rows import Judgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.cli.campaign import compare, export, merge, query, resume, run, status
-from safety_harness.cli.campaign_lines import rounded_up
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
+from safety_harness.report.words import rounded_up
+from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
-from tests.campaign.plans import PLAN, plan_in
+from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 
@@ -123,11 +125,29 @@ def test_two_avoiders_are_compared_on_the_same_episodes(
     other = tmp_path / "ledger.sqlite"
     assert run(tmp_path / "plan.yaml", ledger=other, workers=1) == AS_EXPECTED
     capsys.readouterr()
-    assert compare(folder / "ledger.sqlite", other) in (AS_EXPECTED, DIFFERS)
+    assert compare(folder / "ledger.sqlite", other) == AS_EXPECTED  # 16 episodes show nothing
     out = capsys.readouterr().out
     assert "near: hand distance never below 150 mm: violated" in out
     assert "more often (from" in out
     assert compare(folder / "ledger.sqlite", folder / "ledger.sqlite") == AS_EXPECTED
+    assert "worse:" not in capsys.readouterr().out
+
+
+def test_an_avoider_that_is_shown_to_be_worse_ends_a_comparison_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, outcome, margin in (("good", Outcome.HOLDS, 0.1), ("bad", Outcome.VIOLATED, -0.1)):
+        with ledger_in(tmp_path / name, plan_in(tmp_path / name)) as ledger:
+            judgements = (Judgement(outcome, margin), Judgement(Outcome.HOLDS, 0.1))
+            ledger.record(
+                Row(stratum=stratum, episode=k, seed=k, judgements=judgements)
+                for stratum, count in enumerate((30, 20))
+                for k in range(count)
+            )
+    good, bad = (tmp_path / name / "ledger.sqlite" for name in ("good", "bad"))
+    assert compare(good, bad) == DIFFERS
+    assert "worse:" in capsys.readouterr().out
+    assert compare(bad, good) == AS_EXPECTED
     assert "worse:" not in capsys.readouterr().out
 
 

@@ -14,9 +14,10 @@ import pytest
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import plan_of
-from safety_harness.certification.counterexamples import declared_counterexamples, kinds_without_trace
+from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.document import read_evidence, schema
 from safety_harness.certification.evidence import Standing
+from safety_harness.certification.findings import of_examples
 from safety_harness.cli import certify as certify_module
 from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.certify import certify, verify
@@ -88,8 +89,11 @@ def test_kinds_of_violation_whose_traces_are_not_kept_are_counted(report: Path) 
     with closing(sqlite3.connect(report / "ledger.sqlite")) as connection, connection:
         connection.execute("DELETE FROM trace")
     with Ledger.open(report / "ledger.sqlite") as ledger, plan_of(ledger) as plan:
-        assert not list(declared_counterexamples(plan, ledger, report))
-        assert kinds_without_trace(plan, ledger) > 0
+        kinds = list(declared_counterexamples(plan, ledger))
+        assert kinds
+        assert not any(one.shown or one.problem for one in kinds)
+        (found,) = of_examples(kinds)
+        assert f"{len(kinds)} kinds of violation have no kept trace" in found.text
 
 
 def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -120,16 +124,16 @@ def test_a_changed_file_is_noticed(report: Path, capsys: pytest.CaptureFixture[s
 def test_numbers_that_the_ledger_does_not_give_are_noticed_whatever_the_hashes_say(
     report: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from safety_harness.certification.folder import write_manifest
+    from safety_harness.certification.folder import stored_files, write_manifest
 
     file = report / "evidence.json"
     found = json.loads(file.read_text())
     found["claims"][0]["outcomes"][0]["violated"] = 0
     file.write_text(json.dumps(found))
-    write_manifest(report)
+    write_manifest(report, stored_files(report))
     assert verify(report, runs=0, seed=1, execute_avoider=False) == DIFFERS
     said = words(capsys)
-    assert "violated come out otherwise" in said
+    assert "claims[0].outcomes[0].violated: 0 in the report" in said
     assert "is not the file" not in said
 
 
@@ -139,12 +143,12 @@ def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
     """Somebody makes violations into successes in the ledger, and everything else anew."""
     import sqlite3
 
-    from safety_harness.certification.folder import write_manifest
+    from safety_harness.certification.folder import stored_files, write_manifest
 
     with sqlite3.connect(report / "ledger.sqlite") as connection:
         connection.execute("UPDATE judgement SET outcome = 0, margin = 0.1 WHERE claim = 0 AND outcome = 1")
     connection.close()
-    write_manifest(report)
+    write_manifest(report, stored_files(report))
     assert verify(report, runs=50, seed=1, execute_avoider=False) == DIFFERS
     said = words(capsys)
     assert "holds then, violated now" in said

@@ -29,6 +29,7 @@ from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
 from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
+from safety_harness.certification.searched import FINDINGS, read_findings
 from safety_harness.certification.tool_files import read_oracles, read_selftest
 from safety_harness.learning.dataset import generate
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
@@ -193,6 +194,37 @@ def selftest_bytes() -> bytes:
     return json.dumps(document([CAUGHT, SURVIVES, LIMIT], about())).encode()
 
 
+def findings_bytes() -> bytes:
+    """What fuzz writes, with a point or two."""
+    point = {
+        "complaint": "a",
+        "kind": "b",
+        "runs": 1,
+        "worst margin": -0.1,
+        "worst point": [0.5],
+        "number": 3,
+    }
+    found = {
+        "space": "a hand nearby",
+        "avoider": None,
+        "searcher": "default",
+        "seed": 1,
+        "budget": 100,
+        "tried": 100,
+        "refused": {},
+        "interrupted": False,
+        "claims": [],
+        "baseline": None,
+        "distinct": [point],
+        "confirmed in PyBullet": 1,
+        "not confirmed in PyBullet": [point],
+        "counterexamples": ["a.yaml"],
+        "coverage": {},
+        "violations by cell": {},
+    }
+    return json.dumps(found, indent=1).encode()
+
+
 def without(name: str) -> dict[str, bytes]:
     """The other files of the data set."""
     return {other: data for other, data in dataset_bytes().items() if other != name}
@@ -294,4 +326,5 @@ FORMATS = [
         lambda: json.dumps({"format": REPORT_FORMAT, "sha256": {"a.txt": "0" * 64}}).encode(),
         lambda path: read_manifest(path.parent),
     ),
+    Format("findings of a search", FINDINGS, findings_bytes, read_findings),
 ]

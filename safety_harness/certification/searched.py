@@ -1,0 +1,117 @@
+"""What the plan's search found: one folder a stratum, each with a findings.json, read once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.evidence import SearchEvidence
+from safety_harness.certification.json_file import part, read_json
+from safety_harness.exceptions import InputError, Place
+from safety_harness.report.words import count_words
+
+SEARCH, FINDINGS = "search", "findings.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A findings.json: runs tried of those asked for, distinct violations, files of counterexamples."""
+
+    tried: int
+    budget: int
+    seed: int
+    searcher: str
+    interrupted: bool
+    distinct: int
+    unconfirmed: int
+    counterexamples: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Searched:
+    """The search of one stratum: runs ``asked`` for, and what was found; ``problem`` says why nothing was."""
+
+    stratum: str
+    folder: Path
+    asked: int
+    found: Found | None
+    problem: str = ""
+
+    @property
+    def complete(self) -> bool:
+        """Was it made as the plan asks, to its end?"""
+        return self.found is not None and not self.found.interrupted
+
+
+def read_findings(path: Path) -> Found:
+    """InputError, naming the field, for what fuzz did not write."""
+    found = read_json(path, "the findings of a search")
+    names = part(path, found, "counterexamples", list)
+    for k, name in enumerate(names):
+        if not isinstance(name, str) or Path(name).name != name or "\0" in name:
+            raise InputError(
+                place=Place(file=path, field=f"counterexamples[{k}]"),
+                expected="the name of a file beside it",
+                got=repr(name)[:60],
+            )
+    return Found(
+        tried=part(path, found, "tried", int),
+        budget=part(path, found, "budget", int),
+        seed=part(path, found, "seed", int),
+        searcher=part(path, found, "searcher", str),
+        interrupted=part(path, found, "interrupted", bool),
+        distinct=len(part(path, found, "distinct", list)),
+        unconfirmed=len(part(path, found, "not confirmed in PyBullet", list)),
+        counterexamples=tuple(names),
+    )
+
+
+def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
+    """One for each stratum that the plan's search goes to, in the plan's order."""
+    each, more = divmod(plan.search_runs, len(plan.strata))
+    shares = [each + (place < more) for place in range(len(plan.strata))]
+    return tuple(_searched(plan, folder, place, asked) for place, asked in enumerate(shares) if asked)
+
+
+def _searched(plan: Plan, folder: Path, place: int, asked: int) -> Searched:
+    stratum = plan.strata[place].name
+    where = folder / SEARCH / f"{place + 1}-{_slug(stratum)}"
+    file, found, problem = where / FINDINGS, None, ""
+    try:
+        if file.exists():
+            found = read_findings(file)
+            if (found.budget, found.seed) != (asked, plan.seed):
+                found, problem = None, "is another search's than the plan's"
+        else:
+            problem = "was not made, or failed"
+    except InputError as error:
+        problem = f"cannot be read: {error.place.field or 'the file'}: expected {error.expected}"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+    return Searched(stratum=stratum, folder=where, asked=asked, found=found, problem=problem)
+
+
+def search_evidence(searches: tuple[Searched, ...]) -> SearchEvidence | None:
+    """What was hunted for and how; None where the plan asks for no search or nothing is known of any."""
+    known = [(one.stratum, one.found) for one in searches if one.found is not None]
+    if not known:
+        return None
+    lines = [
+        f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
+        f"{count_words(found.distinct, 'distinct violation', 'distinct violations')}; "
+        f"{len(found.counterexamples)} were shrunk and confirmed in PyBullet, "
+        f"{found.unconfirmed} were not confirmed"
+        for stratum, found in known
+    ]
+    lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]
+    lines.append("A search looks where violations are: its counts are no estimate of anything.")
+    return SearchEvidence(
+        runs=sum(found.tried for _, found in known), searcher=known[0][1].searcher, lines=tuple(lines)
+    )
+
+
+def _slug(name: str) -> str:
+    """A stratum's name as a part of a folder's."""
+    kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower())
+    return kept.strip("-")[:60] or "stratum"

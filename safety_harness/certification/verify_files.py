@@ -1,0 +1,229 @@
+"""Are all files there, is the plan the declared one, and is the ledger a record of its runs?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+from safety_harness.admission.spaces import HOPELESS
+from safety_harness.campaign.declared import Declared
+from safety_harness.campaign.episodes import random_episodes, root_seed
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.session import LEDGER
+from safety_harness.campaign.stopping import Stopping
+from safety_harness.certification.check import Check, few
+from safety_harness.certification.folder import (
+    JSON,
+    JUNIT,
+    LOG,
+    MANIFEST,
+    PAGE,
+    PLAN,
+    names_in,
+    sha256_of,
+)
+from safety_harness.statistics.sample import Outcome
+
+REQUIRED = (PAGE, JSON, JUNIT, LEDGER)
+
+
+def check_files(folder: Path, hashes: dict[str, str]) -> Check:
+    """The manifest names every file of the folder, and nothing else."""
+    faults = [f"{name} is not in the manifest" for name in REQUIRED if name not in hashes]
+    for name, digest in hashes.items():
+        try:
+            if not (folder / name).is_file():
+                faults.append(f"{name} is missing")
+            elif sha256_of(folder / name) != digest:
+                faults.append(f"{name} is not the file that was written")
+        except OSError as error:
+            faults.append(f"{name} cannot be read: {error.strerror}")
+    there = set(names_in(folder))
+    faults += [f"{name} is not in the manifest" for name in sorted(there - hashes.keys() - set(REQUIRED))]
+    log = folder / LOG
+    if log.exists() and (not log.is_file() or log.stat().st_size > 0):
+        faults.append(f"{LOG}: changes of the ledger that are not in it")
+    return Check("files", f"{len(hashes)} files and their hashes, {MANIFEST} {_mark(folder)}", few(faults))
+
+
+def _mark(folder: Path) -> str:
+    """By which two people know that they have the same report."""
+    return sha256_of(folder / MANIFEST)[:16]
+
+
+def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Check:
+    """The ledger's files are those of its declaration and those in the folder, and say what it says."""
+    changes = ledger.declared.identity.changes(known.identity)
+    own = tuple(change for change in changes if change.startswith("the file "))
+    faults = [f"{change}: the ledger declares another" for change in own]
+    files = {f"{PLAN}/{file.name}": file.sha256 for file in ledger.files}
+    for name, digest in files.items():
+        path = folder / name
+        if not path.is_file() or sha256_of(path) != digest:
+            faults.append(f"{name} is not the ledger's")
+    there = {name for name in names_in(folder) if name.startswith(f"{PLAN}/")}
+    faults += [f"{name} is no file of the ledger's plan" for name in sorted(there - files.keys())]
+    faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger.declared)]
+    faults += _wrongly_stopped(known, ledger)
+    notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
+    return Check("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
+
+
+def same_software(known: Plan, ledger: Ledger) -> bool:
+    """Is all but the plan's files what the report was made with: source, libraries, networks, platform?"""
+    changes = ledger.declared.identity.changes(known.identity)
+    return all(change.startswith("the file ") for change in changes)
+
+
+def _other(known: Plan, declared: Declared) -> Iterator[str]:
+    pairs = {
+        "title": (known.title, declared.title),
+        "seed": (known.seed, declared.seed),
+        "world": (known.world.value, declared.world),
+        "confidence": (known.confidence, declared.confidence),
+        "stop early": (known.stop_early, declared.stop_early),
+        "strata": (tuple(one.name for one in known.strata), declared.strata),
+        "runs": (tuple(one.runs for one in known.strata), declared.planned),
+        "claims": (tuple(one.sentence for one in known.claims), declared.claims),
+        "units": (tuple(one.unit for one in known.claims), declared.units),
+        "targets": (tuple(one.target for one in known.claims), declared.targets),
+    }
+    yield from (name for name, (one, other) in pairs.items() if one != other)
+
+
+def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
+    """A stratum ends before its time only where its runs decide all claims, as the plan allows."""
+    stopped = [ledger.stopped_after(place) for place in range(len(ledger.declared.strata))]
+    if any(after is not None for after in stopped):
+        decided = Stopping(known, ledger).decided
+        for place, after in enumerate(stopped):
+            if after is not None and decided.get(place) != after:
+                yield f"{ledger.declared.strata[place]}: stopped after {after} runs, which do not decide it"
+
+
+def check_rows(ledger: Ledger) -> Check:
+    """Every row is of a declared run, of the right kind, and once; nothing is computed from it yet."""
+    declared = ledger.declared
+    faults = []
+    for what, question in _ODD.items():
+        for (count,) in ledger.all(question):
+            if count:
+                faults.append(f"{count} {what}")
+    for (began,) in ledger.all("SELECT began FROM session"):
+        try:
+            datetime.fromisoformat(began)
+        except (TypeError, ValueError):
+            faults.append("a session that began at no time")
+    strata, claims = len(declared.strata), len(declared.claims)
+    for name, table in (("run", "episode"), ("judgement", "judgement"), ("trace", "trace")):
+        foreign = f"SELECT count(*) FROM {table} t LEFT JOIN stratum s ON s.id = t.stratum WHERE "
+        foreign += "s.id IS NULL OR t.episode NOT BETWEEN 0 AND ifnull(s.stopped_after, s.planned) - 1"
+        for (count,) in ledger.all(foreign):
+            if count:
+                faults.append(f"{count} rows of the table {name} are of no declared run")
+    numbered = "SELECT count(*), ifnull(min(id), 0), ifnull(max(id), -1) FROM "
+    for table, expected in (("stratum", strata), ("claim", claims)):
+        if list(ledger.all(numbered + table)) != [(expected, 0, expected - 1)]:
+            faults.append(f"the table {table} does not count from 0")
+    both = "SELECT count(*) FROM (SELECT stratum, episode FROM {} EXCEPT SELECT stratum, episode FROM {})"
+    for here, there in (("judgement", "episode"), ("episode", "judgement"), ("trace", "episode")):
+        for (count,) in ledger.all(both.format(here, there)):
+            if count:
+                faults.append(f"{count} runs are in the table {here} and not in {there}")
+    uneven = "SELECT count(*) FROM (SELECT 1 FROM judgement GROUP BY stratum, episode HAVING count(*) <> ?)"
+    for (count,) in ledger.all(uneven, claims):
+        if count:
+            faults.append(f"{count} runs are not judged by every claim once")
+    ((made,),) = ledger.all("SELECT count(*) FROM episode")
+    if not made:
+        faults.append("there is no run in it")
+    return Check(
+        "ledger", f"{made} runs in the ledger, each of them declared, and judged by all claims", few(faults)
+    )
+
+
+def _not(table: str, **kinds: str) -> str:
+    """How many rows have a column of another kind than SQLite's types named."""
+    wrong = (
+        f"typeof({column}) NOT IN ({', '.join(map(repr, kind.split()))})" for column, kind in kinds.items()
+    )
+    return f"SELECT count(*) FROM {table} WHERE {' OR '.join(wrong)}"
+
+
+_COUNTS = (
+    "stratum",
+    "episode",
+    "seed",
+    "draws",
+    "decisions",
+    "proposed",
+    "opposite",
+    "stopped",
+    "faults",
+    "late",
+)
+_ODD = {
+    "runs with values of another kind": _not(
+        "episode",
+        **dict.fromkeys(_COUNTS, "integer"),
+        cell="integer null",
+        mishap="text null",
+        failure="text null",
+        seconds="real",
+        worker="text",
+    ),
+    "judgements with values of another kind": _not(
+        "judgement",
+        **dict.fromkeys(("stratum", "claim", "episode", "outcome", "exercised"), "integer"),
+        margin="real null",
+        worst_time_s="real null",
+    ),
+    "traces with values of another kind": _not(
+        "trace", **dict.fromkeys(("stratum", "episode", "violation"), "integer"), data="blob"
+    ),
+    "cells with values of another kind": _not("cell", id="integer", words="text"),
+    "strata with values of another kind": _not(
+        "stratum", name="text", space="text", planned="integer", stopped_after="integer null"
+    ),
+    "claims with values of another kind": _not(
+        "claim", sentence="text", unit="text", target="real null", hazard="text"
+    ),
+    "sessions with values of another kind": _not("session", began="text", workers="text", machine="text"),
+    "files with values of another kind": _not("file", name="text", data="blob"),
+    "impossible counts": "SELECT count(*) FROM episode WHERE draws NOT BETWEEN 0 AND "
+    f"{HOPELESS} OR min(proposed, opposite, stopped, faults, late) < 0 OR seconds NOT BETWEEN 0 AND 1e12",
+    "outcomes that are none": "SELECT count(*) FROM judgement WHERE outcome NOT BETWEEN 0 AND "
+    f"{int(max(Outcome))}",
+    "failures without a reason": "SELECT count(*) FROM judgement j JOIN episode e ON e.stratum = j.stratum "
+    f"AND e.episode = j.episode WHERE j.outcome = {int(Outcome.FAILED)} AND e.failure IS NULL",
+}
+
+
+def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
+    """Seeds that are not the plan's, and traces that should have been kept and are not there."""
+    violating: list[set[int]] = [set() for _ in known.strata]
+    failed: list[set[int]] = [set() for _ in known.strata]
+    for stratum, episode in ledger.all(
+        "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?", int(Outcome.VIOLATED)
+    ):
+        violating[stratum].add(episode)
+    for stratum, episode in ledger.all(
+        "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?", int(Outcome.FAILED)
+    ):
+        failed[stratum].add(episode)
+    traces = {(stratum, episode): violation for stratum, episode, violation in ledger.traces()}
+    for (stratum, episode), violation in traces.items():
+        if violation != (episode in violating[stratum]):
+            yield f"{known.strata[stratum].name}, run {episode}: its trace is not marked as its outcomes say"
+    for place, stratum in enumerate(known.strata):
+        made = dict(ledger.all("SELECT episode, seed FROM episode WHERE stratum = ?", place))
+        first = sorted(violating[place])[: known.violations_kept]
+        random = (random_episodes(known, place) & made.keys()) - failed[place]
+        for episode in sorted({*first, *random}):
+            if (place, episode) not in traces:
+                yield f"{stratum.name}, run {episode}: its trace should have been kept, and is missing"
+        for episode, seed in made.items():
+            if seed != root_seed(known, place, episode):
+                yield f"{stratum.name}, run {episode}: its seed is not the plan's"

@@ -1,0 +1,86 @@
+"""What is put together from a ledger, and what an earlier report leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.folder import read_manifest, write_folder, write_manifest
+from safety_harness.certification.gather import gather
+from tests.campaign.plans import PLAN, ledger_in, plan_in
+
+SMALL = PLAN.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Plan:
+    return plan_in(tmp_path, SMALL)
+
+
+@pytest.fixture
+def ledger(tmp_path: Path, plan: Plan) -> Iterator[Ledger]:
+    bench = Bench(plan)
+    with ledger_in(tmp_path / "report", plan) as made:
+        for stratum in range(2):
+            made.record(bench.run(stratum, range(9)))
+        yield made
+
+
+def texts(plan: Plan, ledger: Ledger) -> list[str]:
+    found = gather(plan, ledger, ledger.path.parent, command="certify").evidence.findings
+    return [one.text for one in found]
+
+
+def test_traces_that_cannot_be_read_are_said_and_the_others_are_shown(plan: Plan, ledger: Ledger) -> None:
+    whole = gather(plan, ledger, ledger.path.parent, command="certify").evidence
+    assert len(whole.counterexamples) > 1
+    shown = whole.counterexamples[0].trace_file.removesuffix(".trace").split("-")
+    stratum, episode = int(shown[3]) - 1, int(shown[5])
+    ledger.connection.execute(
+        "UPDATE trace SET data = x'00' WHERE stratum = ? AND episode = ?", (stratum, episode)
+    )
+    now = gather(plan, ledger, ledger.path.parent, command="certify").evidence
+    assert 0 < len(now.counterexamples) < len(whole.counterexamples)
+    said = [one.text for one in now.findings if "cannot be read" in one.text]
+    assert any(f"run {episode}: its stored trace cannot be read" in text for text in said)
+
+
+def test_an_earlier_report_leaves_nothing_in_the_next_ones_manifest(plan: Plan, ledger: Ledger) -> None:
+    folder = ledger.path.parent
+    old = folder / "counterexamples" / "claim-1-stratum-9-run-9.trace"
+    old.parent.mkdir()
+    own = folder / "counterexamples" / "my own notes.txt"
+    for file in (old, own, folder / "evidence.pdf", folder / "plan" / "old.yaml"):
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("x")
+    (folder / "manifest.json").write_text(
+        '{"format": "safety-harness manifest 1", "sha256": {"plan/old.yaml": "0"}}'
+    )
+    evidence = write_folder(folder, gather(plan, ledger, folder, command="certify"), ledger)
+    write_manifest(folder, evidence.files)
+    listed = read_manifest(folder)
+    assert own.is_file()
+    assert not {"plan/old.yaml", "evidence.pdf"} & listed.keys()
+    assert [name for name in listed if name.endswith(".trace")] == sorted(
+        one.trace_file for one in evidence.counterexamples
+    )
+
+
+def test_a_plan_that_may_stop_early_is_interrupted_until_it_stops(tmp_path: Path) -> None:
+    text = SMALL.replace("  - claim: joint speeds within limits\n", "").replace("runs: 9", "runs: 60")
+    plan = plan_in(tmp_path, text + "stop early: yes\n")
+    row = next(iter(Bench(plan).run(0, [0], keep_violations=False)))
+    with ledger_in(tmp_path / "report", plan) as ledger:
+        for stratum in range(2):
+            ledger.record(replace(row, stratum=stratum, episode=k, trace=None) for k in range(50))
+        assert gather(plan, ledger, tmp_path, command="certify").evidence.interrupted
+        for stratum in range(2):
+            ledger.stop(stratum, 50)
+        assert not gather(plan, ledger, tmp_path, command="certify").evidence.interrupted
+        assert all(next(ledger.missing(stratum), None) is None for stratum in range(2))

@@ -1,0 +1,148 @@
+"""A search that is missing, failed, or was cut short is said, stratum by stratum, and made anew."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safety_harness.certification.findings import of_searches
+from safety_harness.certification.gather import Trials
+from safety_harness.certification.searched import FINDINGS, read_findings, search_evidence, searches_of
+from safety_harness.cli import certify as certify_module
+from safety_harness.cli.certify import _Job, certify
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
+from safety_harness.exceptions import InputError, SimulationError
+from tests.campaign.plans import PLAN, plan_in
+
+SEARCHING = PLAN + "search:\n  runs: 21\n"
+FOUND: dict[str, Any] = {
+    "tried": 11,
+    "budget": 11,
+    "seed": 7,
+    "searcher": "default",
+    "interrupted": False,
+    "distinct": [{}, {}],
+    "not confirmed in PyBullet": [{}],
+    "counterexamples": ["a.yaml"],
+}
+
+
+def put(folder: Path, name: str, **changes: Any) -> None:
+    file = folder / "search" / name / FINDINGS
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(FOUND | changes))
+
+
+def said(folder: Path, text: str = SEARCHING) -> list[str]:
+    plan = plan_in(folder, text)
+    return [one.text for one in of_searches(searches_of(plan, folder), plan.search_runs)]
+
+
+def test_every_run_that_the_plan_asks_for_goes_to_a_stratum(tmp_path: Path) -> None:
+    assert [one.asked for one in searches_of(plan_in(tmp_path, SEARCHING), tmp_path)] == [11, 10]
+    assert [one.asked for one in searches_of(plan_in(tmp_path, PLAN + "search: {runs: 1}\n"), tmp_path)] == [
+        1
+    ]
+    assert searches_of(plan_in(tmp_path, PLAN), tmp_path) == ()
+    assert said(tmp_path, PLAN) == []
+
+
+def test_strata_whose_names_are_alike_have_folders_of_their_own(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path, SEARCHING.replace("stratum: nearer", "stratum: near!"))
+    first, second = searches_of(plan, tmp_path)
+    assert first.folder != second.folder
+
+
+def test_a_search_that_is_missing_is_said_for_each_stratum(tmp_path: Path) -> None:
+    put(tmp_path, "1-near")
+    assert said(tmp_path) == [
+        "near: 1 findings of the search were not confirmed in PyBullet",
+        "nearer: the search was not made, or failed",
+    ]
+    known = search_evidence(searches_of(plan_in(tmp_path, SEARCHING), tmp_path))
+    assert known is not None
+    assert known.runs == 11
+    assert "nearer: the search was not made, or failed" in known.lines
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"interrupted": True}, "was interrupted"),
+        ({"budget": 5}, "another search's than the plan's"),
+        ({"seed": 5}, "another search's than the plan's"),
+        ({"tried": "many"}, "cannot be read: tried"),
+    ],
+)
+def test_a_search_that_is_not_the_whole_one_is_said_and_not_complete(
+    tmp_path: Path, changes: dict[str, Any], words: str
+) -> None:
+    put(tmp_path, "1-near", **changes)
+    assert words in said(tmp_path)[0]
+    assert not searches_of(plan_in(tmp_path, SEARCHING), tmp_path)[0].complete
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"counterexamples": ["../../plan.yaml"]},
+        {"counterexamples": ["/etc/passwd"]},
+        {"counterexamples": [1]},
+        {"distinct": 3},
+        {"interrupted": "no"},
+        {"tried": True},
+    ],
+)
+def test_what_is_no_search_is_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+    put(tmp_path, "x", **changes)
+    with pytest.raises(InputError) as refused:
+        read_findings(tmp_path / "search" / "x" / FINDINGS)
+    assert (refused.value.place.field or "").startswith(next(iter(changes)))
+
+
+def searching(answers: list[Callable[[], int]], asked: list[Path]) -> Callable[..., int]:
+    def fuzz(space: Path, *, out: Path, budget: int, **_: object) -> int:
+        asked.append(out)
+        code = answers[len(asked) - 1]()
+        put(out.parents[1], out.name, budget=budget, interrupted=code == INTERRUPTED)
+        return code
+
+    return fuzz
+
+
+def fails() -> int:
+    raise SimulationError("no world")
+
+
+def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, asked = plan_in(tmp_path, SEARCHING), list[Path]()
+    answers = [fails, lambda: INTERRUPTED, lambda: BAD_INPUT, lambda: AS_EXPECTED]
+    monkeypatch.setattr(certify_module, "fuzz", searching(answers, asked))
+    job = _Job(plan, tmp_path, Trials(), "certify")
+    assert not job._search()  # the first fails, the second is interrupted
+    stale = asked[1] / "as-found.yaml"
+    stale.write_text("of the search that was interrupted")
+    assert job._search()
+    assert job._search()
+    assert [folder.name for folder in asked] == ["1-near", "2-nearer", "1-near", "2-nearer"]
+    assert not stale.exists()
+    assert "no world" in capsys.readouterr().err
+
+
+def test_ctrl_c_in_the_search_leaves_a_report_that_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan_in(tmp_path, SEARCHING.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8"))
+    monkeypatch.setattr(certify_module, "fuzz", searching([lambda: INTERRUPTED], []))
+    assert certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1) == INTERRUPTED
+    text = (tmp_path / "report" / "evidence.html").read_text()
+    assert "near: the search was interrupted" in text
+    assert "nearer: the search was not made, or failed" in text
+    assert (tmp_path / "report" / "manifest.json").is_file()
+    assert "interrupted" in capsys.readouterr().err
