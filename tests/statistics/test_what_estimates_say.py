@@ -99,6 +99,17 @@ def test_a_rare_event_s_interval_is_student_s_over_the_replications() -> None:
     assert found.high == pytest.approx(replicates.mean() + half)
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"particles": 0}, {"steps": 0}, {"replications": 1}, {"survivors": 0.0}, {"survivors": 1.0}]
+)
+def test_a_splitting_without_particles_steps_replications_or_survivors_is_refused(
+    wrong: dict[str, float],
+) -> None:
+    with pytest.raises(StatisticsError) as caught:
+        Splitting(**wrong)  # type: ignore[arg-type]
+    assert caught.value.place.field == "splitting"
+
+
 def test_where_one_replication_is_half_of_the_sum_nothing_is_said_of_the_upper_end() -> None:
     """A region of two parts of which few replications find the larger one."""
 
