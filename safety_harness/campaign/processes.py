@@ -194,7 +194,7 @@ class Processes:
                     f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}"
                 )
         if worker.chunk is not None:
-            events.append(Lost(worker.chunk, why, begun=worker.ready))
+            events.append(Lost(worker.chunk, why, times=int(worker.ready)))
         self.replaced += 1
         self._renew(worker)
 

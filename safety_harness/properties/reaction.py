@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.properties.base import (
     HORIZON_M,
     Evaluation,
     Unit,
     inconclusive,
     judged,
+    runs_of,
     times_begun,
     unreadable,
 )
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import MAX_TRACKS, Mode
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace, once_a_trace
 
 EPS_S = 1e-9  # times are multiples of the control period, to rounding
 
@@ -28,22 +32,51 @@ EPS_S = 1e-9  # times are multiples of the control period, to rounding
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is the controller repulsing, or stopped for protection?"""
-    mode = history(trace, "mode")
+    mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
 
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    near = np.zeros(len(trace.ticks), np.bool_)
-    tcp_in_base = history(trace, "transform_tcp_to_base")[:, :3, 3]
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    for track in range(MAX_TRACKS):
-        valid = history(trace, "track_valid")[:, track]
-        if valid.any():
-            hand = np.where(valid[:, None], history(trace, "predicted_hand_in_base_m")[:, track], np.inf)
-            near |= valid & (np.linalg.norm(hand - tcp_in_base, axis=1) < critical_m)
-    return near
+    return _predictions(trace)[0]
+
+
+def _predictions(trace: Trace) -> tuple[NDArray[np.bool_], int]:
+    """``predicted_near``, and the first tick with a prediction that is nowhere, or -1."""
+    ticks, near = trace.ticks, np.zeros(len(trace.ticks), np.bool_)
+    unknown = _predicted_near(
+        ticks["transform_tcp_to_base"][:, :3, 3],
+        ticks["track_valid"],
+        ticks["predicted_hand_in_base_m"],
+        trace.scenario.settings.avoidance.critical_distance_m,
+        near,
+    )
+    return near, unknown
+
+
+@compiled
+def _predicted_near(
+    tcp_m: NDArray[np.float64],  # (n, 3)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    predicted_m: NDArray[np.float64],  # (n, tracks, 3)
+    critical_m: float,
+    near: NDArray[np.bool_],  # (n,), written
+) -> int:
+    """Fill ``near``; the first tick at which a prediction is nowhere, or -1."""
+    unknown = -1
+    for k in range(near.shape[0]):
+        for track in range(tracked.shape[1]):
+            if not tracked[k, track]:
+                continue
+            total, somewhere = 0.0, True
+            for i in range(3):
+                somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
+                total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
+            near[k] |= sqrt(total) < critical_m
+            if unknown < 0 and not somewhere:
+                unknown = k
+    return unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +105,11 @@ class GivesWay:
         problem = unreadable(trace, ("transform_tcp_to_base",))
         if problem is not None:
             return inconclusive(self, problem)
-        known = (np.abs(history(trace, "predicted_hand_in_base_m")) < HORIZON_M).all(axis=2)
-        unknown = (history(trace, "track_valid") & ~known).any(axis=1)
-        if unknown.any():
-            at_s = trace.time_s[int(np.argmax(unknown))]
-            return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
-        near, reacting = predicted_near(trace), gives_way(trace)
+        near, unknown = _predictions(trace)
+        if unknown >= 0:
+            return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
         found = []
-        for first, end in _stretches(~reacting):
+        for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
             inside = np.flatnonzero(near[first:end])
             if len(inside):
                 found.append((first + int(inside[0]), end))
@@ -112,21 +142,14 @@ class GivesWayToTrueHand:
         if problem is not None:
             return inconclusive(self, problem)
         near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-        return _judged(self, trace, near, _stretches(near & ~gives_way(trace)), "true hand")
-
-
-def _stretches(state: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """The first tick of each stretch of a state (n,) and the first after it."""
-    edges = np.diff(state.astype(int), prepend=0, append=0)
-    starts, ends = (np.flatnonzero(edges == edge).tolist() for edge in (1, -1))
-    return list(zip(starts, ends, strict=True))
+        return _judged(self, trace, near, zip(*runs_of(near & ~gives_way(trace)), strict=True), "true hand")
 
 
 def _judged(
     prop: GivesWay | GivesWayToTrueHand,
     trace: Trace,
     near: NDArray[np.bool_],  # (n,)
-    unanswered: list[tuple[int, int]],
+    unanswered: Iterable[tuple[int, int]],
     whose: str,
 ) -> Evaluation:
     """By the longest of the stretches in which a hand that came near was not answered."""
