@@ -14,6 +14,7 @@ from safety_harness.properties.accelerations import TcpAcceleration
 from safety_harness.properties.decision_time import waited_s
 from safety_harness.properties.fallback_poses import FallbackPoses
 from safety_harness.properties.finite import FiniteTrace, bad_decisions
+from safety_harness.properties.hand_distance import instants
 from safety_harness.properties.hand_paths import hand_bend_m, hand_paths
 from safety_harness.properties.hand_prediction import HandPredictions
 from safety_harness.properties.iterations import GainSwitchIterations
@@ -232,3 +233,21 @@ def test_a_hundred_decisions_are_enough(visit: Trace) -> None:
     assert calibration.evaluate([visit] * 99).verdict is Verdict.INCONCLUSIVE
     assert calibration.evaluate([visit] * 99).exercised == 99
     assert calibration.evaluate([visit] * 100).verdict is Verdict.HOLDS
+
+
+def test_a_corner_stands_between_its_ticks_and_shares_the_slack_of_both_sides(visit: Trace) -> None:
+    corner = np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]])
+    smooth = hand_paths(visit)
+    paths = replace(smooth, corner_hand=np.array([0]), corner_at=np.array([10.5]), corners_in_base_m=corner)
+    before, after = instants(visit, smooth, 0), instants(visit, paths, 0)
+    assert after[0][9:13].tolist() == [9.0, 10.0, 10.5, 11.0]
+    assert after[1][11] == pytest.approx((before[1][10] + before[1][11]) / 2)
+    for k, expected in ((2, corner[0, 0]), (3, corner[0, 1]), (4, np.inf)):
+        assert np.array_equal(after[k][11], expected)
+        assert np.array_equal(np.delete(after[k], 11, axis=0), before[k])
+    assert after[5][10] == after[5][11] == before[5][10]
+    assert np.array_equal(np.delete(after[5], 11), before[5])
+
+
+def test_where_nothing_is_wrong_the_last_tick_is_the_worst(visit: Trace) -> None:
+    assert FiniteTrace().evaluate(visit).worst_time_s == visit.time_s[-1]
