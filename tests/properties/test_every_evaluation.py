@@ -56,6 +56,10 @@ def test_it_is_understood_in_capitals_and_no_half_of_it_is(entry: Entry) -> None
     assert not entry.understands(f"never {entry.example}")
 
 
+def test_no_two_entries_have_one_sentence() -> None:
+    assert len(set(IDS)) == len(CATALOGUE)
+
+
 def test_a_limit_or_number_that_is_none_is_refused_where_it_stands() -> None:
     place = Place(field="claims[0]")
     for text in ("0 mm", "-1 mm", "11 m"):
