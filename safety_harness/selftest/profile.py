@@ -26,6 +26,8 @@ TELLING = (
     "fault-camera-hidden-by-a-hand",
     "fault-camera-blind",
     "tilted-start",
+    "over-the-shoulder",
+    "hidden-for-a-moment",
 )
 
 

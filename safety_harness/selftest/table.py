@@ -60,8 +60,8 @@ def summary(tally: Tally) -> str:
     if tally.true_alarms:
         words += f", {count_words(tally.true_alarms, 'true alarm', 'true alarms')}"
     if tally.geometry_runs:
-        agreed = tally.geometry_runs - tally.geometry_contradicted
-        words += f"; PyBullet's geometry does not contradict {agreed} of {tally.geometry_runs} hand distances"
+        contradicted = tally.geometry_contradicted or "none"
+        words += f"; PyBullet's geometry contradicts {contradicted} of {tally.geometry_runs} hand distances"
     if tally.unconfirmed:
         words += f"; {tally.unconfirmed} not seen in PyBullet"
     return words

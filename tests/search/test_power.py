@@ -7,10 +7,13 @@ import pytest
 
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
-from tests.search.planted import BUGS, CUBE, FLAT, GOALS, SMOOTH, Bug, share_violated, world
+from tests.search.planted import BUGS, BY_LOT, CUBE, FLAT, GOALS, SMOOTH, Bug, share_violated, world
 
 SEEDS = range(3)
-DEFAULT, UNIFORM = SEARCHERS[:2]
+DEFAULT = SEARCHERS[0]
+WRONG_OCTANT, UNSEEN = SMOOTH[0], SMOOTH[2]
+# Chance needs more than 1,000 draws, the default search at most a fifth; docs/search.md has the others.
+HARD = (SMOOTH[4], FLAT[0], BY_LOT[2])
 
 
 def needed(make: MakesSearcher, bug: Bug, seed: int, budget: int) -> int:
@@ -51,17 +54,19 @@ def test_the_default_finds_a_flat_bug_within_six_thousand_episodes(bug: Bug) -> 
     assert np.median([needed(DEFAULT, bug, seed, 6000) for seed in SEEDS]) <= 6000
 
 
-def test_chance_needs_more_than_five_times_as_many_where_margins_lead_somewhere() -> None:
-    bug = SMOOTH[2]
-    best = np.median([needed(DEFAULT, bug, seed, 2000) for seed in SEEDS])
-    assert 5 * best < np.median([needed(UNIFORM, bug, seed, 10_000) for seed in SEEDS])
+@pytest.mark.parametrize("bug", HARD, ids=lambda bug: bug.__name__)
+def test_chance_needs_more_than_five_times_as_many(bug: Bug) -> None:
+    """The default against the median of independent draws, which the share of the space says by itself."""
+    chance = np.log(2.0) / share_violated(bug, draws=200_000)
+    assert chance > 1000
+    assert 5.0 * np.median([needed(DEFAULT, bug, seed, 2000) for seed in range(5)]) < chance
 
 
 @pytest.mark.parametrize(
-    ("make", "budget"),
-    [(make, 400 if make.name == "hypothesis" else 4000) for make in SEARCHERS],
-    ids=lambda value: getattr(value, "name", str(value)),
+    ("make", "bug", "budget"),
+    [(make, UNSEEN, 400) if make.name == "hypothesis" else (make, WRONG_OCTANT, 6000) for make in SEARCHERS],
+    ids=lambda value: getattr(value, "name", getattr(value, "__name__", str(value))),
 )
-def test_every_searcher_finds_a_bug_within_its_budget(make: MakesSearcher, budget: int) -> None:
-    """Bugs of more than one run in 2,200; Hypothesis, which is slow, begins at an end of everything."""
-    assert all(needed(make, SMOOTH[2], seed, budget) <= budget for seed in range(2))
+def test_every_searcher_finds_a_bug_within_its_budget(make: MakesSearcher, bug: Bug, budget: int) -> None:
+    """Of one run in 1,700, with slopes; Hypothesis, which is slow, begins at an end of everything."""
+    assert all(needed(make, bug, seed, budget) <= budget for seed in range(2))

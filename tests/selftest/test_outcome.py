@@ -82,7 +82,7 @@ def test_counting() -> None:
     words = summary(tally)
     assert "1 of 3 faults caught (33%)" in words
     assert "1 false alarm on 3 harmless changes, 1 true alarm" in words
-    assert "PyBullet's geometry does not contradict 9 of 9 hand distances" in words
+    assert "PyBullet's geometry contradicts none of 9 hand distances" in words
 
 
 def test_what_geometry_says_of_a_harmless_change_is_in_its_row() -> None:
