@@ -54,7 +54,7 @@ def verify(
         typer.Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
     ] = False,
 ) -> None:
-    """Check a report: files, plan, ledger, stored traces, its numbers and page computed anew, some runs again.
+    """Check a report: files, plan, ledger, stored traces, numbers and page computed anew, some runs again.
 
     What has changed since (source, versions, networks, platform) is named, and so is what was not checked.
     Exit code 0: the report stands; 1: it does not, and why; 2: no report, or a program in it that may not be
