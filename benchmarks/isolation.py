@@ -1,5 +1,7 @@
 """What does it cost that a user's avoider is asked in another process?  Run: python benchmarks/isolation.py.
 
+With ``--onnx FILE`` the avoider is that of an ONNX file, else the Python file of the example.
+
 The same avoider here and there take turns, so that a busy machine slows both; values are median (least to
 greatest) over the turns.
 """
@@ -10,6 +12,7 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 
 # isort: split
 
+import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,9 +22,12 @@ import numpy as np
 
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.isolation.host import host_of
-from safety_harness.avoidance.isolation.isolated import isolated_avoider
+from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
+from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
+from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.exceptions import Place
+from safety_harness.settings import DEFAULTS
 
 FILE = Path(__file__).parents[1] / "examples" / "upwards.py"
 TURNS, ONE_BY_ONE, IN_ONE_MESSAGE, BEGUN = 9, 1_000, 256, 5
@@ -58,9 +64,18 @@ def row(what: str, found: list[float], unit: str) -> str:
     return f"{what:<44} {median(found):8.1f} {unit} ({min(found):.1f} to {max(found):.1f})"
 
 
+def here_and_there(onnx: Path | None) -> tuple[Avoider, IsolatedAvoider]:
+    """The same avoider in this process and in another."""
+    if onnx is None:
+        return Upwards(), isolated_avoider(FILE, "Upwards", Place())
+    return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)[0]
+
+
 def main() -> None:
     """Print the table."""
-    here, there = Upwards(), isolated_avoider(FILE, "Upwards", Place())
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--onnx", type=Path)
+    here, there = here_and_there(parser.parse_args().onnx)
     questions = [Question(HAND, TCP, seed, 10.0, True) for seed in range(IN_ONE_MESSAGE)]
     one_by_one(there)
     turns = [
@@ -71,9 +86,9 @@ def main() -> None:
         )
         for _ in range(TURNS)
     ]
-    host, begun = host_of(FILE, FILE.read_bytes()), []
+    begun = []
     for _ in range(BEGUN):
-        host.end()
+        there._host.end()
         begun.append(microseconds(lambda: there.answers(questions[:1], together=False), 1) / 1e3)
     print(row("one question, in this process", [turn[0] for turn in turns], "us"))
     print(row("one question, in another", [turn[1] for turn in turns], "us"))

@@ -1,4 +1,4 @@
-"""A share of independent trials, with its exact interval and its exact one-sided bounds."""
+"""Exact statements about independent trials: shares with their bounds, signs, ranks of a median."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betainccinv, betaincinv
+from scipy.special import bdtr, betainccinv, betaincinv
 
 LEVEL = 0.95
 
@@ -50,3 +50,19 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
 def lower_bound(count: int, trials: int, chance: float) -> float:
     """The share under which at least ``count`` of ``trials`` successes have this chance; 0 if none are."""
     return 0.0 if count <= 0 else float(betaincinv(count, trials - count + 1.0, chance))
+
+
+def sign_test(more: int, fewer: int) -> float:
+    """The p-value of "either is equally likely", exact and two-sided; 1 without any.
+
+    Of episodes that only one of two systems violates it is McNemar's.
+    """
+    return min(1.0, 2.0 * float(bdtr(min(more, fewer), more + fewer, 0.5)))
+
+
+def median_rank(n: int, chance: float) -> int:
+    """The greatest r for which the r-th smallest of n is above the median with at most ``chance``; 0 if none.
+
+    That is P(Bin(n, 1/2) < r) <= chance, whatever the distribution.
+    """
+    return int(np.count_nonzero(bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -13,7 +13,7 @@ import safety_harness
 PACKAGE = Path(safety_harness.__file__).parent
 ORDER = [
     {"exceptions"},
-    {"compiled", "geometry", "proportions", "seeds", "settings"},
+    {"compiled", "geometry", "proportions", "seeds", "settings", "whole_file"},
     {"scenario"},
     {"trace"},
     {"robot"},

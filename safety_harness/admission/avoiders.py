@@ -1,7 +1,8 @@
 """Which avoider a reference means: one of ours by name, a user's own Python file, or a model file.
 
 A Python file is the user's own program and is executed, with everything that it imports, because a
-reference names it and for no other reason, and in a process of its own.  A model file is only read.
+reference names it and for no other reason, and in a process of its own; so is a function in ONNX, which is
+no program but may never end.  Any other model file is only read.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.isolation.isolated import isolated_avoider
+from safety_harness.avoidance.isolation.python_program import isolated_avoider
 from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
@@ -142,7 +143,11 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 
 def _from_onnx_file(path: Path, settings: Settings) -> Avoider:
-    """Imported only here, as is the runtime behind it."""
-    from safety_harness.avoidance.onnx_model import OnnxAvoider
+    """Imported only here: a run with another avoider need not wait for it."""
+    from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
+    from safety_harness.avoidance.model_file import refuse_foreign_seen_space
 
-    return OnnxAvoider.load(path, settings)
+    avoider, seen = isolated_onnx(path, settings)
+    if seen is not None:
+        refuse_foreign_seen_space(seen, settings, path)
+    return avoider

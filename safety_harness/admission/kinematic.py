@@ -63,6 +63,15 @@ def slower_because(avoider: Avoider) -> str:
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 
 
+def late_by_the_clock(avoider: Avoider) -> bool:
+    """Can an answer come too late because of the clock?
+
+    Not of an avoider that ``run_many`` asks for all decisions at once: it is waited for in either world, so
+    that runs for searching and estimating repeat on however busy a machine.
+    """
+    return bool(slower_because(avoider))
+
+
 def recorded_late(recorded: Trace | None) -> list[str]:
     """How the decisions of an earlier run that came too late were recorded; empty for those in time."""
     if recorded is None:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.controller.desired import DOWN, desired_transform_tcp_to_base
-from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.moments import MOMENT_COUNT
@@ -21,7 +20,7 @@ from safety_harness.robot.kinematics import (
 )
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.settings import Settings
-from safety_harness.simulation.cameras import sensors
+from safety_harness.simulation.cameras import camera_state, object_polygon_in_base
 from safety_harness.simulation.exact_views import exact_object
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
@@ -102,7 +101,6 @@ def _check_pose(
     transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
     forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
-    position = f"the position {_millimetres(transforms[7, :3, 3])}"
     least, most = smallest_singular_value(jacobian), settings.motion.min_singular_value
     if not least > most:
         raise InadmissibleError(
@@ -115,15 +113,15 @@ def _check_pose(
         raise InadmissibleError(
             place=scenario.place(field, "settings.cell.table height", "settings.avoidance.table clearance"),
             expected=f"a {pose} at least {clearance_m * 1e3:.0f} mm above the table",
-            got=position,
+            got=f"the position {_millimetres(transforms[7, :3, 3])}",
         )
-    cameras = sensors(settings, scenario.seed, 0, overhead_transform_sensor_to_base(settings))
     moments = np.empty(MOMENT_COUNT)
-    if not exact_object(cameras.state, cameras.polygon_in_base_m, transforms[7], moments):
+    camera, polygon_in_base_m = camera_state(settings).copy(), object_polygon_in_base(settings)
+    if not exact_object(camera, polygon_in_base_m, transforms[7], moments):
         raise InadmissibleError(
             place=scenario.place(field, *VIEW),
             expected=f"a {pose} with the whole object in the camera's view",
-            got=f"{position}, from which it is not",
+            got=f"the position {_millimetres(transforms[7, :3, 3])}, from which it is not",
             hint=_above(settings) if field == DESIRED else "",
         )
 

@@ -8,7 +8,6 @@ what ``save_model`` writes, ``load_model`` takes.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import Enum
@@ -22,8 +21,9 @@ from safetensors.numpy import save
 
 from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, Bounds, Fields, refuse
 from safety_harness.exceptions import ModelError, OutputError, Place
-from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.files import read_bytes
 from safety_harness.settings import Settings, Vector3
+from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness model 1"
 KIND = "regression resnet"
@@ -128,15 +128,15 @@ def tensor_shapes() -> dict[str, tuple[int, ...]]:
 
 def load_model(path: Path) -> Model:
     """Read and check a model file; ModelError says what is wrong with it and where."""
-    refuse_no_file(path, "a model file that can be read", ModelError)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        refuse(path, None, "a model file that can be read", error.strerror or str(error))
-    if len(data) > LARGEST_BYTES:
-        refuse(path, None, f"a model file of at most {LARGEST_BYTES} bytes", "a larger one")
-    return _parse(data, path)
+    return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
+
+
+def model_bytes(path: Path, kind: str, *, most: int) -> bytes:
+    """The whole of a regular file of at most ``most`` bytes; ModelError for anything else."""
+    data = read_bytes(path, most=most, place=Place(file=path), error=ModelError)
+    if len(data) > most:
+        refuse(path, None, f"{kind} of at most {most} bytes", "a larger one")
+    return data
 
 
 def save_model(model: Model, path: Path) -> None:
@@ -150,13 +150,9 @@ def save_model(model: Model, path: Path) -> None:
     except (TypeError, ValueError, SafetensorError) as error:
         refuse(path, None, "a model of numbers and plain texts", str(error))
     _parse(data, path)
-    temporary = path.with_name(path.name + ".part")
     try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
-        os.replace(temporary, path)
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(data)
     except OSError as error:
         raise OutputError(
             place=Place(file=path), expected="a file that can be written", got=error.strerror or str(error)

@@ -11,7 +11,8 @@ Metadata
 
 A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
 them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
-and no other file is opened.
+and no other file is opened.  Those operators have loops and make tensors of any size: a stranger's file is
+loaded and asked in a process of its own (``isolation.onnx_file``); what is here runs where it is called.
 """
 
 from __future__ import annotations
@@ -38,17 +39,13 @@ from safety_harness.avoidance.model_file import (
     Dropout,
     SeenSpace,
     calibration_of,
-    refuse_foreign_seen_space,
     seen_of,
 )
 from safety_harness.exceptions import ModelError, Place
-from safety_harness.scenario.files import refuse_no_file
-from safety_harness.settings import Settings
 
 EXPORT_FORMAT = "safety-harness export 1"
 HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
 POSITION, SPREAD, THRESHOLD = "position_in_base_m", "spread_m", "spread_threshold_m"
-LARGEST_BYTES = 256 * 2**20
 FLOATS = {"tensor(float)": "float32", "tensor(double)": "float64"}
 INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
 BOOLEANS = {"tensor(bool)": "bool"}
@@ -103,33 +100,34 @@ class OnnxAvoider:
     _exported: Exported | None
 
     @classmethod
-    def load(cls, path: Path, settings: Settings) -> OnnxAvoider:
-        """Read, check and try the file; ModelError says what is wrong with it.
+    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector) -> OnnxAvoider:
+        """Load, check and try the file ``path`` with the contents ``data``; ModelError says what is wrong.
 
-        It is asked the same question twice, about the cell's own desired TCP and nominal hand: what
-        cannot answer, answers in another shape, or not twice the same, is refused.
+        It is asked the same question twice, about ``hand`` and ``tcp`` (3,) [m]: what cannot answer,
+        answers in another shape, or not twice the same, is refused.
         """
         try:
-            return cls._load(path, settings)
+            return cls._of(path, data, hand, tcp)
         except UnicodeDecodeError as error:  # of a damaged name
             place = Place(file=path)
             raise ModelError(place=place, expected="names in UTF-8", got=error.reason) from error
 
     @classmethod
-    def _load(cls, path: Path, settings: Settings) -> OnnxAvoider:
-        session = open_session(path)
+    def _of(cls, path: Path, data: bytes, hand: Vector, tcp: Vector) -> OnnxAvoider:
+        session = open_session(path, data)
         own = dict(session.get_modelmeta().custom_metadata_map)
         exported = Exported.of(path, own[KEY]) if KEY in own else None
-        if exported is not None:
-            refuse_foreign_seen_space(exported.seen, settings, path)
-            threshold_m = exported.spread_threshold_m
-        else:
-            threshold_m = _length(path, own.get(THRESHOLD))
+        threshold_m = _length(path, own.get(THRESHOLD)) if exported is None else exported.spread_threshold_m
         outputs = _outputs(path, session, spread_wanted=exported is not None or threshold_m is not None)
         name = "".join(c if c.isprintable() else "?" for c in f"ONNX model {path.name}")
         avoider = cls(name, threshold_m, session, _inputs(path, session, exported), outputs, exported)
-        avoider._try(path, settings)
+        avoider._try(path, hand, tcp)
         return avoider
+
+    @property
+    def seen(self) -> SeenSpace | None:
+        """What a file of ``export`` was trained on; None: the file does not say."""
+        return None if self._exported is None else self._exported.seen
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
@@ -151,10 +149,8 @@ class OnnxAvoider:
         answers: list[NDArray[Any]] = self._session.run(self._outputs, feed)
         return answers
 
-    def _try(self, path: Path, settings: Settings) -> None:
+    def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
         """The same question twice."""
-        hand = np.array(settings.avoidance.nominal_hand_position_in_base_m)
-        tcp = np.array(settings.cell.desired_tcp_position_in_base_m)
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
         except Exception as error:  # onnxruntime's own have no common base but Exception
@@ -172,16 +168,8 @@ class OnnxAvoider:
                 )
 
 
-def open_session(path: Path) -> Any:
+def open_session(path: Path, data: bytes) -> Any:
     """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
-    refuse_no_file(path, "an ONNX file that can be read", ModelError)
-    try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_BYTES + 1)
-    except OSError as error:
-        refuse(path, None, "an ONNX file that can be read", error.strerror or str(error))
-    if len(data) > LARGEST_BYTES:
-        refuse(path, None, f"an ONNX file of at most {LARGEST_BYTES} bytes", "a larger one")
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, segment_segment_distance
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import place_capsules
@@ -24,12 +24,15 @@ def wrist_distance(
 
     ``placed`` (n, 2, 3) as ``place_capsules`` fills it; negative in penetration, NaN if any is NaN.
     """
-    least = np.inf
+    least = np.inf  # pairs are passed over that cannot be as near
     for wrist in range(link_index.shape[0]):
         if link_index[wrist] < FIRST_OF_THE_WRIST:
             continue
         for body in range(link_index.shape[0]):
             if link_index[body] > LAST_OF_THE_BODY:
+                continue
+            radii_m = radius_m[wrist] + radius_m[body]
+            if axes_lower_m(placed[wrist], placed[body]) - radii_m - ROUNDING_M > least:  # never of a NaN
                 continue
             axes = segment_segment_distance(
                 placed[wrist, 0], placed[wrist, 1], placed[body, 0], placed[body, 1]

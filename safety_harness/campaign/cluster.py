@@ -4,6 +4,9 @@ Each chunk is a task, with which the plan's files travel.  Workers have to have 
 package and of its libraries, and refuse otherwise.  They should have one thread and a nanny: a user's
 avoider is interrupted at its deadline on a main thread only, and a worker that hangs is restarted by its
 nanny.
+
+Dask tries a task again whose worker dies, and gives up a task that was on several workers when they died:
+waiting there is enough.  So what it gives up comes once more with nothing beside it before it is blamed.
 """
 
 from __future__ import annotations
@@ -11,17 +14,19 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import os
 import tempfile
 import threading
 import time
 from collections.abc import Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.files import PlanFile, unpacked
@@ -29,12 +34,14 @@ from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import LIMITS, Limits
 from safety_harness.campaign.rows import Row
+from safety_harness.campaign.scheduler import connected
 from safety_harness.campaign.worker import Mistake, PlanFromFile
-from safety_harness.exceptions import CampaignError, InputError, Place, ScenarioError
+from safety_harness.exceptions import CampaignError, InputError
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network
 _ANSWER_S = 30.0
 _LOOK_S = 2.0  # between looks at the cluster as a whole
+_MOST_REFUSED = 10  # chunks in a row that no worker could begin
 _OF_THREAD = threading.local()  # avoiders are not made to be asked by two at once
 
 
@@ -46,13 +53,29 @@ class Shipment:
     identity: Identity
 
 
-def run_chunk(shipment: Shipment, chunk: Chunk) -> list[Row] | Mistake:
-    """What a Dask worker does with a chunk."""
+@dataclass(frozen=True)
+class Unable:
+    """A chunk that a worker could not run; ``times`` as for ``Lost``."""
+
+    why: str
+    times: int = 0
+
+
+def run_chunk(shipment: Shipment, chunk: Chunk) -> list[Row] | Mistake | Unable:
+    """What a Dask worker does with a chunk.
+
+    Nothing is raised: of an exception whose traceback cannot be pickled Dask's client never hears.
+    """
     try:
         bench = _bench(shipment)
         return list(bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations))
     except InputError as error:
-        return Mistake.of(error)
+        mistake = Mistake.of(error)
+        return replace(mistake, got=f"{mistake.got} (the worker {os.uname().nodename}:{os.getpid()})")
+    except MemoryError:
+        return Unable("its worker had no memory left", times=1)
+    except Exception as error:
+        return Unable(described(error))
 
 
 def _bench(shipment: Shipment) -> Bench:
@@ -67,6 +90,16 @@ def _bench(shipment: Shipment) -> Bench:
 
 
 @dataclass(eq=False)
+class _Task:
+    """A chunk under way, given or (``begun``) first seen to be what a worker is at ``since_s``."""
+
+    chunk: Chunk
+    alone: bool  # with nothing beside it
+    since_s: float
+    begun: bool = False
+
+
+@dataclass(eq=False)
 class DaskCrew:
     """A Crew of the workers of a Dask scheduler; ``address`` is tcp://... or the path of a scheduler file.
 
@@ -78,33 +111,15 @@ class DaskCrew:
     address: str
     limits: Limits = LIMITS
     replaced: int = 0
-    _under_way: dict[Any, tuple[Chunk, float]] = field(default_factory=dict)  # by future
+    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of giving
+    _suspects: set[Chunk] = field(default_factory=set)
+    _waiting: Chunk | None = None  # a suspect, until nothing else is under way
     _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    _refused: int = 0
     _mistake: InputError | None = None
 
     def __post_init__(self) -> None:
-        try:
-            from distributed import Client
-        except ImportError:
-            raise ScenarioError(
-                place=Place(field="--cluster"),
-                expected="the library distributed",
-                got="none",
-                hint="pip install 'safety-harness[cluster]'",
-            ) from None
-        is_address = "://" in self.address
-        where = {"address": self.address} if is_address else {"scheduler_file": self.address}
-        try:
-            if not is_address and not Path(self.address).is_file():  # which would be waited for
-                raise FileNotFoundError("no such file")
-            make: Any = Client  # of whose methods some have no types
-            self._client = make(**where, timeout=_ANSWER_S, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise ScenarioError(
-                place=Place(field="--cluster"),
-                expected="the address (tcp://...) or the file of a Dask scheduler that answers",
-                got=f"{self.address}: {error or type(error).__name__}",
-            ) from error
+        self._client = connected(self.address, _ANSWER_S)
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
         self._shipment = Shipment(self.plan.files, self.plan.identity)
         self._looked_s = -math.inf
@@ -112,24 +127,35 @@ class DaskCrew:
 
     @property
     def size(self) -> int:
-        """Threads of all workers when they were counted last, 1 at least: workers may come later."""
+        """Threads of all workers when they were counted last; workers may come later."""
         return self._threads
 
     @property
     def free(self) -> int:
-        """Chunks that are welcome."""
-        return max(self.size * _AHEAD - len(self._under_way), 0)
+        """Chunks that are welcome: none while a suspect waits to be alone, or is."""
+        if self._waiting is not None or any(task.alone for task in self._under_way.values()):
+            return 0
+        return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
 
     def give(self, chunk: Chunk) -> None:
         """As a task of its own."""
+        if chunk in self._suspects:
+            self._waiting = chunk
+        else:
+            self._submit(chunk, alone=False)
+
+    def _submit(self, chunk: Chunk, alone: bool) -> None:
         future = self._client.submit(run_chunk, self._shipment, chunk, pure=False)
-        self._under_way[future] = chunk, time.monotonic()
+        self._under_way[future] = _Task(chunk, alone, time.monotonic())
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
         """Chunks as they come, whole; a mistake in the plan once all before it was told."""
         if self._mistake is not None:
             raise self._mistake
+        if self._waiting is not None and not self._under_way:
+            self._submit(self._waiting, alone=True)
+            self._waiting = None
         events: list[Event] = []
         try:
             future = self._finished.get(timeout=timeout_s)
@@ -153,17 +179,44 @@ class DaskCrew:
             return []
         if future.status == "cancelled":  # by nobody here: the scheduler has forgotten it
             raise self._gone()
-        chunk, _ = self._under_way.pop(future)
+        task = self._under_way.pop(future)
         try:
             if future.status == "error":
-                return [Lost(chunk, f"{type(future.exception(_ANSWER_S)).__name__} on the cluster")]
+                return [self._lost(task, future.exception(_ANSWER_S))]
             found = future.result(_ANSWER_S)
         except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
-            return [Lost(chunk, f"its result could not be fetched: {type(error).__name__}")]
+            return [Lost(task.chunk, f"its result could not be fetched: {type(error).__name__}", times=0)]
         if isinstance(found, Mistake):
             self._mistake = found.error
             return []
-        return [Arrived(chunk, tuple(found), last=True)]
+        if isinstance(found, Unable):
+            return [
+                Lost(task.chunk, found.why, found.times) if found.times else self._refusal(task, found.why)
+            ]
+        self._refused = 0
+        return [Arrived(task.chunk, tuple(found), last=True)]
+
+    def _lost(self, task: _Task, error: BaseException) -> Lost:
+        """A task that Dask gave up."""
+        from distributed import KilledWorker
+
+        if not isinstance(error, KilledWorker):
+            return self._refusal(
+                task, " because of ".join(described(e) for e in (error, error.__cause__) if e)
+            )
+        if len(task.chunk.episodes) == 1:
+            self._suspects.add(task.chunk)
+        return Lost(task.chunk, "its worker died", times=error.allowed_failures + 1 if task.alone else 0)
+
+    def _refusal(self, task: _Task, why: str) -> Lost:
+        """What no episode is to blame for; CampaignError if it goes on."""
+        self._refused += 1
+        if self._refused >= _MOST_REFUSED:
+            raise CampaignError(
+                f"the cluster could not run {_MOST_REFUSED} tasks in a row: {why}; "
+                "is this package on its scheduler and on all of its workers?"
+            )
+        return Lost(task.chunk, why, times=0)
 
     def _gone(self) -> CampaignError:
         return CampaignError(
@@ -176,24 +229,38 @@ class DaskCrew:
             return
         self._looked_s = time.monotonic()
         try:
-            self._threads = max(int(sum(self._client.nthreads().values())), 1)
-            self._look_for_hung(events)
+            threads: dict[str, int] = self._client.nthreads()
+            self._threads = sum(threads.values())
+            self._look_for_hung(threads, events)
         except (OSError, TimeoutError) as error:
             if not events:  # they come first
                 raise self._gone() from error
 
-    def _look_for_hung(self, events: list[Event]) -> None:
-        allowed_s = self.limits.first_s + _AHEAD * self.limits.silence_s
-        now_s = time.monotonic()
-        hung = [future for future, (_, since_s) in self._under_way.items() if now_s - since_s > allowed_s]
+    def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
+        """What was begun too long ago, and what no worker has come to although there are some.
+
+        Of the tasks on a worker the first that were given are the ones that it is at, one a thread.
+        """
+        allowed_s, now_s = self.limits.first_s + self.limits.silence_s, time.monotonic()
+        place = {future.key: k for k, future in enumerate(self._under_way)}
+        at: dict[str, str] = {}
+        for worker, keys in self._client.processing().items():
+            ours = sorted((key for key in keys if key in place), key=place.__getitem__)
+            at |= dict.fromkeys(ours[: threads.get(worker, 1)], worker)
+        hung: dict[Any, str | None] = {}
+        for future, task in self._under_way.items():
+            begun = task.begun or future.key in at
+            if begun > task.begun or not threads:
+                task.begun, task.since_s = begun, now_s
+            elif now_s - task.since_s > allowed_s:
+                hung[future] = at.get(future.key)
         if not hung:
             return
-        keys = {future.key for future in hung}
-        workers = [worker for worker, tasks in self._client.processing().items() if keys & set(tasks)]
         for future in hung:
-            chunk, _ = self._under_way.pop(future)
-            events.append(Lost(chunk, f"no result within {allowed_s:g} s"))
-        self._client.cancel(hung, force=True)
+            task = self._under_way.pop(future)
+            events.append(Lost(task.chunk, f"no result within {allowed_s:g} s", times=int(task.begun)))
+        workers = sorted({worker for worker in hung.values() if worker})
+        self.replaced += len(workers)
+        self._client.cancel(list(hung), force=True)
         if workers:
-            self.replaced += len(workers)
             self._client.restart_workers(workers, timeout=_ANSWER_S, raise_for_error=False)

@@ -31,12 +31,12 @@ class Arrived:
 class Lost:
     """A chunk of which nothing more will come, and why: its worker crashed, hung or grew too large.
 
-    Not ``begun``: before it had come to it, so that none of its episodes can be to blame.
+    ``times`` is how often it was certainly begun and lost: with 0 none of its episodes can be blamed.
     """
 
     chunk: Chunk
     why: str
-    begun: bool = True
+    times: int = 1
 
 
 Event = Arrived | Lost
@@ -47,7 +47,7 @@ class Crew(Protocol):
 
     @property
     def size(self) -> int:
-        """How many work at the same time."""
+        """How many can work at the same time now."""
         ...
 
     @property

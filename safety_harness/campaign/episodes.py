@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import tempfile
 import time
+import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import NAMES, is_a_program
+from safety_harness.admission.avoiders import is_a_program
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_many
+from safety_harness.admission.kinematic import late_by_the_clock, run_many
 from safety_harness.admission.spaces import HOPELESS, why_refused
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, described
@@ -24,7 +26,6 @@ from safety_harness.exceptions import CampaignError, InputError
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
 from safety_harness.scenario.model import Scenario, Verdict
-from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.trials import WITHOUT_FILE, mishap_of
 from safety_harness.seeds import Branch, generator
@@ -36,6 +37,8 @@ from safety_harness.trace.records import Check
 from safety_harness.trace.records import Outcome as Decided
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
+
+_Done = TypeVar("_Done")
 
 
 def root_seed(plan: Plan, stratum: int, episode: int) -> int:
@@ -87,12 +90,12 @@ class Bench:
             return
         for episode in episodes:
             begun_s = time.perf_counter()
-            drawn = self.draw(stratum, episode)
+            drawn = self._drawn(stratum, episode)
             if isinstance(drawn, Row):
                 yield drawn
                 continue
             run = _in_pybullet(drawn.admitted)
-            row = self._row(stratum, drawn, run, keep_violations)
+            row = self._judged(stratum, drawn, run, keep_violations)
             yield replace(row, seconds=time.perf_counter() - begun_s)
 
     def scenario(self, stratum: int, episode: int, draw: int) -> Scenario:
@@ -128,15 +131,39 @@ class Bench:
 
     def _together(self, stratum: int, episodes: Sequence[int], keep_violations: bool) -> Iterator[Row]:
         begun_s = time.perf_counter()
-        drawn = [self.draw(stratum, episode) for episode in episodes]
+        drawn = [self._drawn(stratum, episode) for episode in episodes]
         ready = [one for one in drawn if isinstance(one, Drawn)]
         runs = iter(_in_kinematic([one.admitted for one in ready]))
         rows = [
-            one if isinstance(one, Row) else self._row(stratum, one, next(runs), keep_violations)
+            one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
             for one in drawn
         ]
         each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
         yield from (replace(row, seconds=each_s) for row in rows)
+
+    def _drawn(self, stratum: int, episode: int) -> Drawn | Row:
+        return self._guarded(stratum, episode, lambda: self.draw(stratum, episode))
+
+    def _judged(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
+        return self._guarded(stratum, drawn.episode, lambda: self._row(stratum, drawn, run, keep_violations))
+
+    def _guarded(
+        self, stratum: int, episode: int, work: Callable[[], _Done], again: bool = True
+    ) -> _Done | Row:
+        """An error of ours would come in every worker: once it has come twice, the episode has failed to run.
+
+        InputError, where the plan is to blame, and MemoryError, where this process is, are raised.
+        """
+        try:
+            return work()
+        except (InputError, MemoryError):
+            raise
+        except Exception as error:
+            if again:
+                return self._guarded(stratum, episode, work, again=False)
+            seed = root_seed(self.plan, stratum, episode)
+            failure = f"an error of the harness itself: {described(error)}{_where(error)}"
+            return Row.failed(stratum, episode, seed, len(self.plan.claims), failure)
 
     def _row(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
         if isinstance(run, Exception):
@@ -233,15 +260,15 @@ def trace_bytes(trace: Trace) -> bytes:
         return file.read_bytes()
 
 
-def _answers_count(admitted: Admitted) -> bool:
-    """Is the avoider ours, whose answers never come too late, so that a run repeats on a busy machine?"""
-    reference = admitted.scenario.avoider
-    return reference in NAMES or reference.endswith(MODEL_SUFFIX)
+def _where(error: Exception) -> str:
+    """The deepest line, of whichever file: there is no traceback in a ledger."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
 
 
 def _in_pybullet(admitted: Admitted) -> Trace | Exception:
     try:
-        return run_trial(admitted, by_the_clock=not _answers_count(admitted))
+        return run_trial(admitted, by_the_clock=late_by_the_clock(admitted.avoider))
     except Exception as error:  # one run's failure is a result
         return error
 

@@ -11,6 +11,7 @@ from typing import Any
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.exceptions import OutputError, Place, ScenarioError
 from safety_harness.statistics.sample import Outcome
+from safety_harness.whole_file import replacing
 
 # Name, where it is, and its type in Parquet.
 _COLUMNS = (
@@ -55,16 +56,11 @@ def export(ledger: Ledger, out: Path) -> int:
         raise ScenarioError(
             place=Place(file=out), expected=f"a file that ends in {' or '.join(SUFFIXES)}", got=out.name
         )
-    unfinished = out.with_name(f".{out.name}.part")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        count = _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
-        unfinished.replace(out)
+        with replacing(out) as unfinished:
+            return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
     except OSError as error:
         raise OutputError.of(out, error) from error
-    finally:
-        unfinished.unlink(missing_ok=True)
-    return count
 
 
 def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
@@ -75,7 +71,8 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
         for stratum, episode, violation in ledger.traces():
             word = "violation" if violation else "random"
             path = folder / f"stratum-{stratum + 1}-episode-{episode}-{word}.trace"
-            path.write_bytes(ledger.trace(stratum, episode) or b"")
+            with replacing(path) as unfinished:
+                unfinished.write_bytes(ledger.trace(stratum, episode) or b"")
             paths.append(path)
     except OSError as error:
         raise OutputError.of(folder, error) from error

@@ -6,10 +6,9 @@ before leaves no part of a batch.  Others may read while one process writes.
 
 from __future__ import annotations
 
-import os
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -25,6 +24,7 @@ from safety_harness.campaign.rows import Row
 from safety_harness.campaign.schema import create as create_tables
 from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
+from safety_harness.whole_file import replacing
 
 _EPISODE = f"INSERT INTO episode VALUES ({', '.join('?' * 15)})"
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
@@ -46,11 +46,8 @@ class Ledger:
         """A ledger without episodes at ``path``, where there must be none: whole or not at all."""
         if path.exists():
             raise LedgerError(place=Place(file=path), expected="no file there yet", got="one")
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            unfinished.unlink(missing_ok=True)
-            with explained(path):
+            with replacing(path) as unfinished, explained(path):
                 connection = sqlite3.connect(unfinished, isolation_level=None)
                 try:
                     connection.execute("BEGIN")
@@ -59,12 +56,8 @@ class Ledger:
                     connection.execute("COMMIT")
                 finally:
                     connection.close()
-            os.replace(unfinished, path)
         except OSError as error:
             raise OutputError.of(path, error) from error
-        finally:
-            with suppress(OSError):
-                unfinished.unlink(missing_ok=True)
         return cls.open(path, write=True, check=False)
 
     @classmethod

@@ -9,6 +9,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import explained, only_runner
 from safety_harness.campaign.session import plan_of
 from safety_harness.exceptions import LedgerError, OutputError, Place
+from safety_harness.whole_file import replacing
 
 _EPISODE = "seed, draws, decisions, proposed, opposite, stopped, faults, late, mishap, failure"
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
@@ -28,21 +29,25 @@ def merge(into: Path, ledgers: Sequence[Path]) -> int:
             raise LedgerError(
                 place=Place(file=ledgers[0]), expected="a plan of fixed length", got="one that may stop early"
             )
-        unfinished = into.with_name(f".{into.name}.part")
         try:
-            with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
-                for path in ledgers:
-                    with Ledger.open(path) as part:
-                        part.refuse_other(whole.declared.identity)
-                    _take_over(whole, path)
-                count = next(whole.all("SELECT count(*) FROM episode"))[0]
-            unfinished.replace(into)
+            with replacing(into) as unfinished:
+                return _merged(unfinished, first, ledgers)
         except OSError as error:
             raise OutputError.of(into, error) from error
-        finally:
-            for suffix in ("", "-wal", "-shm"):
-                unfinished.with_name(unfinished.name + suffix).unlink(missing_ok=True)
-        return int(count)
+
+
+def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
+    """How many episodes there are in all; nothing is left beside the file."""
+    try:
+        with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
+            for path in ledgers:
+                with Ledger.open(path) as part:
+                    part.refuse_other(whole.declared.identity)
+                _take_over(whole, path)
+            return int(next(whole.all("SELECT count(*) FROM episode"))[0])
+    finally:
+        for suffix in ("-wal", "-shm"):
+            unfinished.with_name(unfinished.name + suffix).unlink(missing_ok=True)
 
 
 def _take_over(whole: Ledger, path: Path) -> None:

@@ -8,7 +8,6 @@ there at once.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 import time
 from collections.abc import Sequence
@@ -18,8 +17,9 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 
 from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost, MakesBench
+from safety_harness.campaign.pool import one_thread_each
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.worker import ONE_THREAD, Done, Mistake, Ready, resident_bytes, work
+from safety_harness.campaign.worker import Done, Mistake, Ready, resident_bytes, work
 from safety_harness.exceptions import CampaignError, InputError
 
 _MOST_FALSE_STARTS = 10
@@ -77,8 +77,7 @@ class Processes:
     _mistake: InputError | None = None
 
     def __post_init__(self) -> None:
-        for name in ONE_THREAD:  # before the workers import any library
-            os.environ.setdefault(name, "1")
+        one_thread_each()
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["safety_harness.campaign.worker"])
         self._workers += [self._started() for _ in range(self.size)]
@@ -195,7 +194,7 @@ class Processes:
                     f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}"
                 )
         if worker.chunk is not None:
-            events.append(Lost(worker.chunk, why, begun=worker.ready))
+            events.append(Lost(worker.chunk, why, times=int(worker.ready)))
         self.replaced += 1
         self._renew(worker)
 

@@ -40,6 +40,7 @@ class Progress:
     seconds: float
     retried: int
     replaced: int
+    workers: int
 
     @property
     def rate(self) -> float:
@@ -160,14 +161,14 @@ class _Runner:
     def _lost(self, event: Lost) -> None:
         """One at a time again; an episode that is lost alone too often has failed to run."""
         waiting = sorted(self._out.pop(event.chunk))
-        to_blame = event.begun and len(event.chunk.episodes) == 1
+        blamed = event.times if len(event.chunk.episodes) == 1 else 0
         self._retried += len(waiting)
         for episode in waiting:
             key = (event.chunk.stratum, episode)
-            self._tried[key] += to_blame
+            self._tried[key] += blamed
             if self._tried[key] >= ATTEMPTS:
                 seed = root_seed(self.plan, *key)
-                why = f"failed to run, {ATTEMPTS} times: {event.why}"
+                why = f"failed to run, {self._tried[key]} times: {event.why}"
                 self._rows.append(Row.failed(*key, seed, len(self.plan.claims), why))
                 self._done += 1
             else:
@@ -212,4 +213,5 @@ class _Runner:
 
     def _progress(self) -> Progress:
         seconds = time.monotonic() - self._begun_s
-        return Progress(self.tally, self._done, seconds, self._retried, self.crew.replaced)
+        crew = self.crew
+        return Progress(self.tally, self._done, seconds, self._retried, crew.replaced, crew.size)

@@ -67,6 +67,11 @@ class Tally:
         return sum(stratum.planned for stratum in self.strata)
 
     @property
+    def failed(self) -> int:
+        """Episodes that could not be run."""
+        return sum(stratum.failed for stratum in self.strata)
+
+    @property
     def complete(self) -> bool:
         """Is there nothing left to run?"""
         return all(stratum.complete for stratum in self.strata)

@@ -17,8 +17,6 @@ from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import read_plan
 from safety_harness.exceptions import InputError, LedgerError, Place
 
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-
 
 @dataclass(frozen=True)
 class Mistake:

@@ -19,8 +19,8 @@ from safety_harness.certification.json_file import part, read_json
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
-from safety_harness.report.text_file import write_whole
 from safety_harness.scenario.files import refuse_no_file, resolved
+from safety_harness.whole_file import write_whole
 
 PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
     "evidence.html",

@@ -38,8 +38,8 @@ from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.text_file import write_whole
 from safety_harness.report.timeline import timeline
+from safety_harness.whole_file import write_whole
 
 MEANINGS = {
     Standing.SHOWN: "the upper bound of the violation probability is at or below the target in every stratum",

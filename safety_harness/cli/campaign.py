@@ -22,6 +22,7 @@ from safety_harness.cli.campaign_lines import (
     bound_lines,
     claim_lines,
     difference_line,
+    failure_lines,
     summary,
 )
 from safety_harness.cli.console import (
@@ -169,14 +170,14 @@ def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
-    return DIFFERS if any(stratum.failed for stratum in tally.strata) else AS_EXPECTED
+    return DIFFERS if tally.failed else AS_EXPECTED
 
 
 def _tell(ledger: Ledger) -> None:
     tally = tally_of(ledger)
     result(f"{ledger.path}: {ledger.declared.title}")
     result(summary(ledger.declared, tally))
-    for line in claim_lines(ledger.declared, tally):
+    for line in failure_lines(ledger) + claim_lines(ledger.declared, tally):
         result(line)
     if tally.complete:
         for line in bound_lines(ledger):

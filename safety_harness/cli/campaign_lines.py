@@ -25,6 +25,7 @@ from safety_harness.statistics.paired import Comparison
 from safety_harness.statistics.sample import Outcome
 
 _EVERY_S = 30.0  # where there is no terminal
+_MOST_REASONS = 5
 
 
 def summary(declared: Declared, tally: Tally) -> str:
@@ -56,6 +57,21 @@ def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Tally) -> li
         words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
         lines.append(f"  {unit.margin_text(one.worst):>14}  {claim}: {words}")
     return lines
+
+
+def failure_lines(ledger: Ledger) -> list[str]:
+    """Why episodes failed to run or left no record of a whole run, the most frequent reasons first."""
+    question = (
+        "SELECT count(*), failure, stratum, min(episode) FROM episodes WHERE failure IS NOT NULL "
+        "GROUP BY failure ORDER BY 1 DESC, 2"
+    )
+    found = list(ledger.all(question))
+    lines = [
+        f"  {count} times: {why} (first: {stratum}, episode {episode})"
+        for count, why, stratum, episode in found[:_MOST_REASONS]
+    ]
+    more = sum(count for count, *_ in found[_MOST_REASONS:])
+    return lines + ([f"  {more} times: another of {len(found) - _MOST_REASONS} reasons"] if more else [])
 
 
 def bound_lines(ledger: Ledger) -> list[str]:
@@ -116,8 +132,12 @@ class CampaignProgress:
             f"{progress.tally.done}/{progress.tally.planned} episodes, {progress.rate:.1f} a second, "
             f"{_time_left(progress.left_s)}"
         )
+        if not progress.workers:
+            head += "; NO WORKER IS THERE"
         if progress.retried or progress.replaced:
             head += f"; {progress.replaced} workers replaced, {progress.retried} episodes tried again"
+        if progress.tally.failed:
+            head += f"; {progress.tally.failed} FAILED TO RUN"
         claims = tuple(claim.sentence for claim in self.plan.claims)
         lines = [head, *_lines(claims, tuple(claim.unit for claim in self.plan.claims), progress.tally)]
         if self._live is not None:

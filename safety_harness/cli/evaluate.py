@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -26,6 +25,7 @@ from safety_harness.learning.metrics import Coverage, Errors
 from safety_harness.learning.spaces import seen
 from safety_harness.proportions import Proportion
 from safety_harness.settings import DEFAULTS
+from safety_harness.whole_file import write_whole
 
 SCHEMA = "safety-harness evaluation 1"
 FEWEST, MOST = 10, 1_000_000  # samples of a set
@@ -224,11 +224,8 @@ def _proportion(found: Proportion) -> dict[str, Any]:
 
 def _write(document: dict[str, Any], out: Path) -> None:
     """The file is replaced whole."""
-    temporary = out.with_name(out.name + ".part")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", "utf-8")
-        os.replace(temporary, out)
+        write_whole(out, json.dumps(document, indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise OutputError(
             place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)

@@ -54,7 +54,7 @@ def verify(
         typer.Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
     ] = False,
 ) -> None:
-    """Check a report: files, plan, ledger, stored traces, numbers and page computed anew, some runs again.
+    """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
 
     What has changed since (source, versions, networks, platform) is named, and so is what was not checked.
     Exit code 0: the report stands; 1: it does not, and why; 2: no report, or a program in it that may not be
@@ -85,9 +85,9 @@ def selftest(
     A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
     table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
     the faults are seeded into yours. Harmless changes are tried as well, and must raise no alarm.
-    Ctrl-C keeps what was tried.
-    Exit code 0; 1: a fault survives that is no stated limit, or a harmless change raises an alarm; 2: bad
-    input; 130: interrupted.
+    What was tried is kept, however it ends.
+    Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
+    fault applies; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.selftest import selftest as try_harness
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from safety_harness.exceptions import InputError, OutputError, Place, ScenarioEr
 from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.files import decode, files_of, read_bytes
 from safety_harness.scenario.layout import laid_out
+from safety_harness.whole_file import write_whole
 
 
 def format_files(paths: Sequence[Path], *, check: bool) -> int:
@@ -36,12 +36,9 @@ def _format(file: Path, *, check: bool) -> bool:
         return False
     result(f"{'would change' if check else 'changed'} {file}")
     if not check:
-        temporary = file.with_name(f".{file.name}.part")
         try:
-            temporary.write_text(text, encoding="utf-8", newline="\n")
-            os.replace(temporary, file)
+            write_whole(file, text)
         except OSError as error:
-            temporary.unlink(missing_ok=True)
             expected = "a file that can be written"
             raise OutputError(
                 place=Place(file=file), expected=expected, got=error.strerror or str(error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shlex
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from safety_harness.campaign.pool import one_thread_each
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
@@ -20,7 +20,7 @@ from safety_harness.reproduction.part import Part
 from safety_harness.reproduction.plan import measuring_order, parts_named
 from safety_harness.reproduction.result import Result
 from safety_harness.reproduction.scale import Scale, scale_named
-from safety_harness.reproduction.work import ONE_THREAD, Done, Task, Workshop, in_order
+from safety_harness.reproduction.work import Done, Task, Workshop, in_order
 
 PAGE, DATA, WORK = "reproduction.html", "reproduction.json", "work"
 LIBRARIES = ("numpy", "numba", "torch", "pybullet", "eaik")
@@ -39,8 +39,7 @@ def reproduce(
     One line a verdict goes to standard output.  Exit code 0; 1 if a step failed; 2 for bad input, nothing was
     measured; 130 after Ctrl-C: finished steps are kept, and the page says what is missing.
     """
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
+    one_thread_each()
     try:
         parts, chosen = parts_named(what), scale_named(scale)
         _check(seed, jobs)

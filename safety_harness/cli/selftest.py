@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import shlex
 import time
+from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -45,10 +46,10 @@ def selftest(
 ) -> int:
     """Try every fault (those with ``fault`` in their name), print the kill table, write page and JSON.
 
-    Exit code 0; 1: a fault survives that is no stated limit, or a harmless change raises an alarm; 2: bad
-    input; 130 after Ctrl-C: what was tried is printed and written.
+    Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, no fault
+    applies, or it could not be carried through; 2: bad input; 130 after Ctrl-C.  What was tried is printed
+    and written whatever happens, the JSON after each fault.
     """
-    begun_s = time.monotonic()
     try:
         plan = Plan(profile_named(profile), scenarios, avoider)
         numbers = _numbers(fault, jobs)
@@ -63,25 +64,31 @@ def selftest(
         return INTERRUPTED
     for remark in remarks:
         say(remark)
-    session = _Session(numbers)
-    session.run(plan, jobs)
-    about = About(
-        profile=plan.profile.name,
-        avoider=avoider,
-        scenarios=str(scenarios),
-        episodes=len(suite.episodes),
-        pool=len(suite.pool),
-        planned=len(numbers),
-        seconds=round(time.monotonic() - begun_s, 1),
-        command=_command(scenarios, profile, avoider, fault, out, jobs),
-        package_version=metadata.version("safety-harness"),
-        source_hash=source_hash(),
-        platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
-        generated_at=datetime.now(UTC),
-        remarks=tuple(remarks),
-        interrupted=session.interrupted,
-    )
-    return session.finish(out, about)
+
+    def about(seconds: float, interrupted: bool) -> About:
+        return About(
+            profile=plan.profile.name,
+            avoider=avoider,
+            scenarios=str(scenarios),
+            episodes=len(suite.episodes),
+            planned=len(numbers),
+            seconds=round(seconds, 1),
+            command=_command(scenarios, profile, avoider, fault, out, jobs),
+            package_version=metadata.version("safety-harness"),
+            source_hash=source_hash(),
+            platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
+            generated_at=datetime.now(UTC),
+            remarks=tuple(remarks),
+            interrupted=interrupted,
+        )
+
+    session = _Session(numbers, out, about)
+    try:
+        session.run(plan, jobs)
+        return session.finish()
+    except OSError as error:
+        explain(OutputError.of(out, error))
+        return BAD_INPUT
 
 
 def _numbers(words: str | None, jobs: int) -> list[int]:
@@ -108,27 +115,46 @@ def _command(
 
 @dataclass(eq=False)
 class _Session:
-    """The faults tried so far."""
+    """The faults tried so far; each is written down when it is finished, whatever happens to the rest."""
 
     numbers: list[int]
+    out: Path
+    about: Callable[[float, bool], About]
     done: dict[str, Outcome] = field(default_factory=dict)
     interrupted: bool = False
     broken: str = ""
+    begun_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def tried(self) -> list[Outcome]:
+        """In the order of the catalogue."""
+        return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
 
     def run(self, plan: Plan, jobs: int) -> None:
-        """Until all are tried, or Ctrl-C."""
+        """Until all are tried, or Ctrl-C, or a defect.  OSError if nothing can be written."""
+        found = outcomes(plan, self.numbers, jobs)
         try:
-            for one in outcomes(plan, self.numbers, jobs):
+            while (one := next(found, None)) is not None:
                 self.done[one.fault] = one
                 say(f"[{len(self.done)}/{len(self.numbers)}] {one.part}: {one.fault}: {_words(one)}")
+                self.write()
         except KeyboardInterrupt:
             self.interrupted = True
         except BrokenProcessPool:
             self.broken = "a process ended before its time (for its memory, or by hand)"
+        except OSError:
+            raise
+        except Exception as error:  # what was tried must not be lost for it
+            self.broken = f"{type(error).__name__}: {error}, a defect of safety-harness"
 
-    def finish(self, out: Path, about: About) -> int:
-        """Print, write; returns the exit code."""
-        tried = [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
+    def write(self) -> None:
+        """JSON of what there is.  Raises OSError."""
+        unfinished = len(self.done) < len(self.numbers)
+        write_document(self.out / DATA, self.tried, self.about(time.monotonic() - self.begun_s, unfinished))
+
+    def finish(self) -> int:
+        """Print, write; returns the exit code.  Raises OSError."""
+        tried = self.tried
         faults, harmless = in_table(tried)
         for head, rows in (
             (HEAD, [row(o) for o in faults]),
@@ -138,18 +164,18 @@ class _Session:
                 result(line)
             result("")
         result(summary(tally_of(tried)))
-        try:
-            write_page(out / PAGE, tried, about)
-            write_document(out / DATA, tried, about)
-        except OSError as error:
-            explain(OutputError.of(out, error))
-            return BAD_INPUT
-        say(f"page: {out / PAGE} (for programs: {DATA})")
+        self.write()
+        unfinished = len(tried) < len(self.numbers)
+        write_page(self.out / PAGE, tried, self.about(time.monotonic() - self.begun_s, unfinished))
+        say(f"page: {self.out / PAGE} (for programs: {DATA})")
         if self.interrupted:
             say(f"interrupted: {len(tried)} of {len(self.numbers)} were tried")
             return INTERRUPTED
         if self.broken:
             say(f"error: {self.broken}; {len(tried)} of {len(self.numbers)} were tried")
+            return DIFFERS
+        if not any(one.applies for one in tried):
+            say("error: nothing was tried: none of these faults applies to such an avoider")
             return DIFFERS
         return DIFFERS if bad(tried) else AS_EXPECTED
 

@@ -15,13 +15,13 @@ from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
-from safety_harness.report.text_file import write_whole
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.boxes import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.whole_file import write_whole
 
 PICTURES = (".png", ".svg", ".pdf")
 

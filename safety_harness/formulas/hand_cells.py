@@ -12,16 +12,14 @@ from safety_harness.formulas.cells import absent, rises, tcp_way_m, tent
 from safety_harness.formulas.signal import Sampled
 from safety_harness.properties.hand_distance import (
     RESOLUTION_M,
-    capsules_of,
     followed_hands,
     instants,
     joint_bend_m,
-    joint_reach_m,
 )
 from safety_harness.properties.hand_paths import HandPaths, hand_bend_m
+from safety_harness.properties.true_motion import capsules_of, joint_reach_m
 from safety_harness.robot.closest_approach import DEEPEST, approach_between
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import chain_lengths
 from safety_harness.trace.trace import Trace
 
 
@@ -99,19 +97,20 @@ def _certified(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]
     """(n-1,) lower bound of one hand's distance within each tick; NaN where it is not known."""
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    _, link_index, start_in_link, end_in_link, radius_m = capsules_of(arm, settings)
+    capsules = capsules_of(trace)
     at, joints_rad, hand_m, elbow_m, _, slack_m = instants(trace, paths, hand)
     bounds = _bounds(
         arm.joint_origins,
         arm.joint_axes,
         arm.flange,
-        link_index,
-        start_in_link,
-        end_in_link,
-        radius_m,
+        capsules.link_index,
+        capsules.start_in_link,
+        capsules.end_in_link,
+        capsules.radius_m,
         joints_rad,
         hand_m,
         elbow_m,
+        joint_reach_m(trace),
         settings.hand.radius_m,
         settings.hand.forearm_radius_m,
         RESOLUTION_M,
@@ -134,13 +133,13 @@ def _bounds(
     joints_rad: NDArray[np.float64],  # (n, 6)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
 ) -> NDArray[np.float64]:
     """(n-1,) certified lower bound of the distance from each instant to the next."""
     bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
-    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
     for k in range(bounds.shape[0]):
         bounds[k], _, _ = approach_between(

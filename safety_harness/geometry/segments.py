@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import inlined
 
+ROUNDING_M = 1e-9  # by which a bound of a distance, computed otherwise, may be off
+
 
 @inlined
 def point_segment_distance(
@@ -23,6 +25,20 @@ def point_segment_distance(
         t = min(max((wx * ux + wy * uy + wz * uz) / squared, 0.0), 1.0)
     dx, dy, dz = wx - t * ux, wy - t * uy, wz - t * uz
     return sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inlined
+def axes_lower_m(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Two segments (2, 3) are no nearer [m], but for ROUNDING_M: no point is farther from a middle than half.
+
+    A third of the work of ``segment_segment_distance``; below zero where they may touch.
+    """
+    between, one, other = 0.0, 0.0, 0.0
+    for i in range(3):
+        between += (0.5 * (a[0, i] + a[1, i]) - 0.5 * (b[0, i] + b[1, i])) ** 2
+        one += (a[1, i] - a[0, i]) ** 2
+        other += (b[1, i] - b[0, i]) ** 2
+    return sqrt(between) - 0.5 * (sqrt(one) + sqrt(other))
 
 
 @inlined

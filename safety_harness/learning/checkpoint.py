@@ -7,7 +7,6 @@ epoch draws from a generator of its own, a leaf of the training's seed.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +19,8 @@ from safetensors.numpy import save
 
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.recipes import Recipe
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness checkpoint 1"
 KEY = "safety_harness"  # of the metadata
@@ -94,19 +95,16 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
         {f"{group}/{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()},
         metadata={KEY: json.dumps(text, sort_keys=True)},
     )
-    temporary = path.with_name(path.name + ".part")
     try:
-        with temporary.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        with replacing(path) as unfinished:
+            unfinished.write_bytes(content)
     except OSError as error:
         raise OutputError.of(path, error) from error
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
     """Read the checkpoint of *this* training; ModelError if it is of another one, or damaged."""
+    refuse_no_file(path, "a checkpoint of a training", ModelError)
     try:
         with safe_open(path, framework="np") as file:
             text = json.loads((file.metadata() or {}).get(KEY, "null"))
@@ -120,7 +118,7 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
             raise _refused(path, name, *_difference(expected, text.get(name)))
     try:
         history = tuple(Epoch(**epoch) for epoch in text["history"])
-        members = range(history[-1].member + 1)
+        members = range(recipe.members)[: history[-1].member + 1]
     except (KeyError, IndexError, TypeError) as error:
         raise _refused(path, "history", "the epochs that were trained", repr(error)) from error
     return Checkpoint(

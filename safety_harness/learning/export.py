@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import logging
-import os
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,6 +38,7 @@ from safety_harness.avoidance.onnx_model import (
 )
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.networks import RegressionResNet, load_tensors
+from safety_harness.whole_file import replacing
 
 ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
 MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
@@ -122,24 +122,16 @@ def write_export(model: Model, source: bytes, out: Path, format: Format, *, seed
         Format.TORCHSCRIPT: (_torchscript_bytes, _load_torchscript),
     }[format]
     data = write(model, json.dumps(metadata, sort_keys=True))
-    temporary = out.with_name(out.name + ".part")
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
-        try:
-            found_m = difference(model, load(temporary), seed=seed)
+        with replacing(out) as unfinished:
+            unfinished.write_bytes(data)
+            found_m = difference(model, load(unfinished), seed=seed)
             if not found_m <= MOST_DIFFERENT_M:
                 raise ModelError(
                     place=Place(file=out),
                     expected=f"the original's answers to {1e3 * MOST_DIFFERENT_M:g} mm",
                     got=f"a difference of {1e3 * found_m:.3g} mm",
                 )
-            os.replace(temporary, out)
-        finally:
-            temporary.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(
             place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
@@ -248,7 +240,7 @@ def _torchscript_bytes(model: Model, metadata: str) -> bytes:
 
 
 def _load_onnx(path: Path) -> Function:
-    session = open_session(path)
+    session = open_session(path, path.read_bytes())  # just written
 
     def function(
         hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import platform
 import zipfile
 from dataclasses import asdict, fields
@@ -28,6 +27,7 @@ from safety_harness.learning.dataset import CompactDataset
 from safety_harness.learning.spaces import Space
 from safety_harness.scenario.files import decode, read_bytes, refuse_no_file
 from safety_harness.settings import Settings
+from safety_harness.whole_file import replacing, write_whole
 
 FORMAT = "safety-harness dataset 1"
 ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
@@ -84,14 +84,9 @@ def save_dataset(dataset: CompactDataset, folder: Path) -> None:
     a folder that does not load.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        temporary = folder / (ARRAYS + ".part")
-        with temporary.open("wb") as file:
+        with replacing(folder / ARRAYS) as unfinished, unfinished.open("wb") as file:
             np.savez(file, allow_pickle=False, **_arrays(dataset))
-        os.replace(temporary, folder / ARRAYS)
-        temporary = folder / (MANIFEST + ".part")
-        temporary.write_text(json.dumps(manifest_of(dataset), indent=1, allow_nan=False) + "\n", "utf-8")
-        os.replace(temporary, folder / MANIFEST)
+        write_whole(folder / MANIFEST, json.dumps(manifest_of(dataset), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise OutputError(
             place=Place(file=folder), expected="a folder that can be written", got=str(error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,15 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.true_motion import true_motion
+from safety_harness.properties.least_separation import faster_mps
+from safety_harness.properties.true_motion import joint_reach_m, true_motion
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
+from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.scenario.units import ACCELERATION, ANGULAR_ACCELERATION
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace
 
 MOVES_RADPS, MOVES_MPS = 1e-3, 1e-3
+ROUNDING_MPS = 1e-9  # by which a bound, computed otherwise, may be off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,19 +39,18 @@ class JointAccelerations:
         problem = unreadable(trace, ("joint_velocity_radps",))
         if problem is not None:
             return inconclusive(self, problem)
-        velocity = history(trace, "joint_velocity_radps")
-        if len(velocity) < 2:
+        if len(trace.ticks) < 2:
             return inconclusive(self, "one tick alone has no acceleration")
-        size = np.abs(np.diff(velocity, axis=0)) / trace.scenario.settings.clock.control_period_s  # (n-1, 6)
-        tick, joint = np.unravel_index(int(np.argmax(size)), size.shape)
+        period_s = trace.scenario.settings.clock.control_period_s
+        hardest_radps2, tick, joint, turning = _hardest_of_joints(true_motion(trace).rates_radps, period_s)
         name = load_arm(trace.scenario.robot.arm_name).joint_names[joint]
         return judged(
             self,
             trace,
-            margin=self.maximum_radps2 - float(size[tick, joint]),
+            margin=self.maximum_radps2 - hardest_radps2,
             worst_time_s=float(trace.time_s[tick]),
-            reason=f"{name} {np.degrees(size[tick, joint]):.0f} deg/s2",
-            exercised=int(np.count_nonzero(np.abs(velocity).max(axis=1) > MOVES_RADPS)),
+            reason=f"{name} {np.degrees(hardest_radps2):.0f} deg/s2",
+            exercised=turning,
         )
 
 
@@ -56,7 +58,7 @@ class JointAccelerations:
 class TcpAcceleration:
     """min over time of ``maximum_mps2`` less the mean acceleration of the TCP from tick to tick.
 
-    Its velocity at a tick is that of the joints, by the Jacobian.
+    Its velocity at a tick is that of the joints, by the Jacobian.  Exercised by ticks at which it moves.
     """
 
     maximum_mps2: float
@@ -69,57 +71,89 @@ class TcpAcceleration:
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every control period."""
-        problem = unreadable(trace, ("joint_position_rad", "joint_velocity_radps"))
+        problem = unreadable(trace, ("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps"))
         if problem is not None:
             return inconclusive(self, problem)
-        velocity = tcp_velocity_in_base_mps(trace)
-        if len(velocity) < 2:
+        if len(trace.ticks) < 2:
             return inconclusive(self, "one tick alone has no acceleration")
-        change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-        size = change / trace.scenario.settings.clock.control_period_s
-        tick = int(np.argmax(size))
+        arm, true = load_arm(trace.scenario.robot.arm_name), true_motion(trace)
+        change_mps, tick = _hardest_of_tcp(
+            arm.joint_origins,
+            arm.joint_axes,
+            arm.flange,
+            joint_reach_m(trace),
+            true.joints_rad,
+            true.rates_radps,
+        )
+        hardest_mps2 = change_mps / trace.scenario.settings.clock.control_period_s
         return judged(
             self,
             trace,
-            margin=self.maximum_mps2 - float(size[tick]),
+            margin=self.maximum_mps2 - hardest_mps2,
             worst_time_s=float(trace.time_s[tick]),
-            reason=f"largest {size[tick]:.2f} m/s2",
-            exercised=int(np.count_nonzero(np.linalg.norm(velocity, axis=1) > MOVES_MPS)),
+            reason=f"largest {hardest_mps2:.2f} m/s2",
+            exercised=int(np.count_nonzero(trace.ticks["tcp_speed_mps"] > MOVES_MPS)),
         )
 
 
-def tcp_velocity_in_base_mps(trace: Trace) -> NDArray[np.float64]:
-    """(n, 3) velocity of the TCP at each tick, from the true joints."""
-    arm = load_arm(trace.scenario.robot.arm_name)
-    found = np.empty((len(trace.ticks), 3))
-    _velocities(
-        arm.joint_origins,
-        arm.joint_axes,
-        arm.flange,
-        true_motion(trace).joints_rad,
-        true_motion(trace).rates_radps,
-        found,
-    )
-    return found
+@compiled
+def _hardest_of_joints(
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    period_s: float,
+) -> tuple[float, int, int, int]:
+    """(acceleration, tick before it, joint), the first of equals; and how many ticks with a turn."""
+    best, tick, joint, turning = -np.inf, 0, 0, 0
+    for k in range(rates_radps.shape[0]):
+        turns = False
+        for j in range(rates_radps.shape[1]):
+            turns |= abs(rates_radps[k, j]) > MOVES_RADPS
+            if k == rates_radps.shape[0] - 1:
+                continue
+            size = abs(rates_radps[k + 1, j] - rates_radps[k, j]) / period_s
+            if size > best:
+                best, tick, joint = size, k, j
+        turning += turns
+    return best, tick, joint, turning
 
 
 @compiled
-def _velocities(
+def _hardest_of_tcp(
     joint_origins: NDArray[np.float64],
     joint_axes: NDArray[np.float64],
     flange: NDArray[np.float64],
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     joints_rad: NDArray[np.float64],  # (n, 6)
-    velocities_radps: NDArray[np.float64],  # (n, 6)
-    found: NDArray[np.float64],  # (n, 3), written
-) -> None:
-    links, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
-    for k in range(joints_rad.shape[0]):
-        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], links)
-        geometric_jacobian(joint_axes, links, jacobian)
-        for i in range(3):
-            found[k, i] = 0.0
-            for j in range(6):
-                found[k, i] += jacobian[i, j] * velocities_radps[k, j]
+    rates_radps: NDArray[np.float64],  # (n, 6)
+) -> tuple[float, int]:
+    """The largest change [m/s] of the TCP's velocity from a tick to the next, and the first with it.
+
+    Velocities are formed where the change can be as large as the largest so far, the likeliest tick first.
+    """
+    n = joints_rad.shape[0]
+    most, first = np.empty(n - 1), 0
+    for k in range(n - 1):
+        most[k] = faster_mps(joints_rad, rates_radps, reach_m, k, k + 1) + ROUNDING_MPS
+        if most[k] > most[first]:
+            first = k
+    links = np.empty((8, 4, 4))
+    best, tick, known = -1.0, -1, -1  # the tick whose velocity is (x, y, z)
+    x = y = z = 0.0
+    for step in range(-1, n - 1):
+        k = step if step >= 0 else first
+        if most[k] < best:
+            continue
+        if known != k:
+            forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], links)
+            x, y, z = tcp_velocity(joint_axes, links, rates_radps[k])
+        before_x, before_y, before_z, known = x, y, z, k + 1
+        forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k + 1], links)
+        x, y, z = tcp_velocity(joint_axes, links, rates_radps[k + 1])
+        change = sqrt((x - before_x) ** 2 + (y - before_y) ** 2 + (z - before_z) ** 2)
+        if change > best or (change == best and k < tick):
+            best, tick = change, k
+        elif np.isnan(change) and step >= 0:
+            return change, k
+    return best, tick
 
 
 JOINT_ACCELERATIONS = Entry(

@@ -12,20 +12,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from math import isfinite
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import MAX_HANDS, Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS
-from safety_harness.trace.trace import Trace, history, numbers, once_a_trace
+from safety_harness.trace.records import COLUMNS, as_numbers
+from safety_harness.trace.trace import Trace, once_a_trace
 
 HORIZON_M = 1e3
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
+# (f, 3): first column, the one after the last, and how many there are for each hand; 0 if not of hands
+FIELDS = np.array(
+    [(c.start, c.stop, (c.stop - c.start) // MAX_HANDS * (name in OF_HANDS)) for name, c in COLUMNS.items()]
+)
 
 
 class Unit(Enum):
@@ -130,50 +135,56 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     wrong = first_inconsistency(trace)
     if wrong is not None:
         return f"the trace contradicts itself: {wrong}"
+    unreal = first_unreal(trace)
     for name in fields:
-        row = first_unreal(trace, name)
-        if row >= 0:
-            return f"{name} is not finite from {trace.time_s[row]:.3f} s"
+        if name in unreal:
+            return f"{name} is not finite from {trace.time_s[unreal[name]]:.3f} s"
     return None
 
 
-def first_unreal(trace: Trace, name: str) -> int:
-    """The first tick at which a floating-point field is not finite, of a hand that is there; -1 if none."""
-    known = _first_unreal(trace)
-    if name not in known:
-        columns, present = numbers(trace)[COLUMNS[name]], history(trace, "hand_present")
-        width = len(columns) // present.shape[1] if name in OF_HANDS else 0
-        known[name] = _first_row(columns, width, present)
-    return known[name]
+@once_a_trace
+def first_unreal(trace: Trace) -> dict[str, int]:
+    """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
+    rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
+    first = _first_unreal(rows, endless(trace), FIELDS, present).tolist()
+    return {name: tick for name, tick in zip(COLUMNS, first, strict=True) if tick < len(rows)}
 
 
 @once_a_trace
-def _first_unreal(_: Trace) -> dict[str, int]:
-    """By field, those that somebody has asked for."""
-    return {}
+def endless(trace: Trace) -> NDArray[np.int64]:
+    """(c,) how many values of each column of ``as_numbers`` are not below ENDLESS, NaN among them."""
+    return _endless(as_numbers(trace.ticks))
 
 
 @compiled
-def _first_row(
-    columns: NDArray[np.float64],  # (c, n)
-    width: int,  # of each hand's own; 0 for a field that is not of hands
+def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    found = np.zeros(rows.shape[1], np.int64)
+    for k in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            found[column] += not abs(rows[k, column]) < ENDLESS
+    return found
+
+
+@compiled
+def _first_unreal(
+    rows: NDArray[np.float64],  # (n, c)
+    endless: NDArray[np.int64],  # (c,)
+    fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
-) -> int:
-    """The first of n with one in any column that is not below ENDLESS, or -1."""
-    n = columns.shape[1]
-    first = n
-    for column in range(columns.shape[0]):
-        beyond = 0
-        for k in range(n):
-            beyond += not abs(columns[column, k]) < ENDLESS
-        if beyond == 0:
-            continue
-        for k in range(first):
-            there = width == 0 or present[k, column // width]
-            if there and not abs(columns[column, k]) < ENDLESS:
-                first = k
-                break
-    return first if first < n else -1
+) -> NDArray[np.int64]:
+    """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""
+    found = np.full(fields.shape[0], rows.shape[0])
+    for field in range(fields.shape[0]):
+        start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
+        for column in range(start, stop):
+            if endless[column] == 0:
+                continue
+            for k in range(found[field]):
+                there = width == 0 or present[k, (column - start) // width]
+                if there and not abs(rows[k, column]) < ENDLESS:
+                    found[field] = k
+                    break
+    return found
 
 
 def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
@@ -186,6 +197,14 @@ def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
     begins = state.copy()
     begins[1:] &= ~state[:-1]
     return begins
+
+
+def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(k,) where each stretch of a state (n,) begins, and (k,) the first after its end."""
+    padded = np.zeros(len(state) + 2, np.int8)
+    padded[1:-1] = state
+    change = padded[1:] - padded[:-1]
+    return np.flatnonzero(change == 1), np.flatnonzero(change == -1)
 
 
 def times_begun(state: NDArray[np.bool_]) -> int:
@@ -202,7 +221,7 @@ def judged(
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
     comes from nothing that can have happened and is no evidence at all.
     """
-    if not np.isfinite(margin):
+    if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS
     if margin < 0.0:

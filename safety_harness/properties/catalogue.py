@@ -22,7 +22,7 @@ from safety_harness.properties.protective_separation import (
     PROTECTIVE_SEPARATION_AT,
     PROTECTIVE_SEPARATION_OWN,
 )
-from safety_harness.properties.reaction import GIVES_WAY
+from safety_harness.properties.reaction import GIVES_WAY, GIVES_WAY_TO_TRUE_HAND
 from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
 from safety_harness.properties.starvation import NEVER_STARVED
@@ -42,6 +42,7 @@ CATALOGUE: tuple[Entry, ...] = (
     STOPS,
     FALLBACK_POSES,
     GIVES_WAY,
+    GIVES_WAY_TO_TRUE_HAND,
     FALSE_ALARMS,
     FALSE_ALARMS_WITHIN,
     HAND_PREDICTIONS,

@@ -11,7 +11,7 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_so
 from safety_harness.properties.clearance import OBSTACLES, clearances_m
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.hand_distance import joint_reach_m
+from safety_harness.properties.true_motion import joint_reach_m
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.straight_way import straight_way
 from safety_harness.trace.records import Outcome

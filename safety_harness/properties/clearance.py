@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.own_body import wrist_distance
 from safety_harness.compiled import compiled
 from safety_harness.geometry.segments import segment_segment_distance
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.true_motion import capsules_of
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.simulation.cameras import object_polygon_in_base
-from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
 OBSTACLES = ("table", "object", "robot itself")
@@ -31,7 +30,7 @@ def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.fl
     """
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    capsules = cell_capsules(load_capsules(arm.name), settings)
+    capsules = capsules_of(trace)
     return _clearances(
         arm.joint_origins,
         arm.joint_axes,

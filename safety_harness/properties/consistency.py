@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
 from safety_harness.properties.hand_paths import first_stray, hand_paths
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.true_motion import capsules_of
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.simulation.hand_motion import HAND
-from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
+from safety_harness.simulation.truth import arm_record, fill_truth
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
 from safety_harness.trace.records import TICK, TICK_COMPILED
 from safety_harness.trace.trace import Trace
@@ -39,7 +39,7 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     """
     settings = trace.scenario.settings
     arm = load_arm(trace.scenario.robot.arm_name)
-    capsules = cell_capsules(load_capsules(arm.name), settings)
+    capsules = capsules_of(trace)
     placed = np.empty((len(capsules.names), 2, 3))
     derived = np.zeros(len(trace.ticks), TICK)
     _derive(

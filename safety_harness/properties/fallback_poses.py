@@ -9,7 +9,7 @@ import numpy as np
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.giving_way import Finding
-from safety_harness.properties.positions import reach_m
+from safety_harness.properties.repulsive_pose import reach_m
 from safety_harness.trace.trace import Trace
 
 READS = ("joint_position_rad", "transform_tcp_to_base", "hand_position_in_base_m")

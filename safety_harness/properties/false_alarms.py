@@ -15,7 +15,7 @@ from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.trace.records import Limit
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace, once_a_trace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +71,11 @@ class NoFalseAlarms:
         return settings.avoidance.critical_distance_m + REACHING_MPS * horizon_s
 
 
+@once_a_trace
 def beginnings(trace: Trace) -> NDArray[np.int64]:
     """The ticks (k,) at which the arm begins to give way or decides to, stops at a singularity apart."""
     begins = begins_at(gives_way(trace))
-    begins &= history(trace, "limits") & Limit.SINGULARITY == 0
+    begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
     begins[trace.decisions["tick"]] = True
     return np.flatnonzero(begins)
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, inconclusive, judged
+from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, endless, inconclusive, judged
 from safety_harness.properties.entry import Entry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, DECISION, Outcome
-from safety_harness.trace.trace import Trace, history, numbers
+from safety_harness.trace.records import COLUMNS, DECISION, Outcome, as_numbers
+from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")
 ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
@@ -71,13 +71,15 @@ class FiniteTrace:
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     """(n,) ticks with something that is no number, or no later than the tick before."""
     bad = np.zeros(len(trace.ticks), np.bool_)
-    bad[1:] = ~(np.diff(history(trace, "time_s")) > 0.0)
+    ticks, time_s = trace.ticks, trace.time_s
+    bad[1:] = ~(time_s[1:] > time_s[:-1])
     _mark(
-        numbers(trace),
+        as_numbers(ticks),
+        endless(trace),
         FIELDS,
-        history(trace, "hand_present"),
-        history(trace, "object_visible"),
-        history(trace, "track_valid"),
+        ticks["hand_present"],
+        ticks["object_visible"],
+        ticks["track_valid"],
         bad,
     )
     return bad
@@ -85,25 +87,22 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 
 @compiled
 def _mark(
-    columns: NDArray[np.float64],  # (c, n)
+    rows: NDArray[np.float64],  # (n, c)
+    endless: NDArray[np.int64],  # (c,)
     fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
     visible: NDArray[np.bool_],  # (n,)
     tracked: NDArray[np.bool_],  # (n, tracks)
     bad: NDArray[np.bool_],  # (n,), written
 ) -> None:
-    n = columns.shape[1]
     for field in range(fields.shape[0]):
         start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
         for column in range(start, stop):
-            wrong = 0
-            for k in range(n):
-                wrong += not abs(columns[column, k]) < np.inf
-            if wrong == 0:
+            if endless[column] == 0:
                 continue
             hand = (column - start) * present.shape[1] // (stop - start)
             track = (column - start) * tracked.shape[1] // (stop - start)
-            for k in range(n):
+            for k in range(rows.shape[0]):
                 there = (
                     what == ALWAYS
                     or (what == HAND and present[k, hand])
@@ -111,7 +110,7 @@ def _mark(
                     or (what == TRACK and tracked[k, track])
                     or (what == ANY_TRACK and tracked[k].any())
                 )
-                bad[k] |= there and not abs(columns[column, k]) < np.inf
+                bad[k] |= there and not abs(rows[k, column]) < np.inf
 
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -123,6 +122,8 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions with something that is no number, or no later than the decision before."""
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
+    if len(decisions) == 0:
+        return bad
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0)
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,20 +11,13 @@ from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
-from safety_harness.properties.true_motion import true_motion
-from safety_harness.robot.capsules import CapsuleSet, load_capsules
+from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
 from safety_harness.robot.closest_approach import DEEPEST, approach_between
-from safety_harness.robot.description import ArmModel, load_arm
-from safety_harness.robot.distance import (
-    chain_lengths,
-    hand_distance,
-    place_capsules,
-)
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
-from safety_harness.settings import Settings
-from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -73,7 +65,7 @@ class HandDistance:
         distance_m, time_s, hand = closest_approach(trace, paths)
         near = true_motion(trace).nearest_m < self.near_m
         name = trace.scenario.hands[hand].name
-        part = capsule_name(trace, int(np.argmin(history(trace, "hand_distance_m")[:, hand])), hand)
+        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
         return judged(
             self,
             trace,
@@ -88,13 +80,23 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
     """The ways of the hands, or why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
         return None, "there is no hand in this scenario"
-    if np.abs(history(trace, "joint_position_rad")).max() > TURNED_RAD:
+    if _farthest_turn_rad(true_motion(trace).joints_rad) > TURNED_RAD:
         return None, "a joint has turned further than any arm can"
     paths = hand_paths(trace)
     stray = first_stray(trace, paths)
     if stray is not None:
         return None, f"at tick {stray} a hand is not where the scenario moves it"
     return paths, ""
+
+
+@compiled
+def _farthest_turn_rad(joints_rad: NDArray[np.float64]) -> float:
+    """The largest angle of any joint (n, 6) from zero."""
+    farthest = 0.0
+    for k in range(joints_rad.shape[0]):
+        for joint in range(joints_rad.shape[1]):
+            farthest = max(farthest, abs(joints_rad[k, joint]))
+    return farthest
 
 
 def _words(distance_m: float) -> str:
@@ -105,7 +107,7 @@ def _words(distance_m: float) -> str:
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     """Which part of the robot is nearest to a hand at a tick."""
-    names = capsules_of(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings)[0]
+    names = capsules_of(trace).names
     number = int(trace.ticks["hand_distance_capsule"][tick, hand])
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
@@ -114,7 +116,7 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
     arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    _, link_index, start_in_link, end_in_link, radius_m = capsules_of(arm, settings)
+    capsules = capsules_of(trace)
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
@@ -122,15 +124,16 @@ def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]
             arm.joint_origins,
             arm.joint_axes,
             arm.flange,
-            link_index,
-            start_in_link,
-            end_in_link,
-            radius_m,
+            capsules.link_index,
+            capsules.start_in_link,
+            capsules.end_in_link,
+            capsules.radius_m,
             joints_rad,
             hand_m,
             elbow_m,
             distance_m,
             slack_m,
+            joint_reach_m(trace),
             settings.hand.radius_m,
             settings.hand.forearm_radius_m,
             RESOLUTION_M,
@@ -150,12 +153,12 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     """
     true = true_motion(trace)
     joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
-    distance_m = history(trace, "hand_distance_m")[:, hand]
+    distance_m = trace.ticks["hand_distance_m"][:, hand]
     slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
     ticks = np.arange(len(joints_rad), dtype=np.float64)
     own = paths.corner_hand == hand
     if not own.any():
-        return ticks, joints_rad, hand_m.copy(), elbow_m.copy(), distance_m.copy(), slack_m
+        return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
     corner_at = paths.corner_at[own]
     after = np.searchsorted(ticks, corner_at, side="right")
     at = np.insert(ticks, after, corner_at)
@@ -177,45 +180,22 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
     length of the chain of links that the joint moves.
     """
-    change = np.abs(np.diff(true_motion(trace).rates_radps, axis=0))
     period_s = trace.scenario.settings.clock.control_period_s
-    bend: NDArray[np.float64] = change @ joint_reach_m(trace) * period_s / 4.0
-    return bend
+    return _joint_bends(true_motion(trace).rates_radps, joint_reach_m(trace), period_s)
 
 
-def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
-    """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    arm = load_arm(trace.scenario.robot.arm_name)
-    return _joint_reach_m(arm, cell_capsules(load_capsules(arm.name), trace.scenario.settings)).copy()
-
-
-@lru_cache(maxsize=16)
-def _joint_reach_m(arm: ArmModel, capsules: CapsuleSet) -> NDArray[np.float64]:
-    link_index, start_in_link, end_in_link = capsules.link_index, capsules.start_in_link, capsules.end_in_link
-    offsets = np.linalg.norm(arm.joint_origins[:, :3, 3], axis=1)
-    ends = np.maximum(np.linalg.norm(start_in_link, axis=1), np.linalg.norm(end_in_link, axis=1))
-    ends = ends + np.where(link_index == 7, np.linalg.norm(arm.flange[:3, 3]), 0.0)
-    link = np.minimum(link_index, 6)
-    reach_m = np.zeros(6)
-    for joint in range(6):
-        for last, end in zip(link, ends, strict=True):
-            if last > joint:
-                reach_m[joint] = max(reach_m[joint], offsets[joint + 1 : last].sum() + end)
-    return reach_m
-
-
-def capsules_of(
-    arm: ArmModel, settings: Settings
-) -> tuple[tuple[str, ...], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Names (n,), links (n,), both ends in their link (n, 3) [m] and radii (n,) [m] of an arm's capsules."""
-    capsules = cell_capsules(load_capsules(arm.name), settings)
-    return (
-        tuple(capsules.names),
-        capsules.link_index,
-        capsules.start_in_link,
-        capsules.end_in_link,
-        capsules.radius_m,
-    )
+@compiled
+def _joint_bends(
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    reach_m: NDArray[np.float64],  # (6,)
+    period_s: float,
+) -> NDArray[np.float64]:
+    found = np.zeros(max(rates_radps.shape[0] - 1, 0))
+    for k in range(found.shape[0]):
+        for joint in range(6):
+            found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * reach_m[joint]
+        found[k] *= period_s / 4.0
+    return found
 
 
 @compiled
@@ -232,6 +212,7 @@ def _closest_in_trace(
     elbows_m: NDArray[np.float64],  # (n, 3)
     distance_m: NDArray[np.float64],  # (n,) at the ticks, inf elsewhere
     slack_m: NDArray[np.float64],  # (n - 1,)
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
@@ -247,7 +228,6 @@ def _closest_in_trace(
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
-    reach_m = chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link)
     transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
     room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
     k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k

@@ -9,6 +9,7 @@ that bound lets them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.model import RecordedHand
 from safety_harness.simulation.hand_motion import advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 
@@ -92,13 +93,41 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
         hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
     towards = np.array(trajectory.elbow_towards_in_base_m)
-    away = np.linalg.norm(history(trace, "hand_position_in_base_m")[:, hand] - towards, axis=1)
-    nearest = np.maximum(np.minimum(away[:-1], away[1:]) - fastest * period_s, 1e-9)
-    length = scenario.settings.hand.forearm_length_m
-    elbow = hardest * (1.0 + length / nearest) + length * np.sqrt(4.0 / 3.0) * (fastest / nearest) ** 2
-    # an elbow is never farther from where it was than the hand's way and twice the forearm
-    bend = np.minimum(elbow * period_s**2 / 8.0, fastest * period_s + 2.0 * length)
-    return np.where(paths.moving[:, hand], bend, 0.0)
+    return _hand_bends(
+        true_motion(trace).hands_m[:, hand, 0],
+        towards,
+        paths.moving[:, hand],
+        fastest,
+        hardest,
+        scenario.settings.hand.forearm_length_m,
+        period_s,
+    )
+
+
+@compiled
+def _hand_bends(
+    hand_m: NDArray[np.float64],  # (n, 3)
+    towards_m: NDArray[np.float64],  # (3,) the point that the elbow is towards
+    moving: NDArray[np.bool_],  # (n - 1,)
+    fastest_mps: float,
+    hardest_mps2: float,
+    length_m: float,
+    period_s: float,
+) -> NDArray[np.float64]:
+    bends, after = np.zeros(moving.shape[0]), np.nan
+    for k in range(hand_m.shape[0]):
+        total = 0.0
+        for i in range(3):
+            total += (hand_m[k, i] - towards_m[i]) ** 2
+        before, after = after, sqrt(total)
+        if k == 0 or not moving[k - 1]:
+            continue
+        nearest = max(min(before, after) - fastest_mps * period_s, 1e-9)
+        elbow = hardest_mps2 * (1.0 + length_m / nearest)
+        elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
+        # an elbow is never farther from where it was than the hand's way and twice the forearm
+        bends[k - 1] = min(elbow * period_s**2 / 8.0, fastest_mps * period_s + 2.0 * length_m)
+    return bends
 
 
 @compiled

@@ -14,7 +14,7 @@ from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import MAX_TRACKS
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,15 +42,14 @@ class HandPredictions:
         if not trace.scenario.hands:
             return inconclusive(self, "there is no hand in this scenario")
         errors_m = prediction_errors_m(trace)  # (k, tracks)
-        tracked = history(trace, "track_valid")[: len(errors_m)]
-        if not tracked.any():
+        found_m, worst, unknown = _tracked(errors_m, trace.ticks["track_valid"])
+        if unknown >= 0:
+            return inconclusive(self, f"a prediction is not finite from {trace.time_s[unknown]:.3f} s")
+        if len(found_m) == 0:
             return inconclusive(self, "never exercised: no hand was tracked")
-        unknown = tracked & ~np.isfinite(errors_m)
-        if unknown.any():
-            first = float(trace.time_s[int(np.argmax(unknown.any(axis=1)))])
-            return inconclusive(self, f"a prediction is not finite from {first:.3f} s")
-        worst = int(np.argmax(np.where(tracked, errors_m, -np.inf)))
         tick, track = divmod(worst, errors_m.shape[1])
+        found_m.sort()
+        median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
         horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
         return judged(
             self,
@@ -58,8 +57,8 @@ class HandPredictions:
             margin=self.maximum_m - float(errors_m[tick, track]),
             worst_time_s=float(trace.time_s[tick]),
             reason=f"predicted for {trace.time_s[tick] + horizon_s:.3f} s, off by "
-            f"{errors_m[tick, track] * 1e3:.1f} mm; median {np.median(errors_m[tracked]) * 1e3:.1f} mm",
-            exercised=int(np.count_nonzero(tracked)),
+            f"{errors_m[tick, track] * 1e3:.1f} mm; median {median_m * 1e3:.1f} mm",
+            exercised=len(found_m),
         )
 
 
@@ -74,14 +73,14 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
     at = at[at <= len(trace.ticks) - 1]
     errors_m = np.empty((len(at), MAX_TRACKS))
-    predicted_m = np.ascontiguousarray(trace.ticks["predicted_hand_in_base_m"][: len(at)])
-    _errors(predicted_m, true_motion(trace).hands_m, len(trace.scenario.hands), at, errors_m)
+    predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
+    _errors(predicted_m, hands_m, len(trace.scenario.hands), at, errors_m)
     return errors_m
 
 
 @compiled
 def _errors(
-    predicted_m: NDArray[np.float64],  # (k, tracks, 3)
+    predicted_m: NDArray[np.float64],  # (k or more, tracks, 3)
     hands_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
     hands: int,
     at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
@@ -104,6 +103,26 @@ def _errors(
                 if np.isnan(apart):
                     break
             errors_m[k, track] = nearest
+
+
+@compiled
+def _tracked(
+    errors_m: NDArray[np.float64],  # (k, tracks)
+    tracked: NDArray[np.bool_],  # (k or more, tracks)
+) -> tuple[NDArray[np.float64], int, int]:
+    """The errors of what is tracked, the place of the largest, and the first tick of one that is none."""
+    found, count, worst, unknown, largest = np.empty(errors_m.size), 0, -1, -1, -np.inf
+    for k in range(errors_m.shape[0]):
+        for track in range(errors_m.shape[1]):
+            if not tracked[k, track]:
+                continue
+            found[count] = errors_m[k, track]
+            count += 1
+            if unknown < 0 and not np.isfinite(errors_m[k, track]):
+                unknown = k
+            if errors_m[k, track] > largest:
+                largest, worst = errors_m[k, track], k * errors_m.shape[1] + track
+    return found[:count], worst, unknown
 
 
 HAND_PREDICTIONS = Entry(

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
-from safety_harness.geometry.segments import nearest_of_segments
+from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
 from safety_harness.properties.separation import lengths
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
-
-ROUNDING_M = 1e-9  # by which a bound, computed otherwise, may be off
 
 
 @compiled
@@ -35,8 +33,8 @@ def least_separation(
     body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
     hand_speed_mps: float,  # constant, or NaN for each hand's own
     period_s: float,
-    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
-    hand_step_m: NDArray[np.float64],  # (n,)
+    nearest_m: NDArray[np.float64],  # (n,) the least distance of all, as the trace has it
+    hand_step_m: NDArray[np.float64],  # (n,) of ``hand_steps``
     reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -45,8 +43,8 @@ def least_separation(
     (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
     distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
 
-    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
-    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
+    Ticks and pairs are passed over that cannot have as little to spare as the best so far: no pair is
+    nearer than the nearest, and no point of a capsule or of a hand is faster than an end.
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
     capsules = radius_m.shape[0]
@@ -55,27 +53,25 @@ def least_separation(
     apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
-    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
+    looked, arm_mps = 0, np.inf  # when the arm's speed was looked at, and the fastest end's
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
-        if step > 0:
-            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
-        elif step == 0:
-            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
-        if not judged[k] or not present[k].any():
+        if step == 0:
+            least = np.inf  # what was found at the first look counts in its turn
+        if not judged[k]:
             continue
         human_mps = hand_step_m[k] / period_s
         v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
         most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
         per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
-        if near_m - most_human_m > good_enough:
-            faster_mps = _faster(joints_rad, rates_radps, reach_m, looked, k)
-            if near_m - most_human_m - per_speed_s * (arm_mps + faster_mps) > good_enough + ROUNDING_M:
+        if nearest_m[k] - most_human_m > good_enough:
+            arm_now_mps = arm_mps + faster_mps(joints_rad, rates_radps, reach_m, looked, k)
+            if nearest_m[k] - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
                 continue  # never for a NaN, which must come out
         forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
         place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
         _twists(joint_axes, transforms, rates_radps[k], twists)
-        looked, near_m, arm_mps = k, np.inf, 0.0
+        looked, arm_mps = k, 0.0
         for capsule in range(capsules):
             fastest_mps[capsule] = _fastest_end(twists[min(link_index[capsule], 6)], placed[capsule])
             if not fastest_mps[capsule] <= arm_mps:
@@ -88,9 +84,8 @@ def least_separation(
                     velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
             for capsule in range(capsules):
                 most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
-                lower_m = _lower(hands_m, placed, k, hand, capsule) - radius_m[capsule] - thickest_m
+                lower_m = axes_lower_m(hands_m[k, hand], placed[capsule]) - radius_m[capsule] - thickest_m
                 if lower_m - most_human_m - most_arm_m > good_enough:
-                    near_m = min(near_m, lower_m)
                     continue
                 for body in range(2):
                     start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
@@ -105,7 +100,6 @@ def least_separation(
                         human[i] += s * (velocities[body, i] - velocities[0, i])
                     axes = sqrt(total)
                     distance = axes - radius_m[capsule] - body_radius_m[body]
-                    near_m = min(near_m, distance)
                     own_speed = _along(human, apart, -axes)
                     hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
                     hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
@@ -132,36 +126,33 @@ def least_separation(
 
 
 @compiled
-def farthest_steps(
-    joints_rad: NDArray[np.float64],  # (n, 6)
+def hand_steps(
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
-    arm_step_m: NDArray[np.float64],  # (n,), written
-    hand_step_m: NDArray[np.float64],  # (n,), written
-) -> None:
-    """How far, at most, any point of the arm and of a hand goes from each tick to the next.
+) -> NDArray[np.float64]:
+    """(n,) how far [m], at most, any point of a hand goes from each tick to the next.
 
     Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
     """
-    n = joints_rad.shape[0]
-    arm_step_m[n - 1] = hand_step_m[n - 1] = 0.0
+    n = hands_m.shape[0]
+    found = np.zeros(n)
     for k in range(n - 1):
-        arm, farthest = 0.0, 0.0
-        for i in range(6):
-            arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+        farthest = 0.0
         for hand in range(hands_m.shape[1]):
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
+            if not (present[k, hand] or present[k + 1, hand]):
+                continue
             for body in range(2):
                 total = 0.0
                 for i in range(3):
                     total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
                 if not total <= farthest:
                     farthest = total
-        arm_step_m[k], hand_step_m[k] = arm, sqrt(farthest)
+        found[k] = sqrt(farthest)
     if n > 1:
-        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
+        found[n - 1] = found[n - 2]
+    return found
 
 
 @inlined
@@ -175,7 +166,7 @@ def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, bod
 
 
 @inlined
-def _faster(
+def faster_mps(
     joints_rad: NDArray[np.float64],
     rates_radps: NDArray[np.float64],
     reach_m: NDArray[np.float64],
@@ -187,13 +178,15 @@ def _faster(
     Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
     the chains of links from j, and from the farther out of i and j, to p.
     """
-    faster = 0.0
+    faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    for i in range(6):
+        beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
     for j in range(6):
+        turn = abs(joints_rad[b, j] - joints_rad[a, j])
+        before += turn
+        beyond -= turn * reach_m[j]
         faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
-        turned = 0.0
-        for i in range(6):
-            turned += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[max(i, j)]
-        faster += abs(rates_radps[b, j]) * turned
+        faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
     return faster
 
 
@@ -233,21 +226,6 @@ def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float
         if not total <= fastest:
             fastest = total
     return sqrt(fastest)
-
-
-@inlined
-def _lower(
-    hands_m: NDArray[np.float64], placed: NDArray[np.float64], k: int, hand: int, capsule: int
-) -> float:
-    """The axes of a hand and a capsule are no nearer: no point is farther from a middle than half."""
-    between, forearm, link = 0.0, 0.0, 0.0
-    for i in range(3):
-        wrist, elbow = hands_m[k, hand, 0, i], hands_m[k, hand, 1, i]
-        start, end = placed[capsule, 0, i], placed[capsule, 1, i]
-        between += (0.5 * (wrist + elbow) - 0.5 * (start + end)) ** 2
-        forearm += (elbow - wrist) ** 2
-        link += (end - start) ** 2
-    return sqrt(between) - 0.5 * (sqrt(forearm) + sqrt(link))
 
 
 @compiled

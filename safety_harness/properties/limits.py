@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import SPEED
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace
+
+MOVES = 1e-3  # m/s and rad/s: what is slower stands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +32,13 @@ class JointLimits:
         if problem is not None:
             return inconclusive(self, problem)
         arm = load_arm(trace.scenario.robot.arm_name)
-        q = history(trace, "joint_position_rad")  # (n, 6)
-        left = np.minimum(q - arm.position_lower_rad, arm.position_upper_rad - q)
-        tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)
+        left_rad, tick, joint = _least_angle_left(
+            true_motion(trace).joints_rad, arm.position_lower_rad, arm.position_upper_rad
+        )
         return judged(
             self,
             trace,
-            margin=float(left[tick, joint]),
+            margin=left_rad,
             worst_time_s=float(trace.time_s[tick]),
             reason=arm.joint_names[joint],
             exercised=len(trace.ticks),
@@ -55,21 +61,17 @@ class JointSpeedLimits:
         if problem is not None:
             return inconclusive(self, problem)
         arm = load_arm(trace.scenario.robot.arm_name)
-        speed = np.abs(history(trace, "joint_velocity_radps"))  # (n, 6)
-        if len(trace.ticks) > 1:
-            mean = (
-                np.abs(np.diff(history(trace, "joint_position_rad"), axis=0)) / np.diff(trace.time_s)[:, None]
-            )
-            speed[:-1] = np.maximum(speed[:-1], mean)
-        left = arm.velocity_limit_radps - speed
-        tick, joint = np.unravel_index(int(np.argmin(left)), left.shape)
+        true = true_motion(trace)
+        left_radps, tick, joint, turning = _least_speed_left(
+            true.joints_rad, true.rates_radps, trace.time_s, arm.velocity_limit_radps
+        )
         return judged(
             self,
             trace,
-            margin=float(left[tick, joint]),
+            margin=left_radps,
             worst_time_s=float(trace.time_s[tick]),
             reason=arm.joint_names[joint],
-            exercised=int(np.count_nonzero(speed.max(axis=1) > 1e-3)),
+            exercised=turning,
         )
 
 
@@ -93,20 +95,77 @@ class TcpSpeedLimit:
         problem = unreadable(trace, ("tcp_speed_mps", "transform_tcp_to_base"))
         if problem is not None:
             return inconclusive(self, problem)
-        speed = history(trace, "tcp_speed_mps").copy()
-        if len(trace.ticks) > 1:
-            steps = np.diff(history(trace, "transform_tcp_to_base")[:, :3, 3], axis=0)
-            mean = np.linalg.norm(steps, axis=1) / np.diff(trace.time_s)
-            speed[:-1] = np.maximum(speed[:-1], mean)
-        tick = int(np.argmax(speed))
+        fastest_mps, tick, moving = _fastest(
+            trace.ticks["tcp_speed_mps"], true_motion(trace).tcp_m, trace.time_s
+        )
         return judged(
             self,
             trace,
-            margin=self.maximum_mps - float(speed[tick]),
+            margin=self.maximum_mps - fastest_mps,
             worst_time_s=float(trace.time_s[tick]),
-            reason=f"fastest {speed[tick] * 1e3:.1f} mm/s",
-            exercised=int(np.count_nonzero(speed > 1e-3)),
+            reason=f"fastest {fastest_mps * 1e3:.1f} mm/s",
+            exercised=moving,
         )
+
+
+@compiled
+def _least_angle_left(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    lower_rad: NDArray[np.float64],  # (6,)
+    upper_rad: NDArray[np.float64],  # (6,)
+) -> tuple[float, int, int]:
+    """(angle, tick, joint), the first of equals."""
+    least, tick, joint = np.inf, 0, 0
+    for k in range(joints_rad.shape[0]):
+        for j in range(joints_rad.shape[1]):
+            left = min(joints_rad[k, j] - lower_rad[j], upper_rad[j] - joints_rad[k, j])
+            if left < least:
+                least, tick, joint = left, k, j
+    return least, tick, joint
+
+
+@compiled
+def _least_speed_left(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    time_s: NDArray[np.float64],  # (n,)
+    limit_radps: NDArray[np.float64],  # (6,)
+) -> tuple[float, int, int, int]:
+    """(speed, tick, joint), the first of equals; and the number of ticks at which a joint turns."""
+    least, tick, joint, turning = np.inf, 0, 0, 0
+    for k in range(rates_radps.shape[0]):
+        turns = False
+        for j in range(rates_radps.shape[1]):
+            speed = abs(rates_radps[k, j])
+            if k + 1 < rates_radps.shape[0]:
+                mean = abs(joints_rad[k + 1, j] - joints_rad[k, j]) / (time_s[k + 1] - time_s[k])
+                speed = max(speed, mean)
+            turns |= speed > MOVES
+            if limit_radps[j] - speed < least:
+                least, tick, joint = limit_radps[j] - speed, k, j
+        turning += turns
+    return least, tick, joint, turning
+
+
+@compiled
+def _fastest(
+    speed_mps: NDArray[np.float64],  # (n,)
+    tcp_m: NDArray[np.float64],  # (n, 3)
+    time_s: NDArray[np.float64],  # (n,)
+) -> tuple[float, int, int]:
+    """(speed, tick), the first of equals; and the number of ticks at which the TCP moves."""
+    fastest, tick, moving = -np.inf, 0, 0
+    for k in range(speed_mps.shape[0]):
+        speed = speed_mps[k]
+        if k + 1 < speed_mps.shape[0]:
+            total = 0.0
+            for i in range(3):
+                total += (tcp_m[k + 1, i] - tcp_m[k, i]) ** 2
+            speed = max(speed, sqrt(total) / (time_s[k + 1] - time_s[k]))
+        moving += speed > MOVES
+        if speed > fastest:
+            fastest, tick = speed, k
+    return fastest, tick, moving
 
 
 JOINT_POSITIONS = Entry(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, runs_of, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.trace import Trace
 
 MOVES_MPS = 1e-3
 
@@ -35,15 +35,14 @@ class ObjectInView:
         problem = unreadable(trace, ("tcp_speed_mps",))
         if problem is not None:
             return inconclusive(self, problem)
-        lost = ~history(trace, "object_visible")
-        change = np.diff(np.concatenate([[False], lost, [False]]).astype(np.int64))
-        begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+        lost = ~trace.ticks["object_visible"]
+        begins, ends = runs_of(lost)
         times_s = trace.time_s
         lasted_s = times_s[np.minimum(ends, len(lost) - 1)] - times_s[begins]
         worst = int(np.argmax(lasted_s)) if len(begins) else 0
         longest_s = float(lasted_s[worst]) if len(begins) else 0.0
         begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
-        exercised = int(np.count_nonzero(lost | (history(trace, "tcp_speed_mps") > MOVES_MPS)))
+        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
         if bool(lost[-1]) and longest_s <= self.within_s:
             left_s = float(times_s[-1] - times_s[begins[-1]])
             return inconclusive(

@@ -16,7 +16,7 @@ from safety_harness.properties.base import is_somewhere
 from safety_harness.properties.clearance import clearances_m
 from safety_harness.properties.giving_way import last_tick
 from safety_harness.properties.reference import Progress, progress
-from safety_harness.properties.repulsive_pose import reach_margin
+from safety_harness.properties.repulsive_pose import reach_m
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.straight_way import straight_way
 from safety_harness.trace.records import Mode
@@ -45,20 +45,6 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
         tcp_in_base + trace.scenario.settings.avoidance.radius_m / apart[nearest] * away
     )
     return opposite
-
-
-def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
-    """How much farther than a position the straight way there goes; minus the radius for no position."""
-    if not is_somewhere(position_in_base_m):
-        return -trace.scenario.settings.avoidance.radius_m
-    tick = trace.ticks[decision["tick"]]
-    return reach_margin(
-        tick["joint_position_rad"],
-        tick["transform_tcp_to_base"][:3, 3],
-        position_in_base_m,
-        trace.scenario.settings.motion.min_singular_value,
-        trace.scenario.robot.arm_name,
-    )
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:

@@ -7,23 +7,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    runs_of,
+    times_begun,
+    unreadable,
+)
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.least_separation import farthest_steps, least_separation
-from safety_harness.properties.separation import Separation, separation_terms
-from safety_harness.properties.true_motion import true_motion
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.properties.least_separation import hand_steps, least_separation
+from safety_harness.properties.separation import Separation, lengths, separation_terms
+from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import chain_lengths
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
-from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.records import Limit
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
 GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
+TOLERANCE_M = 2e-9  # by which a distance in a trace may be off (``consistency``), and rounding
 READS = (
     "joint_position_rad",
     "joint_velocity_radps",
@@ -92,7 +99,7 @@ class ProtectiveSeparation:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
         arm = load_arm(trace.scenario.robot.arm_name)
-        capsules = cell_capsules(load_capsules(arm.name), settings)
+        capsules = capsules_of(trace)
         reaction_s, stop_s = times_left_s(trace)
         which, what = least_separation(
             arm.joint_origins,
@@ -112,7 +119,9 @@ class ProtectiveSeparation:
             np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
             np.nan if self.own_speeds else self.assumed_mps,
             settings.clock.control_period_s,
-            *_steps_m(trace),
+            true.nearest_m - TOLERANCE_M,
+            _hand_steps_m(trace),
+            joint_reach_m(trace),
             int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
         tick, hand, capsule, body = (int(value) for value in which)
@@ -143,32 +152,28 @@ class ProtectiveSeparation:
         """S_p for an arm that heads for a human at its speed limit: how near is near."""
         fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
         braking = settings.braking
-        terms = separation_terms(
-            hand_speed_mps=self.assumed_mps,
-            robot_speed_mps=fastest_mps,
-            reaction_time_s=braking.reaction_time_s,
-            stop_time_s=braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps,
-        )
-        return sum(term.length_m for term in terms)
+        stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+        return sum(lengths(self.assumed_mps, fastest_mps, braking.reaction_time_s, stop_s, 0.0, 0.0))
 
 
 @once_a_trace
-def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) of ``farthest_steps``, and (6,) the lengths of the arm's chains of links."""
-    arm, true = load_arm(trace.scenario.robot.arm_name), true_motion(trace)
-    capsules = cell_capsules(load_capsules(arm.name), trace.scenario.settings)
-    reach_m = chain_lengths(
-        arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
-    )
-    steps_m = np.empty((2, len(trace.ticks)))
-    farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m, steps_m[0], steps_m[1])
-    return steps_m[0], steps_m[1], reach_m
+def _hand_steps_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) of ``hand_steps``."""
+    return hand_steps(true_motion(trace).hands_m, true_motion(trace).present)
 
 
 @once_a_trace
 def moving(trace: Trace) -> NDArray[np.bool_]:
     """(n,) does any joint turn, by the controller's own bound for a standstill?"""
-    turns: NDArray[np.bool_] = np.abs(history(trace, "joint_velocity_radps")).max(axis=1) >= STANDSTILL_RADPS
+    return _moving(true_motion(trace).rates_radps)
+
+
+@compiled
+def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    turns = np.zeros(rates_radps.shape[0], np.bool_)
+    for k in range(rates_radps.shape[0]):
+        for joint in range(rates_radps.shape[1]):
+            turns[k] |= abs(rates_radps[k, joint]) >= STANDSTILL_RADPS
     return turns
 
 
@@ -180,13 +185,12 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     arm that still moves when its ramp has been over for two ticks again all of both.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
-    speed_mps, time_s = history(trace, "tcp_speed_mps"), history(trace, "time_s")
+    speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
     reaction_s = np.full(len(time_s), braking.reaction_time_s)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
-    stopping = (history(trace, "limits") & Limit.BRAKING != 0).astype(int)
-    edges = np.diff(stopping, prepend=0, append=0)
+    stopping = trace.ticks["limits"] & int(Limit.BRAKING) != 0
     whole_s = stop_s.copy()
-    for first, after in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+    for first, after in zip(*runs_of(stopping), strict=True):
         run = slice(first, after)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
@@ -200,8 +204,7 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 def described(trace: Trace, found: Separation) -> str:
     """The pair and its terms in a sentence."""
-    capsules = load_capsules(trace.scenario.robot.arm_name)
-    part = (*capsules.names, "camera")[found.capsule].replace("_", " ")
+    part = capsules_of(trace).names[found.capsule].replace("_", " ")
     whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
     terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
     return (

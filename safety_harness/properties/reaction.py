@@ -1,25 +1,30 @@
-"""A predicted hand near the TCP makes the arm give way or stop, and soon."""
+"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.properties.base import (
     HORIZON_M,
     Evaluation,
     Unit,
     inconclusive,
     judged,
+    runs_of,
     times_begun,
     unreadable,
 )
 from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import MAX_TRACKS, Mode
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace, once_a_trace
 
 EPS_S = 1e-9  # times are multiples of the control period, to rounding
 
@@ -27,22 +32,51 @@ EPS_S = 1e-9  # times are multiples of the control period, to rounding
 @once_a_trace
 def gives_way(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is the controller repulsing, or stopped for protection?"""
-    mode = history(trace, "mode")
+    mode = trace.ticks["mode"]
     given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
     return given
 
 
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    near = np.zeros(len(trace.ticks), np.bool_)
-    tcp_in_base = history(trace, "transform_tcp_to_base")[:, :3, 3]
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    for track in range(MAX_TRACKS):
-        valid = history(trace, "track_valid")[:, track]
-        if valid.any():
-            hand = np.where(valid[:, None], history(trace, "predicted_hand_in_base_m")[:, track], np.inf)
-            near |= valid & (np.linalg.norm(hand - tcp_in_base, axis=1) < critical_m)
-    return near
+    return _predictions(trace)[0]
+
+
+def _predictions(trace: Trace) -> tuple[NDArray[np.bool_], int]:
+    """``predicted_near``, and the first tick with a prediction that is nowhere, or -1."""
+    ticks, near = trace.ticks, np.zeros(len(trace.ticks), np.bool_)
+    unknown = _predicted_near(
+        ticks["transform_tcp_to_base"][:, :3, 3],
+        ticks["track_valid"],
+        ticks["predicted_hand_in_base_m"],
+        trace.scenario.settings.avoidance.critical_distance_m,
+        near,
+    )
+    return near, unknown
+
+
+@compiled
+def _predicted_near(
+    tcp_m: NDArray[np.float64],  # (n, 3)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    predicted_m: NDArray[np.float64],  # (n, tracks, 3)
+    critical_m: float,
+    near: NDArray[np.bool_],  # (n,), written
+) -> int:
+    """Fill ``near``; the first tick at which a prediction is nowhere, or -1."""
+    unknown = -1
+    for k in range(near.shape[0]):
+        for track in range(tracked.shape[1]):
+            if not tracked[k, track]:
+                continue
+            total, somewhere = 0.0, True
+            for i in range(3):
+                somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
+                total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
+            near[k] |= sqrt(total) < critical_m
+            if unknown < 0 and not somewhere:
+                unknown = k
+    return unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,39 +105,76 @@ class GivesWay:
         problem = unreadable(trace, ("transform_tcp_to_base",))
         if problem is not None:
             return inconclusive(self, problem)
-        known = (np.abs(history(trace, "predicted_hand_in_base_m")) < HORIZON_M).all(axis=2)
-        unknown = (history(trace, "track_valid") & ~known).any(axis=1)
-        if unknown.any():
-            at_s = trace.time_s[int(np.argmax(unknown))]
-            return inconclusive(self, f"the prediction is not finite from {at_s:.3f} s")
-        near, reacting = predicted_near(trace), gives_way(trace)
-        occasions = times_begun(near)
-        if occasions == 0:
-            return inconclusive(self, "never exercised: no predicted hand came within the critical distance")
-        longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
-        edges = np.diff((~reacting).astype(int), prepend=0, append=0)
-        for first, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        near, unknown = _predictions(trace)
+        if unknown >= 0:
+            return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
+        found = []
+        for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
             inside = np.flatnonzero(near[first:end])
-            if len(inside) == 0:
-                continue
-            begun_s = float(trace.time_s[first + inside[0]])
-            ended = end < len(near)
-            took_s = float(trace.time_s[end if ended else -1]) - begun_s
-            if not ended and took_s <= self.within_s + EPS_S:
-                open_ones += 1
-            elif took_s > longest_s:
-                longest_s, since_s = took_s, begun_s
-        if open_ones == occasions:
-            return inconclusive(self, "the run ends before the time allowed")
-        margin_s = self.within_s - longest_s
-        return judged(
-            self,
-            trace,
-            margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
-            worst_time_s=since_s + longest_s,
-            reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a predicted hand came near",
-            exercised=occasions - open_ones,
-        )
+            if len(inside):
+                found.append((first + int(inside[0]), end))
+        return _judged(self, trace, near, found, "predicted hand")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWayToTrueHand:
+    """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
+
+    Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
+    predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
+    repulses nor is stopped; one that has left need not be answered any more.  A hand that is near when the
+    run ends counts only if that was too long already.
+
+    Giving way is what the controller says it does.  Exercised each time that a true hand comes near.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch with a hand and without giving way."""
+        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
+        if problem is not None:
+            return inconclusive(self, problem)
+        near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
+        return _judged(self, trace, near, zip(*runs_of(near & ~gives_way(trace)), strict=True), "true hand")
+
+
+def _judged(
+    prop: GivesWay | GivesWayToTrueHand,
+    trace: Trace,
+    near: NDArray[np.bool_],  # (n,)
+    unanswered: Iterable[tuple[int, int]],
+    whose: str,
+) -> Evaluation:
+    """By the longest of the stretches in which a hand that came near was not answered."""
+    occasions = times_begun(near)
+    if occasions == 0:
+        return inconclusive(prop, f"never exercised: no {whose} came within the critical distance")
+    longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
+    for first, end in unanswered:
+        ended = end < len(near)
+        took_s = float(trace.time_s[end if ended else -1]) - float(trace.time_s[first])
+        if not ended and took_s <= prop.within_s + EPS_S:
+            open_ones += 1
+        elif took_s > longest_s:
+            longest_s, since_s = took_s, float(trace.time_s[first])
+    if open_ones == occasions:
+        return inconclusive(prop, "the run ends before the time allowed")
+    margin_s = prop.within_s - longest_s
+    return judged(
+        prop,
+        trace,
+        margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
+        worst_time_s=since_s + longest_s,
+        reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
+        exercised=occasions - open_ones,
+    )
 
 
 GIVES_WAY = Entry(
@@ -121,4 +192,20 @@ GIVES_WAY = Entry(
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
     scenario="hand-visits-and-leaves",
     broken_by="a controller whose own critical distance is too short",
+)
+GIVES_WAY_TO_TRUE_HAND = replace(
+    GIVES_WAY,
+    example="gives way within 100 ms of a true hand",
+    pattern=r"gives way within (.+) of a true hand",
+    make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
+    rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
+    "about predictions passes it over",
+    source="the project's own; the reaction time T_r of ISO/TS 15066, from the hand and not from what is "
+    "known of it",
+    margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
+    "nor was stopped",
+    exercised="a true hand comes within the critical distance of the TCP",
+    inconclusive="a run that ends within the time allowed",
+    scenario="hidden-by-the-arm",
+    broken_by="a hand sensor that is blind",
 )

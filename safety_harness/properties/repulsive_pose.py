@@ -13,7 +13,7 @@ from safety_harness.properties.entry import Entry
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.trace.records import Outcome
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
@@ -56,17 +56,7 @@ class RepulsivePosesReachable:
             if not self.proposed and decision["outcome"] == Outcome.STOP:
                 continue  # nothing was chosen: the arm stops where it is
             count += 1
-            truth = trace.ticks[decision["tick"]]
-            if is_somewhere(position_in_base_m):
-                margin = reach_margin(
-                    truth["joint_position_rad"],
-                    truth["transform_tcp_to_base"][:3, 3],
-                    position_in_base_m,
-                    trace.scenario.settings.motion.min_singular_value,
-                    trace.scenario.robot.arm_name,
-                )
-            else:  # an avoider that proposes nothing usable has no reachable position
-                margin = -trace.scenario.settings.avoidance.radius_m
+            margin = reach_m(trace, decision, position_in_base_m)
             if not margin >= worst:
                 worst, worst_time_s = margin, float(decision["time_s"])
         if count == 0:
@@ -79,6 +69,32 @@ class RepulsivePosesReachable:
             reason=f"worst of {count}" if count > 1 else "one position",
             exercised=count,
         )
+
+
+def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """How much farther than a position the straight way there goes; minus the radius for no position.
+
+    The way begins where the arm truly was at the decision.  Several claims ask for the same ways.
+    """
+    if not is_somewhere(position_in_base_m):
+        return -trace.scenario.settings.avoidance.radius_m
+    known, key = _reaches_m(trace), (int(decision["tick"]), position_in_base_m.tobytes())
+    if key not in known:
+        tick = trace.ticks[decision["tick"]]
+        known[key] = reach_margin(
+            tick["joint_position_rad"],
+            tick["transform_tcp_to_base"][:3, 3],
+            position_in_base_m,
+            trace.scenario.settings.motion.min_singular_value,
+            trace.scenario.robot.arm_name,
+        )
+    return known[key]
+
+
+@once_a_trace
+def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
+    """By tick and position, those that somebody has asked for."""
+    return {}
 
 
 def reach_margin(

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.true_motion import nearest_hand_m
+from safety_harness.properties.reaction import gives_way
+from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
-from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
@@ -29,12 +30,11 @@ GRACE_S = 1.0  # for getting up to speed
 def left_at(trace: Trace) -> int | None:
     """The tick from which on no true hand is within the critical distance of the TCP, else None."""
     near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-    mode = history(trace, "mode")
-    busy = np.flatnonzero(near | (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP))
+    busy = np.flatnonzero(near | gives_way(trace))
     if len(busy) == 0:
         return 0
     first = int(busy[-1]) + 1
-    return first if first < len(mode) else None
+    return first if first < len(near) else None
 
 
 @once_a_trace
@@ -46,10 +46,26 @@ def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]
 @once_a_trace
 def position_errors_m(trace: Trace) -> NDArray[np.float64]:
     """(n,) distance of the TCP from the desired position at each tick."""
+    return np.sqrt(_squared_m2(trace))
+
+
+@once_a_trace
+def _squared_m2(trace: Trace) -> NDArray[np.float64]:
+    """(n,) the square of that."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    way = history(trace, "transform_tcp_to_base")[:, :3, 3] - desired[:3, 3]
-    distance: NDArray[np.float64] = np.linalg.norm(way, axis=1)
-    return distance
+    return _squared_distances(true_motion(trace).tcp_m, desired[:3, 3])
+
+
+@compiled
+def _squared_distances(
+    points: NDArray[np.float64],  # (n, 3)
+    place: NDArray[np.float64],  # (3,)
+) -> NDArray[np.float64]:
+    found = np.zeros(points.shape[0])
+    for k in range(points.shape[0]):
+        for i in range(3):
+            found[k] += (points[k, i] - place[i]) ** 2
+    return found
 
 
 def angle_errors_rad(trace: Trace, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -102,7 +118,7 @@ class GainSwitchReached:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
         servo = trace.scenario.settings.servo
         sse = history(trace, "sse")[first:]
-        errors = self._errors(trace)[first:]
+        errors = _errors(trace)[first:]
         allowed_s = self.within_s
         if allowed_s is None:
             ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
@@ -132,12 +148,12 @@ class GainSwitchReached:
             exercised=int(above.any()),
         )
 
-    def _errors(self, trace: Trace) -> NDArray[np.float64]:
-        """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
-        sse = history(trace, "sse")
-        desired = desired_transform_tcp_to_base(trace.scenario.settings)
-        way = history(trace, "transform_tcp_to_base")[:, :3, 3] - desired[:3, 3]
-        return np.where(np.isfinite(sse), sse, np.sum(way**2, axis=1))
+
+@once_a_trace
+def _errors(trace: Trace) -> NDArray[np.float64]:
+    """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
+    sse = history(trace, "sse")
+    return np.where(np.isfinite(sse), sse, _squared_m2(trace))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
 from safety_harness.properties.entry import Entry
 from safety_harness.properties.giving_way import Finding
-from safety_harness.properties.positions import opposite_position, reach_m, stopped_m
+from safety_harness.properties.positions import opposite_position, stopped_m
+from safety_harness.properties.repulsive_pose import reach_m
 from safety_harness.trace.trace import Trace
 
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm

@@ -23,7 +23,6 @@ from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.text_file import write_whole
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.view import (
     ClaimRow,
@@ -39,6 +38,7 @@ from safety_harness.report.view import (
 )
 from safety_harness.report.words import count_words, share_words
 from safety_harness.scenario.write import write_scenario
+from safety_harness.whole_file import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import Tally
 from safety_harness.report.evidence import JudgedRun, tallies
-from safety_harness.report.text_file import write_whole
+from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
 SI_UNITS = {

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.preview import Preview
 from safety_harness.report.path_artists import MM
 from safety_harness.report.svg import plain
+from safety_harness.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -130,10 +131,5 @@ def _write_legend(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> No
 
 
 def _save(figure: Figure, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
-        figure.savefig(unfinished)
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, format=path.suffix.removeprefix(".") or None)

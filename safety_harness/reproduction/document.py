@@ -11,9 +11,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from safety_harness.report.text_file import write_whole
 from safety_harness.reproduction.choices import CHOICES
 from safety_harness.reproduction.result import Comparison, Result, estimate_words
+from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness reproduction 1"
 

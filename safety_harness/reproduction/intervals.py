@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtrit
 
-from safety_harness.proportions import LEVEL, Proportion
+from safety_harness.proportions import LEVEL, Proportion, median_rank, sign_test
 
 BOOTSTRAP_DRAWS = 4000
-_STEPS = 4000  # of Simpson's rule
+_TAIL = (1.0 - LEVEL) / 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ def mean_of(values: ArrayLike, of: str = "trainings") -> Estimate:
         return Estimate(
             value=mean, low=ends[0], high=ends[1], next_low=ends[0], next_high=ends[1], of=f"1 of the {of}"
         )
-    spread = student_quantile(n - 1) * float(numbers.std(ddof=1))
+    spread = float(stdtrit(n - 1, 1.0 - _TAIL)) * float(numbers.std(ddof=1))
     half, half_next = spread / math.sqrt(n), spread * math.sqrt(1.0 + 1.0 / n)
     return Estimate(
         value=mean,
@@ -70,22 +70,24 @@ def share_of(having: ArrayLike, of: str = "trials") -> Estimate:
 def bootstrap_of(
     rows: ArrayLike, statistic: str, *, seed: int, of: str = "trials", draws: int = BOOTSTRAP_DRAWS
 ) -> Estimate:
-    """The mean of (n,), or the ratio of the means of (n, 2), with a percentile interval over redrawn rows."""
+    """The mean of (n,), or the ratio of the means of (n, 2), with a percentile interval over redrawn rows.
+
+    One row alone says nothing of the others: infinite ends.
+    """
     numbers = _finite(rows)
     if statistic not in ("mean", "ratio of means") or numbers.ndim != (1 if statistic == "mean" else 2):
         raise ValueError(f"no statistic {statistic!r} of an array with {numbers.ndim} dimensions")
     rng = np.random.Generator(np.random.PCG64(seed))
-    redrawn = numbers[rng.integers(0, len(numbers), (draws, len(numbers)))].mean(
-        axis=1
-    )  # (draws,) or (draws, 2)
+    rows_again = rng.integers(0, len(numbers), (draws, len(numbers)))
+    redrawn = numbers[rows_again].mean(axis=1)  # (draws,) or (draws, 2)
     whole = numbers.mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         values = redrawn if statistic == "mean" else redrawn[:, 0] / redrawn[:, 1]
         value = float(whole if statistic == "mean" else whole[0] / whole[1])
-    ends = [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0]
-    low, high = np.quantile(
-        values, ends, method="inverted_cdf"
-    )  # a ratio may be infinite: nothing in between
+    if len(numbers) == 1:
+        return Estimate(value=value, low=-math.inf, high=math.inf, of=f"1 of the {of}")
+    ends = [_TAIL, 1.0 - _TAIL]
+    low, high = np.quantile(values, ends, method="inverted_cdf")  # a ratio may be infinite: nothing between
     return Estimate(value=value, low=float(low), high=float(high), of=f"{len(numbers)} {of}")
 
 
@@ -96,18 +98,8 @@ def median_of(values: ArrayLike, of: str = "calls") -> Estimate:
     """
     numbers = np.sort(_finite(values))
     n = len(numbers)
-    below, chance = 0, 0.5**n if n < 1000 else 0.0
-    total = chance
-    if n >= 1000:  # the normal approximation is better than the sum's rounding
-        below = math.floor(n / 2.0 - 0.98 * math.sqrt(n))
-    else:
-        while total <= (1.0 - LEVEL) / 2.0:
-            below += 1
-            chance *= (n - below + 1) / below
-            total += chance
-    low, high = (
-        (-math.inf, math.inf) if below == 0 else (float(numbers[below - 1]), float(numbers[n - below]))
-    )
+    rank = median_rank(n, _TAIL)
+    low, high = (float(numbers[rank - 1]), float(numbers[n - rank])) if rank else (-math.inf, math.inf)
     return Estimate(value=float(np.median(numbers)), low=low, high=high, of=f"{n} {of}")
 
 
@@ -133,33 +125,7 @@ class Paired:
     @property
     def p_value(self) -> float:
         """Of the exact two-sided test that either alone is equally likely; 1 without a discordant trial."""
-        n, least = self.first_only + self.second_only, min(self.first_only, self.second_only)
-        return min(1.0, 2.0 * sum(math.comb(n, k) for k in range(least + 1)) / (1 << n))
-
-
-@lru_cache
-def student_quantile(degrees: int, level: float = LEVEL) -> float:
-    """The t with P(|T| <= t) = ``level`` for Student's T: by bisection of Simpson's integral."""
-    if degrees < 1:
-        raise ValueError(f"at least one degree of freedom; got {degrees}")
-    factor: float = math.exp(math.lgamma((degrees + 1) / 2.0) - math.lgamma(degrees / 2.0)) / math.sqrt(
-        math.pi
-    )
-
-    def within(t: float) -> float:
-        # With x = sqrt(degrees) tan(a) the density becomes factor cos(a)^(degrees - 1) da: smooth and bounded
-        ends: float = math.atan(t / math.sqrt(degrees))
-        angles = np.linspace(0.0, ends, _STEPS + 1)
-        weights = np.where(np.arange(_STEPS + 1) % 2, 4.0, 2.0)
-        weights[[0, -1]] = 1.0
-        total: float = float((weights * np.cos(angles) ** (degrees - 1)).sum())
-        return float(2.0 * factor * total * ends / (3.0 * _STEPS))
-
-    low, high = 0.0, 1e4
-    while high - low > 1e-10 * high:
-        middle = (low + high) / 2.0
-        low, high = (middle, high) if within(middle) < level else (low, middle)
-    return high
+        return sign_test(self.first_only, self.second_only)
 
 
 def _finite(values: ArrayLike) -> NDArray[np.float64]:

@@ -8,11 +8,11 @@ from pathlib import Path
 from markupsafe import Markup
 
 from safety_harness.report.page_parts import render_page
-from safety_harness.report.text_file import write_whole
 from safety_harness.reproduction.choices import CHOICES
 from safety_harness.reproduction.document import About, comparison_words
 from safety_harness.reproduction.plots import side_by_side, svg
 from safety_harness.reproduction.result import Result, State, Word
+from safety_harness.whole_file import write_whole
 
 WORD_CLASS = {
     Word.REPRODUCED: "holds",

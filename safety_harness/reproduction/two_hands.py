@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.spaces import draw_admissible
+from safety_harness.controller.around import Around
 from safety_harness.controller.controller import Controller
 from safety_harness.learning.evaluation_sets import leaf
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.reproduction.networks import avoider_in
+from safety_harness.reproduction.safety import CLEAR_M, RIGHT_HAND
 from safety_harness.reproduction.work import Done, Json, Task
 from safety_harness.settings import Settings
 from safety_harness.simulation.pybullet_world import PyBulletWorld
@@ -31,33 +33,23 @@ from safety_harness.trace.trace import Trace
 
 EITHER, PLANE, WALL = "distance from the nearer hand", "distance from the plane", "distance from the wall"
 TRIGGERS = (EITHER, PLANE, WALL)
-CLEAR_M = 0.050
 ALWAYS_M, NEVER_M = 1e3, 0.0  # critical distances within which any hand is, or none
 _DRAW = 7
 
-SPACE = """\
+SPACE = f"""\
 scenario space: two hands of one person come near, stay and leave
 about: both hands as in the nominal space, each on its own
 duration: 10 s
 avoider: opposite pose
 tcp start:
-  offset: {in: seen tcp}
+  offset: {{in: seen tcp}}
 hands:
-  - hand: right hand
-    starts at: [1300 mm, -1000 mm, 400 mm]
-    elbow towards: [1700 mm, -1300 mm, 400 mm]
-    moves:
-      - wait: from 100 ms to 2 s
-      - move to: {in: seen hand}
-        speed: from 0.2 m/s to 1.6 m/s
-      - wait: from 100 ms to 2 s
-      - withdraw: from 0.2 m/s to 1.6 m/s
-  - hand: left hand
+{RIGHT_HAND}  - hand: left hand
     starts at: [1500 mm, -700 mm, 400 mm]
     elbow towards: [1900 mm, -1000 mm, 400 mm]
     moves:
       - wait: from 100 ms to 2 s
-      - move to: {in: seen hand}
+      - move to: {{in: seen hand}}
         speed: from 0.2 m/s to 1.6 m/s
       - wait: from 100 ms to 2 s
       - withdraw: from 0.2 m/s to 1.6 m/s
@@ -112,21 +104,20 @@ def _about(trace: Trace, claim: HandDistance) -> Json:
     }
 
 
-class _PlaneTriggered:
+class _PlaneTriggered(Around):
     """The system with its critical distance open while the TCP is near the plane, and shut while it is not.
 
     The hands are those predicted at the tick before, 8 ms ago.
     """
 
     def __init__(self, start: Admitted, *, wall: bool) -> None:
-        self._system = start.controller()
+        super().__init__(start.controller())
         self._wall = wall
         self._critical_m = start.scenario.settings.avoidance.critical_distance_m
-        self.name = self._system.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Open or shut, then as always."""
-        records = self._system.records
+        records = self.pilot.records
         state = records.state[0]
         hands = state["predicted_hand_in_base_m"][state["track_valid"] != 0]
         critical_m = self._critical_m
@@ -135,21 +126,7 @@ class _PlaneTriggered:
             near = plane_distance(tcp, hands[0], hands[1], wall=self._wall) < self._critical_m
             critical_m = ALWAYS_M if near else NEVER_M
         records.parameters["critical_distance_m"] = critical_m
-        return self._system.step(observation)
-
-    def report(self, tick: NDArray[np.void]) -> None:
-        """As the system does."""
-        self._system.report(tick)
-
-    @property
-    def decisions(self) -> NDArray[np.void]:
-        """The system's."""
-        return self._system.decisions
-
-    @property
-    def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The system's."""
-        return self._system.decision_latencies_s
+        return super().step(observation)
 
 
 def plane_distance(

@@ -13,25 +13,22 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import multiprocessing
-import os
-import signal
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from safety_harness.campaign.pool import pool
 from safety_harness.compiled import sources_of
 from safety_harness.exceptions import InputError, OutputError
-from safety_harness.report.text_file import write_whole
+from safety_harness.whole_file import write_whole
 
 RESULT = "result.json"
 HEARTBEAT_S = 60.0  # of a step that takes long
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 Json = dict[str, Any]
 
@@ -180,12 +177,9 @@ class Workshop:
         """Each as soon as what it needs is there, in the given order otherwise."""
         if not tasks:
             return
-        for name in ONE_THREAD:  # before the processes import any library
-            os.environ.setdefault(name, "1")
-        context = multiprocessing.get_context("spawn")
         jobs = at_once or self.jobs
         waiting, running = list(tasks), dict[Future[Done], Task]()
-        with ProcessPoolExecutor(jobs, mp_context=context, initializer=_ignore_ctrl_c) as pool:
+        with pool(jobs) as processes:
             try:
                 while waiting or running:
                     for task in list(waiting):
@@ -196,7 +190,7 @@ class Workshop:
                             self._finish(task, _never, done, left)
                         elif all(need in done for need in task.needs):
                             needs = self._done_needs(task, done)
-                            running[pool.submit(_do, task, needs, self.folder)] = task
+                            running[processes.submit(_do, task, needs, self.folder)] = task
                             waiting.remove(task)
                     if not running:
                         continue
@@ -209,20 +203,10 @@ class Workshop:
             except BrokenProcessPool:  # one was killed: for its memory, or by hand
                 for task in (*running.values(), *waiting):
                     self.failed.setdefault(task, "a process ended before its time; ask for the same again")
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in list((pool._processes or {}).values()):
-                    process.terminate()
-                raise
 
 
 def _never() -> Done:
     raise AssertionError("a task that needs a failed one is not asked")
-
-
-def _ignore_ctrl_c() -> None:
-    """The first process answers Ctrl-C and ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _do(task: Task, needs: tuple[Done, ...], root: Path) -> Done:

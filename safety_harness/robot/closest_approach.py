@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import arrayless, compiled, inlined
-from safety_harness.geometry.segments import segment_segment_vector
+from safety_harness.geometry.segments import ROUNDING_M, segment_segment_vector
 from safety_harness.robot.distance import chain_lengths, hand_distance, place_capsules, segment_length
 from safety_harness.robot.kinematics import forward_kinematics
 
-ROUNDING_M = 1e-9  # by which a bound, computed otherwise, may be off
 DEEPEST = 48  # halvings of an interval: far below any tolerance that float64 can serve
 
 

@@ -11,9 +11,10 @@ import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 from math import pi
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
@@ -36,12 +37,11 @@ def is_sentence(text: str) -> bool:
     return bool(text.strip()) and text.isprintable() and len(text) <= _LONGEST_SENTENCE
 
 
-@dataclass(frozen=True)
-class Field:
+class Field(NamedTuple):
     """One value of a scenario file.  ``path`` is what a message calls it: ``hands[0].starts at``.
 
     ``file`` is the scenario's own, which relative paths start from; ``origin`` is the one in which
-    the value stands, if that is another.
+    the value stands, if that is another.  (A tuple, since a search makes a million of them a minute.)
     """
 
     node: Node
@@ -88,15 +88,15 @@ class Field:
             value = self.node.drawn[0]
         else:
             value = parse_quantity(self.scalar(dimension.expected), dimension, self.place)
-        bounds = (
-            ("above", above, above is None or value > above),
-            ("at least", least, least is None or value >= least),
-            ("at most", most, most is None or value <= most),
-        )
-        if not all(kept for _, _, kept in bounds):
-            wanted = " and ".join(f"{word} {bound:g}" for word, bound, _ in bounds if bound is not None)
-            raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
-        return value
+        if (
+            (above is None or value > above)
+            and (least is None or value >= least)
+            and (most is None or value <= most)
+        ):
+            return value
+        bounds = (("above", above), ("at least", least), ("at most", most))
+        wanted = " and ".join(f"{word} {bound:g}" for word, bound in bounds if bound is not None)
+        raise self.error(f"{dimension.expected}, {wanted} {dimension.si}".rstrip())
 
     def integer(self, *, least: int, most: int) -> int:
         """A whole number without a unit."""
@@ -167,7 +167,7 @@ class Field:
 
         ``hints`` says for keys that people will try here what to write instead.
         """
-        entries = self.entries(f"a mapping with the keys {', '.join(allowed)}")
+        entries = self.entries(_mapping_with(allowed))
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
@@ -175,6 +175,11 @@ class Field:
                     f"one of the keys {', '.join(allowed)}", got=f'the key "{shown(key)}"', hint=hint
                 )
         return Fields(self, dict(entries))
+
+
+@lru_cache
+def _mapping_with(keys: tuple[str, ...]) -> str:
+    return f"a mapping with the keys {', '.join(keys)}"
 
 
 @dataclass(frozen=True)

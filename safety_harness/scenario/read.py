@@ -6,7 +6,7 @@ checks that need no kinematics are made here, every error has file, line and fie
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,7 @@ KEYS = (
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
 ) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
+READ_ALONE = frozenset({"tcp start", "hands"})  # no other key is read by what these say
 START_KEYS = ("offset", "position", "joints", "tilt")
 # The three groups of settings that have a key of their own at the top.
 TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
@@ -138,6 +139,30 @@ def scenario_of(
         file=file,
         places=Places(root),
     )
+
+
+def scenario_again(
+    known: Scenario,
+    changed: Set[str],
+    tree: Node,
+    recordings: Mapping[str, bytes] | None = None,
+    *,
+    name: str,
+) -> Scenario:
+    """As ``scenario_of``, for a tree that says the same as that of ``known`` but under the keys ``changed``.
+
+    What nothing else depends on is read alone; else all of it is.
+    """
+    if not changed <= READ_ALONE:
+        return scenario_of(tree, known.file, recordings, name=name)
+    root = Field(tree, known.file, path="", line=1)
+    given = root.fields(KEYS, hints=_COMPOSED)
+    start, hands = known.start, known.hands
+    if "tcp start" in changed:
+        start = _tcp_start(given.required("tcp start"))
+    if "hands" in changed:
+        hands = read_hands(given.optional("hands"), settings=known.settings, carried=recordings or {})
+    return replace(known, name=name, start=start, hands=hands, places=Places(root))
 
 
 def _title(field: Field) -> str:

@@ -24,7 +24,7 @@ _LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
 _Factor = Fraction | None  # None: degrees, by math.radians
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Dimension:
     """A kind of quantity: its name and an example for messages, its SI unit, its units' factors to SI.
 
@@ -113,32 +113,37 @@ DIMENSIONS = (
 
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
     """The SI value of ``text``; ScenarioError at ``place`` when it is no finite quantity of that kind."""
+    found = _understood(text, dimension)
+    if isinstance(found, _Refusal):
+        raise ScenarioError(place=place, expected=found.expected, got=found.got, hint=found.hint)
+    return found
+
+
+@dataclass(frozen=True)
+class _Refusal:
+    """Why a text is no quantity, in the words of a message."""
+
+    expected: str
+    got: str
+    hint: str = ""
+
+
+@lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their quantities
+def _understood(text: str, dimension: Dimension) -> float | _Refusal:
+    """The SI value of ``text``, or why it has none."""
     stripped = text.strip()
     matched = _NUMBER.match(stripped)
     if matched is None:
-        raise ScenarioError(
-            place=place, expected=dimension.expected, got=shown(text), hint=_units_hint("", dimension)
-        )
+        return _Refusal(dimension.expected, shown(text), _units_hint("", dimension))
     number, unit = matched.group(), normal_unit(stripped[matched.end() :])
     if not unit and not dimension.bare:
-        raise ScenarioError(
-            place=place,
-            expected=dimension.expected,
-            got=f"{number}, which has no unit",
-            hint=_units_hint("", dimension),
-        )
+        return _Refusal(dimension.expected, f"{number}, which has no unit", _units_hint("", dimension))
     if unit and unit not in dimension.units:
-        raise ScenarioError(
-            place=place, expected=dimension.expected, got=shown(text), hint=_units_hint(unit, dimension)
-        )
+        return _Refusal(dimension.expected, shown(text), _units_hint(unit, dimension))
     value = _si_value(number, dimension.units[unit] if unit else Fraction(1))
     if value is None:
-        raise ScenarioError(
-            place=place,
-            expected=f"{dimension.expected}, of at most {_LONGEST_NUMBER} characters and within the range of "
-            "a 64-bit float",
-            got=shown(text),
-        )
+        range_words = f"of at most {_LONGEST_NUMBER} characters and within the range of a 64-bit float"
+        return _Refusal(f"{dimension.expected}, {range_words}", shown(text))
     return value
 
 
@@ -176,7 +181,6 @@ def _units_hint(unit: str, dimension: Dimension) -> str:
     return f"{near_miss(unit, dimension.units, most=2)} allowed units: {', '.join(dimension.units)}".strip()
 
 
-@lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their numbers
 def _si_value(number: str, factor: _Factor) -> float | None:
     """``number`` times ``factor``, rounded once; None when no finite float is meant."""
     exponent = number.lower().partition("e")[2]

@@ -16,7 +16,7 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_kinematic, run_many, slower_because
+from safety_harness.admission.kinematic import late_by_the_clock, run_kinematic, run_many
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, described
@@ -50,13 +50,13 @@ class World(Protocol):
 def in_pybullet(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
     """One after another, in the reference world.  Ctrl-C raises KeyboardInterrupt.
 
-    Avoiders that the kinematic world waits for, as our own, are waited for here too: a busy machine makes no
-    finding.
+    Avoiders that the kinematic world waits for are waited for here too: a busy machine makes no finding.
     """
     found: list[Trace | Exception] = []
     for one in admitted:
         try:
-            trace = run_trial(one, by_the_clock=_by_the_clock(one.avoider))
+            asked = one.avoider.avoider if isinstance(one.avoider, OtherDraws) else one.avoider
+            trace = run_trial(one, by_the_clock=late_by_the_clock(asked))
         except Exception as error:  # one run's failure is a finding
             found.append(error)
             continue
@@ -64,11 +64,6 @@ def in_pybullet(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
             raise KeyboardInterrupt
         found.append(trace)
     return found
-
-
-def _by_the_clock(avoider: Avoider) -> bool:
-    """Whether an answer can be late because of the clock, in either world."""
-    return bool(slower_because(avoider.avoider if isinstance(avoider, OtherDraws) else avoider))
 
 
 def in_kinematic(admitted: Sequence[Admitted]) -> list[Trace | Exception]:

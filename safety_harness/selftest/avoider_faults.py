@@ -281,7 +281,7 @@ AVOIDER_FAULTS = (
         hazard="the gate lets pass what the network only guesses",
         seed_into=_magnitude_first(_other_spread),
         ladder=Ladder((0.0, 0.1, 0.25, 0.5), "times"),
-        pooled=True,
+        of_spread=True,
     ),
     Fault(
         name="underconfident spread",
@@ -289,7 +289,7 @@ AVOIDER_FAULTS = (
         hazard="every answer is thrown away; what was tested is not what is used",
         seed_into=_magnitude_first(_other_spread),
         ladder=Ladder((10.0, 4.0, 2.0), "times"),
-        pooled=True,
+        of_spread=True,
     ),
     Fault(
         name="spread of the wrong axis",
@@ -297,6 +297,6 @@ AVOIDER_FAULTS = (
         hazard="the doubt about the most uncertain axis is not seen",
         seed_into=_magnitude_first(_wrong_spread_axis),
         ladder=Ladder((1.0, 0.5), "% of the largest lost", 100.0),
-        pooled=True,
+        of_spread=True,
     ),
 )

@@ -9,21 +9,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from safety_harness.report.text_file import write_whole
 from safety_harness.selftest.outcome import Outcome, tally_of
+from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"
 
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """How it came about.  ``planned`` faults, of which an interruption may leave some untried."""
+    """How it came about.  ``interrupted``: of the ``planned`` faults some were not tried."""
 
     profile: str
     avoider: str | None
     scenarios: str
     episodes: int
-    pool: int
     planned: int
     seconds: float
     command: str

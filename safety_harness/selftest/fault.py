@@ -58,8 +58,7 @@ class Fault:
     """A mistake that somebody could make, and that hurts somebody or ends the task.
 
     ``seed_into`` a sound system, with a magnitude of the ``ladder``, gives the faulty one.  Both are
-    tried in ``circumstance``.  ``pooled``: it is one of the spread, judged over many runs together as well,
-    and does not apply to an avoider that states none.
+    tried in ``circumstance``.  ``of_spread``: it does not apply to an avoider that states none.
     ``harmless``: why it cannot matter, said beforehand; whatever is violated with it is a false alarm.
     ``limit``: why nothing here can catch it, said beforehand.
     """
@@ -70,6 +69,6 @@ class Fault:
     seed_into: Seeds
     ladder: Ladder = ONLY
     circumstance: Circumstance = AS_IT_IS
-    pooled: bool = False
+    of_spread: bool = False
     harmless: str = ""
     limit: str = ""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,10 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.asking import Answer
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.gate import Gate, Query, Ruling
+from safety_harness.controller.around import Around
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.selftest.avoider_faults import Spoilt, turned
-from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part
-from safety_harness.selftest.system import System
+from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part, Seeds
 from safety_harness.trace.records import Check, Mode, Outcome
 
 SURE_BELOW_M = 0.02  # the threshold of the avoiders below
@@ -130,41 +131,20 @@ class PassesNaN(Gate):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Refusing(Gate):
-    """Lets no proposal pass."""
+class Instead(Gate):
+    """Takes another way out than the one that it found."""
+
+    when: Outcome
+    takes: Outcome
 
     def rule_on(self, proposed: Answer, query: Query) -> Ruling:
-        """The opposite pose, if that can be had."""
+        """A usable proposal gives way only to an opposite pose that can be used too."""
         ruling = super().rule_on(proposed, query)
-        if ruling.outcome is not Outcome.PROPOSED or ruling.opposite_failed:
+        if ruling.outcome is not self.when or (self.when is Outcome.PROPOSED and ruling.opposite_failed):
             return ruling
         opposite = ruling.opposite.position_in_base_m
-        return replace(ruling, outcome=Outcome.OPPOSITE, chosen_position_in_base_m=opposite)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class GivesUp(Gate):
-    """Stops where it should fall back."""
-
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
-        """No opposite pose."""
-        ruling = super().rule_on(proposed, query)
-        if ruling.outcome is not Outcome.OPPOSITE:
-            return ruling
-        return replace(ruling, outcome=Outcome.STOP, chosen_position_in_base_m=np.full(3, np.nan))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class NeverStops(Gate):
-    """Where nothing can be used it takes the opposite pose nevertheless."""
-
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
-        """No stop."""
-        ruling = super().rule_on(proposed, query)
-        if ruling.outcome is not Outcome.STOP:
-            return ruling
-        opposite = ruling.opposite.position_in_base_m
-        return replace(ruling, outcome=Outcome.OPPOSITE, chosen_position_in_base_m=opposite)
+        chosen = opposite if self.takes is Outcome.OPPOSITE else np.full(3, np.nan)
+        return replace(ruling, outcome=self.takes, chosen_position_in_base_m=chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,21 +163,21 @@ class Fallback:
         return Proposal(tcp_position_in_base_m + self.way_m / np.linalg.norm(way) * way)
 
 
-class Late:
+class Late(Around):
     """The gate's refusal counts some cycles late: until then the arm heads for what was refused."""
 
     def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
-        self._pilot, self._cycles = pilot, int(cycles)
+        super().__init__(pilot)
+        self._cycles = int(cycles)
         self._left = 0
         self._chosen: Vector = np.full(3, np.nan)
-        self.name = pilot.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """As the controller does, but for the position that it heads for."""
-        command = self._pilot.step(observation)
-        state, question = self._pilot.records.state[0], self._pilot.records.question[0]
+        command = super().step(observation)
+        state, question = self.pilot.records.state[0], self.pilot.records.question[0]
         if question["made_now"]:
-            decision = self._pilot.decisions[-1]
+            decision = self.pilot.decisions[-1]
             refused = decision["outcome"] == Outcome.OPPOSITE and np.all(
                 np.isfinite(decision["proposed_position_in_base_m"])
             )
@@ -211,27 +191,9 @@ class Late:
                 state["target_in_base_m"] = self._chosen
         return command
 
-    def report(self, tick: NDArray[np.void]) -> None:
-        """The controller's own."""
-        self._pilot.report(tick)
 
-    @property
-    def decisions(self) -> NDArray[np.void]:
-        """The controller's own."""
-        return self._pilot.decisions
-
-    @property
-    def decision_latencies_s(self) -> NDArray[np.float64]:
-        """The controller's own."""
-        return self._pilot.decision_latencies_s
-
-
-def _blind_to(checks: Check) -> partial[System]:
-    return partial(_with_blind, checks)
-
-
-def _with_blind(checks: Check, system: System, magnitude: float) -> System:
-    return system.with_gate(Blind, to=checks)
+def _with(cls: type[Gate], **changed: Any) -> Seeds:
+    return lambda system, magnitude: system.with_gate(cls, **changed)
 
 
 _gate = partial(Fault, part=Part.GATE)
@@ -260,54 +222,56 @@ GATE_FAULTS = (
     _gate(
         name="checks the end and not the way",
         hazard="the arm stops half-way, or bumps into itself",
-        seed_into=_blind_to(Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF),
+        seed_into=_with(Blind, to=Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF),
         circumstance=ACROSS,
     ),
     _gate(
         name="reach not checked",
         hazard="the arm is stretched to its limits and stops before the hand",
-        seed_into=_blind_to(Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT),
+        seed_into=_with(Blind, to=Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT),
         circumstance=TOO_FAR,
     ),
     _gate(
         name="table not checked",
         hazard="what is held is crushed between arm and table",
-        seed_into=_blind_to(Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF),
+        seed_into=_with(
+            Blind, to=Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF
+        ),
         circumstance=TO_THE_TABLE,
     ),
     _gate(
         name="direction not checked",
         hazard="the arm goes to the hand that it gives way to",
-        seed_into=_blind_to(Check.TOWARDS_A_HAND),
+        seed_into=_with(Blind, to=Check.TOWARDS_A_HAND),
         circumstance=TO_THE_HAND,
     ),
     _gate(
         name="minds one hand only",
         hazard="the arm gives way to one hand and goes to the other",
-        seed_into=lambda s, _: s.with_gate(OneHandOnly),
+        seed_into=_with(OneHandOnly),
     ),
     _gate(
         name="passes NaN",
         hazard="no number becomes a position, and then a speed",
-        seed_into=lambda s, _: s.with_gate(PassesNaN),
+        seed_into=_with(PassesNaN),
         circumstance=NO_NUMBER,
     ),
     _gate(
         name="lets no proposal pass",
         hazard="the system in use is not the one whose avoider was tested",
-        seed_into=lambda s, _: s.with_gate(Refusing),
+        seed_into=_with(Instead, when=Outcome.PROPOSED, takes=Outcome.OPPOSITE),
         circumstance=CERTAIN,
     ),
     _gate(
         name="stops where it could fall back",
         hazard="an arm that stands still before a hand that comes",
-        seed_into=lambda s, _: s.with_gate(GivesUp),
+        seed_into=_with(Instead, when=Outcome.OPPOSITE, takes=Outcome.STOP),
         circumstance=IN_DOUBT,
     ),
     _gate(
         name="never stops",
         hazard="the arm heads for where it cannot go",
-        seed_into=lambda s, _: s.with_gate(NeverStops),
+        seed_into=_with(Instead, when=Outcome.STOP, takes=Outcome.OPPOSITE),
     ),
     _gate(
         name="fallback towards the hand",

@@ -9,8 +9,9 @@ import numpy as np
 from safety_harness.admission.admit import Admitted
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.avoider_faults import Spoilt, asked
+from safety_harness.selftest.avoider_faults import asked, spoilt
 from safety_harness.selftest.fault import Fault, Part
+from safety_harness.selftest.motion_faults import told
 from safety_harness.selftest.perception_faults import parameters, seen
 from safety_harness.selftest.servoing_faults import turned_alpha
 from safety_harness.selftest.system import Records, System
@@ -34,14 +35,6 @@ def _global_state(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Pro
 def _single_precision(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     proposal = asked(avoider, hand, tcp, seed)
     return Proposal(proposal.position_in_base_m.astype(np.float32), proposal.spread_m)
-
-
-def _answers(answers: object) -> partial[System]:
-    return partial(_with_answers, answers)
-
-
-def _with_answers(answers: object, system: System, magnitude: float) -> System:
-    return system.with_avoider(lambda avoider: Spoilt(avoider, answers))  # type: ignore[arg-type]
 
 
 def _turned_half(records: ControllerRecords, magnitude: float) -> None:
@@ -86,13 +79,9 @@ def _tiny(records: ControllerRecords, magnitude: float) -> None:
     records.parameters["transform_sensor_to_base"][0, :3, 3] += NOISE_M
 
 
-def _stopped_and_told(admitted: Admitted) -> object:
-    def obey(command: Records) -> Records:
-        if command[0]["protective_stop"]:
-            command[0]["joint_velocity_radps"] = 1.0
-        return command
-
-    return obey
+def _stopped_and_told(magnitude: float, command: Records) -> None:
+    if command[0]["protective_stop"]:
+        command[0]["joint_velocity_radps"] = 1.0
 
 
 _of_avoider = partial(Fault, part=Part.AVOIDER)
@@ -102,19 +91,19 @@ HARMLESS = (
     _of_avoider(
         name="mutates its inputs",
         hazard="an avoider that writes into what it is given",
-        seed_into=_answers(_mutating),
+        seed_into=spoilt(lambda _: _mutating),
         harmless="it is given copies",
     ),
     _of_avoider(
         name="seeds the global generator",
         hazard="an avoider that changes everybody's random numbers",
-        seed_into=_answers(_global_state),
+        seed_into=spoilt(lambda _: _global_state),
         harmless="nothing draws from the global generator",
     ),
     _of_avoider(
         name="answers in single precision",
         hazard="rounding to a tenth of a micrometre",
-        seed_into=_answers(_single_precision),
+        seed_into=spoilt(lambda _: _single_precision),
         harmless="ten thousand times less than the arrival tolerance of 1 mm",
     ),
     Fault(
@@ -142,7 +131,7 @@ HARMLESS = (
         name="demand during a protective stop",
         part=Part.MOTION,
         hazard="the controller asks for motion while the arm is being stopped",
-        seed_into=lambda s, _: s.obeying(_stopped_and_told),  # type: ignore[arg-type]
+        seed_into=told(_stopped_and_told),
         harmless="the drives carry a stop through, whatever is asked for",
     ),
     _of_perception(

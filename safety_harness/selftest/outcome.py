@@ -19,6 +19,7 @@ class State(Enum):
     UNTOUCHED = "does not apply"
     QUIET = "quiet"  # a harmless one, as it should be
     FALSE_ALARM = "false alarm"
+    TRUE_ALARM = "true alarm"  # about a change that was declared harmless: geometry confirms it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +46,18 @@ class Outcome:
         if not self.applies:
             return State.UNTOUCHED
         if self.harmless:
-            return State.FALSE_ALARM if caught else State.QUIET
+            return self._harmless_state
         if caught:
             return State.CAUGHT
         return State.LIMIT if self.limit else State.SURVIVES
+
+    @property
+    def _harmless_state(self) -> State:
+        alarms = [alarm for rung in self.rungs for alarm in rung.alarms]
+        contradicted = any(rung.geometry.contradicted for rung in self.rungs if rung.geometry)
+        if contradicted or not all(alarm.true for alarm in alarms):
+            return State.FALSE_ALARM
+        return State.TRUE_ALARM if alarms else State.QUIET
 
     @property
     def smallest(self) -> Rung | None:
@@ -91,7 +100,11 @@ def outcome_of(fault: Fault, rungs: Sequence[Rung], *, applies: bool = True) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Tally:
-    """The figures of a whole trial."""
+    """The figures of a whole trial.
+
+    ``geometry_runs`` with harmless changes were judged by PyBullet's geometry as well, to the contrary of our
+    word on the hand distance in ``geometry_contradicted`` of them.
+    """
 
     faults: int
     caught: int
@@ -101,7 +114,10 @@ class Tally:
     rungs_caught: int
     harmless: int
     false_alarms: int
+    true_alarms: int
     unconfirmed: int
+    geometry_runs: int
+    geometry_contradicted: int
 
     @property
     def kill_rate(self) -> float:
@@ -113,6 +129,7 @@ def tally_of(outcomes: Sequence[Outcome]) -> Tally:
     """Count."""
     states = [one.state for one in outcomes]
     tried = [rung for one in outcomes if not one.harmless for rung in one.rungs]
+    geometries = [rung.geometry for one in outcomes for rung in one.rungs if rung.geometry]
     caught, survivors = states.count(State.CAUGHT), states.count(State.SURVIVES)
     limits = states.count(State.LIMIT)
     return Tally(
@@ -122,7 +139,10 @@ def tally_of(outcomes: Sequence[Outcome]) -> Tally:
         limits=limits,
         rungs=len(tried),
         rungs_caught=sum(rung.caught for rung in tried),
-        harmless=states.count(State.QUIET) + states.count(State.FALSE_ALARM),
+        harmless=sum(map(states.count, (State.QUIET, State.FALSE_ALARM, State.TRUE_ALARM))),
         false_alarms=states.count(State.FALSE_ALARM),
+        true_alarms=states.count(State.TRUE_ALARM),
         unconfirmed=sum(one.confirmed is False for one in outcomes),
+        geometry_runs=sum(one.runs for one in geometries),
+        geometry_contradicted=sum(len(one.contradicted) for one in geometries),
     )

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from markupsafe import Markup
-
-from safety_harness.report.page_parts import asset, templates
-from safety_harness.report.text_file import write_whole
+from safety_harness.report.page_parts import render_page
 from safety_harness.selftest.document import About
 from safety_harness.selftest.outcome import Outcome, State, tally_of
 from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
+from safety_harness.whole_file import write_whole
 
 STATE_CLASS = {
     State.CAUGHT: "holds",
@@ -21,6 +17,7 @@ STATE_CLASS = {
     State.SURVIVES: "violated",
     State.FALSE_ALARM: "violated",
     State.LIMIT: "inconclusive",
+    State.TRUE_ALARM: "inconclusive",
     State.UNTOUCHED: "none",
 }
 
@@ -32,23 +29,17 @@ def write_page(path: Path, outcomes: Sequence[Outcome], about: About) -> None:
 
 def render(outcomes: Sequence[Outcome], about: About) -> str:
     """The page as text; the same arguments give the same bytes."""
-    script = asset("report.js")
     faults, harmless = in_table(outcomes)
-    return (
-        templates()
-        .get_template("selftest.html.j2")
-        .render(
-            about=about,
-            tally=tally_of(outcomes),
-            summary=summary(tally_of(outcomes)),
-            bad=bad(outcomes),
-            faults=[(one, row(one)) for one in faults],
-            harmless=[(one, harmless_row(one)) for one in harmless],
-            head=HEAD,
-            harmless_head=HARMLESS_HEAD,
-            state_class=STATE_CLASS,
-            style=Markup(asset("report.css") + asset("reproduction.css")),
-            script=Markup(script),
-            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        )
+    return render_page(
+        "selftest.html.j2",
+        style="reproduction.css",
+        about=about,
+        tally=tally_of(outcomes),
+        summary=summary(tally_of(outcomes)),
+        bad=bad(outcomes),
+        faults=[(one, row(one)) for one in faults],
+        harmless=[(one, harmless_row(one)) for one in harmless],
+        head=HEAD,
+        harmless_head=HARMLESS_HEAD,
+        state_class=STATE_CLASS,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 
@@ -15,7 +14,7 @@ from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.selftest.fault import Fault, Ladder, Part
-from safety_harness.selftest.system import Change, Records, System
+from safety_harness.selftest.system import Change, Delayed, Records, System
 
 U, V, Z, AREA = range(4)
 GHOST_DEPTH_M = 1.45
@@ -52,16 +51,16 @@ def keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
 
 def _late(delay_s: float, admitted: Admitted) -> Change:
     """Frames arrive late and are taken for new ones."""
-    waiting: deque[tuple[float, NDArray[np.float64], int]] = deque()
+    frames = Delayed(delay_s)
 
     def see(observation: Records) -> Records:
         o = observation[0]
         if o["boxes_new"]:
-            waiting.append((float(o["time_s"]), o["boxes"].copy(), int(o["box_count"])))
-        o["boxes_new"] = False
-        while waiting and waiting[0][0] + delay_s <= o["time_s"] + 1e-9:
-            _, o["boxes"], o["box_count"] = waiting.popleft()
-            o["boxes_new"], o["boxes_time_s"] = True, o["time_s"]
+            frames.put(float(o["time_s"]), (o["boxes"].copy(), int(o["box_count"])))
+        frame = frames.due(float(o["time_s"]))
+        o["boxes_new"] = frame is not None
+        if frame is not None:
+            (o["boxes"], o["box_count"]), o["boxes_time_s"] = frame, o["time_s"]
         return observation
 
     return see

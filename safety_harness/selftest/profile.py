@@ -33,18 +33,17 @@ TELLING = (
 class Profile:
     """``first`` are the scenarios tried before the others, ``others`` whether those are tried at all.
 
-    ``draws`` of each space come after them; ``pool`` are the draws that are judged together.
+    ``draws`` of each space come after them.
     """
 
     name: str
     first: tuple[str, ...]
     others: bool
     draws: int
-    pool: int
 
 
-QUICK = Profile(name="quick", first=TELLING, others=False, draws=2, pool=200)
-NIGHTLY = Profile(name="nightly", first=TELLING, others=True, draws=30, pool=600)
+QUICK = Profile(name="quick", first=TELLING, others=False, draws=2)
+NIGHTLY = Profile(name="nightly", first=TELLING, others=True, draws=30)
 PROFILES = (QUICK, NIGHTLY)
 
 

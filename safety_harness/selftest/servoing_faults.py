@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from functools import partial
 
 import numpy as np
@@ -12,7 +11,7 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.selftest.fault import Fault, Ladder, Part
 from safety_harness.selftest.perception_faults import parameters, seen
-from safety_harness.selftest.system import Change, Records
+from safety_harness.selftest.system import Change, Delayed, Records
 from safety_harness.servoing.features import ALPHA, X_N
 
 FEATURES = ("x_n", "y_n", "a_n", "gamma", "delta", "alpha")
@@ -71,16 +70,16 @@ def _blind_and_sure(admitted: Admitted) -> Change:
 
 
 def _late_image(delay_s: float, admitted: Admitted) -> Change:
-    waiting: deque[tuple[float, bool, NDArray[np.float64]]] = deque()
+    images = Delayed(delay_s)
 
     def see(observation: Records) -> Records:
         o = observation[0]
         if o["image_new"]:
-            waiting.append((float(o["time_s"]), bool(o["object_visible"]), o["moments"].copy()))
-        o["image_new"] = False
-        while waiting and waiting[0][0] + delay_s <= o["time_s"] + 1e-9:
-            _, o["object_visible"], o["moments"] = waiting.popleft()
-            o["image_new"] = True
+            images.put(float(o["time_s"]), (bool(o["object_visible"]), o["moments"].copy()))
+        image = images.due(float(o["time_s"]))
+        o["image_new"] = image is not None
+        if image is not None:
+            o["object_visible"], o["moments"] = image
         return observation
 
     return see

@@ -22,10 +22,9 @@ LONG_S = 30.0  # such scenarios come last: they cost as much as several others
 
 @dataclass(frozen=True, eq=False)
 class Suite:
-    """Admitted scenarios in the order in which they are tried, and draws to be judged together."""
+    """Admitted scenarios in the order in which they are tried, one at least."""
 
     episodes: tuple[Admitted, ...]
-    pool: tuple[Admitted, ...]
 
     @classmethod
     def read(
@@ -36,12 +35,12 @@ class Suite:
         others: bool = True,
         avoider: str | None = None,
         draws: int = 0,
-        pool: int = 0,
     ) -> Suite:
         """The scenarios of ``folder``, those named ``first`` before the ``others``, then draws of its spaces.
 
         Without ``others`` only those named are taken, if there are any.  ``avoider`` takes the place of
-        what they name.  What only PyBullet can run is left out.  InputError for a file that cannot be used.
+        what they name.  What only PyBullet can run is left out.  InputError for a file that cannot be used,
+        or if nothing is left to try.
         """
         if not folder.is_dir():
             raise ScenarioError(
@@ -61,11 +60,13 @@ class Suite:
             if draws:
                 drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), draws).scenarios
                 episodes += _admitted(drawn, avoider)
-        nominal = [space for space in spaces if space.name == "nominal"]
-        together: tuple[Scenario, ...] = ()
-        if nominal and pool:
-            together = draw_admissible(nominal[0], seed(0, Branch.SELFTEST, 1), pool).scenarios
-        return cls(tuple(episodes), tuple(_admitted(together, avoider)))
+        if not episodes:
+            raise ScenarioError(
+                place=Place(field="--scenarios"),
+                expected="a scenario that the kinematic world can run",
+                got=f"none of the {len(ordered)} in {folder}",
+            )
+        return cls(tuple(episodes))
 
 
 def _rank(scenario: Scenario, first: Sequence[str]) -> tuple[int, float, str]:

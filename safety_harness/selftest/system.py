@@ -7,6 +7,7 @@ is asked of stays sound.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
@@ -16,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
+from safety_harness.admission.kinematic import slower_because
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.batches import takes_many
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.cycle import ControllerRecords
@@ -47,8 +48,8 @@ class System:
 
     @classmethod
     def of(cls, admitted: Admitted) -> System:
-        """The sound one; an avoider that cannot be asked for many at once is timed."""
-        return cls(admitted, timed=not takes_many(admitted.avoider))
+        """The sound one; an avoider that cannot be asked for many at once is timed, as in ``run_many``."""
+        return cls(admitted, timed=bool(slower_because(admitted.avoider)))
 
     def with_avoider(self, wrap: Callable[[Avoider], Avoider], *, timed: bool | None = None) -> System:
         """With another avoider, made of this one."""
@@ -115,6 +116,25 @@ class System:
         if self.timed:
             return trace
         return replace(trace, decision_latency_s=np.full(len(trace.decisions), np.nan))
+
+
+class Delayed:
+    """What was put in comes out ``delay_s`` later."""
+
+    def __init__(self, delay_s: float) -> None:
+        self._delay_s = delay_s
+        self._waiting: deque[tuple[float, Any]] = deque()
+
+    def put(self, now_s: float, what: Any) -> None:
+        """In at ``now_s``."""
+        self._waiting.append((now_s, what))
+
+    def due(self, now_s: float) -> Any | None:
+        """The last of what has come out by now and was not taken before; None if nothing has."""
+        last = None
+        while self._waiting and self._waiting[0][0] + self._delay_s <= now_s + 1e-9:
+            _, last = self._waiting.popleft()
+        return last
 
 
 class Between:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from safety_harness.report.words import count_words
 from safety_harness.selftest.outcome import Outcome, State, Tally
+from safety_harness.selftest.trial import Geometry
 
 HEAD = ("part", "fault", "caught by", "in", "episodes", "slightest caught", "survives", "PyBullet")
-HARMLESS_HEAD = ("part", "change", "why it cannot matter", "episodes", "alarms")
+HARMLESS_HEAD = ("part", "change", "why it cannot matter", "episodes", "alarms", "hand distance by PyBullet")
 NONE = "-"
 
 
@@ -36,7 +37,14 @@ def harmless_row(one: Outcome) -> tuple[str, ...]:
     """A harmless change's row under HARMLESS_HEAD."""
     alarms = [str(alarm) for rung in one.rungs for alarm in rung.alarms]
     episodes = sum(rung.episodes for rung in one.rungs)
-    return (one.part, one.fault, one.harmless, str(episodes), "; ".join(alarms) or "none")
+    geometry = "; ".join(geometry_words(rung.geometry) for rung in one.rungs if rung.geometry) or NONE
+    return (one.part, one.fault, one.harmless, str(episodes), "; ".join(alarms) or "none", geometry)
+
+
+def geometry_words(found: Geometry) -> str:
+    """How often it is kept and broken, and where our verdict is the opposite."""
+    words = f"kept in {found.kept} of {found.runs}, broken in {found.broken}"
+    return f"{words}, to the contrary in {', '.join(found.contradicted)}" if found.contradicted else words
 
 
 def summary(tally: Tally) -> str:
@@ -49,6 +57,11 @@ def summary(tally: Tally) -> str:
         words += f"; {count_words(tally.survivors, 'survivor', 'survivors')}"
     words += f"; {count_words(tally.false_alarms, 'false alarm', 'false alarms')} on "
     words += count_words(tally.harmless, "harmless change", "harmless changes")
+    if tally.true_alarms:
+        words += f", {count_words(tally.true_alarms, 'true alarm', 'true alarms')}"
+    if tally.geometry_runs:
+        agreed = tally.geometry_runs - tally.geometry_contradicted
+        words += f"; PyBullet's geometry does not contradict {agreed} of {tally.geometry_runs} hand distances"
     if tally.unconfirmed:
         words += f"; {tally.unconfirmed} not seen in PyBullet"
     return words

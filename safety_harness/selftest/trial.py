@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_many
 from safety_harness.avoidance.avoider import described, spread_threshold_of
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.spread_calibration import SpreadCalibration
+from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.fault import Fault
+from safety_harness.selftest.geometry import Kept, hand_distance_kept
 from safety_harness.selftest.suite import Suite, claims_of
 from safety_harness.selftest.system import System
 from safety_harness.trace.trace import Trace
 
 SAME_TWICE = "the same question has the same answer"
 RUN_FAILED = "the run can be carried through"
-# By how much a claim has to hold without the fault, so that its violation is no matter of a hair [SI].
+LEAST_M = 0.050  # of the catalogue's own sentence about the hand distance
+Words = Mapping[str, Evaluation]  # by sentence
+
+# How far apart the margins with and without a fault have to be, so that it is no matter of a hair [SI].
 CLEAR = {
     Unit.LENGTH: 1e-3,
     Unit.ANGLE: 1e-3,
@@ -37,15 +40,45 @@ CLEAR = {
 
 @dataclass(frozen=True, kw_only=True)
 class Alarm:
-    """A claim that is violated with the fault and holds without it."""
+    """A claim that is violated with the fault and holds without it.
+
+    ``margin`` with it and ``before``, without.  ``true``: geometry that is not ours says so too, which is
+    asked of harmless changes only.
+    """
 
     claim: str
     scenario: str
     margin: str
-    before: str  # the margin without the fault
+    before: str
+    true: bool = False
 
     def __str__(self) -> str:
-        return f"{self.claim} ({self.scenario}: {self.margin}, {self.before} without)"
+        words = f"{self.claim} ({self.scenario}: {self.margin}, {self.before} without)"
+        return f"{words}, which is true" if self.true else words
+
+
+@dataclass(frozen=True, kw_only=True)
+class Geometry:
+    """What PyBullet's own kinematics and distances say of the hand distance in so many runs with hands.
+
+    It is ``kept`` in some and ``broken`` in others, too near to tell in the rest; in those ``contradicted``
+    our verdict is the opposite.
+    """
+
+    runs: int = 0
+    kept: int = 0
+    broken: int = 0
+    contradicted: tuple[str, ...] = ()
+
+    def with_run(self, scenario: str, kept: Kept, verdict: Verdict) -> Geometry:
+        """With one more."""
+        wrong = {Kept.PROVEN: Verdict.VIOLATED, Kept.REFUTED: Verdict.HOLDS}.get(kept) is verdict
+        return Geometry(
+            runs=self.runs + 1,
+            kept=self.kept + (kept is Kept.PROVEN),
+            broken=self.broken + (kept is Kept.REFUTED),
+            contradicted=(*self.contradicted, *([scenario] if wrong else [])),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +86,7 @@ class Rung:
     """One magnitude of a fault: what caught it, if anything did, and after how many episodes.
 
     ``alarms`` are all those of the episode that caught it.  ``confirmed``: so does PyBullet; None where
-    it was not asked.
+    it was not asked.  ``geometry`` is of harmless changes.
     """
 
     magnitude: float
@@ -61,6 +94,7 @@ class Rung:
     episodes: int
     alarms: tuple[Alarm, ...] = ()
     confirmed: bool | None = None
+    geometry: Geometry | None = None
 
     @property
     def caught(self) -> bool:
@@ -73,86 +107,73 @@ class Trials:
     """Tries faults on a suite, and remembers what the sound system does there."""
 
     suite: Suite
-    _sound: dict[tuple[int, str, bool], dict[str, Evaluation]] = field(default_factory=dict)
-    _sound_pool: Evaluation | None = None
+    _sound: dict[tuple[int, str, bool], Words] = field(default_factory=dict)
 
     def applies(self, fault: Fault) -> bool:
         """A fault of the spread needs an avoider that states one."""
-        every = [one.avoider for one in (*self.suite.episodes, *self.suite.pool)]
-        return not fault.pooled or any(spread_threshold_of(avoider) is not None for avoider in every)
+        if not fault.of_spread:
+            return True
+        return any(spread_threshold_of(one.avoider) is not None for one in self.suite.episodes)
 
     def rung(self, fault: Fault, magnitude: float) -> Rung:
         """Episode after episode, until something catches it."""
-        words = fault.ladder.words(magnitude)
-        episodes = 0
+        words, alarms = fault.ladder.words(magnitude), tuple[Alarm, ...]()
         for number in range(len(self.suite.episodes)):
-            episodes += 1
             alarms = self.alarms(fault, magnitude, number)
             if alarms:
-                return Rung(magnitude=magnitude, words=words, episodes=episodes, alarms=alarms)
-        together = self._pooled(fault, magnitude) if fault.pooled else ()
-        if fault.pooled:
-            episodes += len(self.suite.pool)
-        return Rung(magnitude=magnitude, words=words, episodes=episodes, alarms=together)
+                break
+        return Rung(magnitude=magnitude, words=words, episodes=number + 1, alarms=alarms)
 
     def alarms(
         self, fault: Fault, magnitude: float, number: int, *, in_pybullet: bool = False
     ) -> tuple[Alarm, ...]:
         """What is violated in an episode of the suite with the fault, and holds there without it."""
-        admitted = self.suite.episodes[number]
-        system = fault.circumstance.bring_about(System.of(admitted))
-        sound = self._sound_words(system, fault, number, in_pybullet)
-        try:
-            found = judged(fault.seed_into(system, magnitude), in_pybullet=in_pybullet)
-        except Exception as error:  # what a faulty system raises is what it is tried for
-            found = {RUN_FAILED: check(RUN_FAILED, described(error))}
-        return alarms_between(sound, found, admitted.scenario.name)
+        sound, found, _ = self._with_and_without(fault, magnitude, number, in_pybullet=in_pybullet)
+        return alarms_between(sound, found, self.suite.episodes[number].scenario.name)
 
     def everywhere(self, fault: Fault) -> Rung:
-        """Every alarm on the whole suite: for a fault of which there should be none."""
-        magnitude = fault.ladder.values[0]
-        found = [self.alarms(fault, magnitude, number) for number in range(len(self.suite.episodes))]
+        """Every alarm on the whole suite, for a fault of which there should be none; what geometry says."""
+        magnitude, every, geometry = fault.ladder.values[0], list[Alarm](), Geometry()
+        for number, admitted in enumerate(self.suite.episodes):
+            name = admitted.scenario.name
+            sound, found, trace = self._with_and_without(fault, magnitude, number)
+            alarms = alarms_between(sound, found, name)
+            if trace is not None and trace.scenario.hands:
+                kept = hand_distance_kept(trace, LEAST_M)
+                geometry = geometry.with_run(name, kept, found[HAND_DISTANCE.example].verdict)
+                alarms = confirmed_by(kept, alarms)
+            every += alarms
         return Rung(
             magnitude=magnitude,
             words=fault.ladder.words(magnitude),
-            episodes=len(found),
-            alarms=tuple(alarm for alarms in found for alarm in alarms),
+            episodes=len(self.suite.episodes),
+            alarms=tuple(every),
+            geometry=geometry,
         )
 
-    def confirmed(self, fault: Fault, rung: Rung) -> bool | None:
-        """Is one of the claims that caught it violated in PyBullet as well?  None for those of many runs."""
-        number = rung.episodes - 1
-        if number >= len(self.suite.episodes):
-            return None
-        there = self.alarms(fault, rung.magnitude, number, in_pybullet=True)
+    def confirmed(self, fault: Fault, rung: Rung) -> bool:
+        """Is one of the claims that caught it violated in PyBullet as well?"""
+        there = self.alarms(fault, rung.magnitude, rung.episodes - 1, in_pybullet=True)
         return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
 
-    def _sound_words(
-        self, system: System, fault: Fault, number: int, in_pybullet: bool
-    ) -> Mapping[str, Evaluation]:
+    def _with_and_without(
+        self, fault: Fault, magnitude: float, number: int, *, in_pybullet: bool = False
+    ) -> tuple[Words, Words, Trace | None]:
+        """The words on an episode without the fault and with it, and the run with it unless it failed."""
+        system = fault.circumstance.bring_about(System.of(self.suite.episodes[number]))
         key = (number, fault.circumstance.name, in_pybullet)
         if key not in self._sound:
-            self._sound[key] = judged(system, in_pybullet=in_pybullet)
-        return self._sound[key]
-
-    def _pooled(self, fault: Fault, magnitude: float) -> tuple[Alarm, ...]:
-        pool = self.suite.pool
-        prop = SpreadCalibration()
-        if self._sound_pool is None:
-            self._sound_pool = prop.evaluate(run_many(pool))
-        spoilt = [fault.seed_into(System.of(one), magnitude).admitted for one in pool]
-        found = prop.evaluate(run_many(spoilt))
-        if found.verdict is not Verdict.VIOLATED or not holds_clearly(self._sound_pool):
-            return ()
-        before = self._sound_pool.margin_text()
-        name = f"{len(pool)} draws of nominal"
-        return (Alarm(claim=prop.sentence, scenario=name, margin=found.margin_text(), before=before),)
+            self._sound[key] = words_on(system.admitted, system.run(in_pybullet=in_pybullet))
+        faulty = fault.seed_into(system, magnitude)
+        try:
+            trace = faulty.run(in_pybullet=in_pybullet)
+        except Exception as error:  # what a faulty system raises is what it is tried for; our judging is not
+            return self._sound[key], {RUN_FAILED: check(RUN_FAILED, described(error))}, None
+        return self._sound[key], words_on(faulty.admitted, trace), trace
 
 
-def alarms_between(
-    sound: Mapping[str, Evaluation], faulty: Mapping[str, Evaluation], scenario: str
-) -> tuple[Alarm, ...]:
-    """The sentences that hold clearly of the sound run and are violated in the faulty one."""
+def alarms_between(sound: Words, faulty: Words, scenario: str) -> tuple[Alarm, ...]:
+    """The sentences that hold of the sound run and are violated in the faulty one, by more than a hair."""
     return tuple(
         Alarm(
             claim=claim,
@@ -161,26 +182,29 @@ def alarms_between(
             before=sound[claim].margin_text(),
         )
         for claim, evaluation in faulty.items()
-        if evaluation.verdict is Verdict.VIOLATED and holds_clearly(sound[claim])
+        if fallen(sound[claim], evaluation)
     )
 
 
-def holds_clearly(evaluation: Evaluation) -> bool:
-    """Does it hold, and by more than a hair?"""
-    if evaluation.verdict is not Verdict.HOLDS:
+def confirmed_by(kept: Kept, alarms: Sequence[Alarm]) -> tuple[Alarm, ...]:
+    """Those about the hand distance are true where geometry refutes that it is kept."""
+    refuted = kept is Kept.REFUTED
+    return tuple(replace(one, true=refuted and one.claim == HAND_DISTANCE.example) for one in alarms)
+
+
+def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
+    """Did a claim hold, and is it violated now, with margins that are more than a hair apart?"""
+    if (sound.verdict, faulty.verdict) != (Verdict.HOLDS, Verdict.VIOLATED):
         return False
-    return evaluation.margin is None or evaluation.margin >= CLEAR[evaluation.unit]
+    if sound.margin is None or faulty.margin is None:
+        return True
+    return sound.margin - faulty.margin >= CLEAR[sound.unit]
 
 
-def judged(system: System, *, in_pybullet: bool = False) -> dict[str, Evaluation]:
-    """The words of every claim on one run, by sentence, and of the two checks that are no claims.
-
-    Whatever the run raises passes through.
-    """
-    claims = claims_of(system.admitted.scenario)
-    trace = system.run(in_pybullet=in_pybullet)
-    found = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(system.admitted, trace))}
-    for claim in claims:
+def words_on(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
+    """The words of every claim on one run, by sentence, and of the two checks that are no claims."""
+    found = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(admitted, trace))}
+    for claim in claims_of(admitted.scenario):
         found[claim.sentence] = property_of(claim, trace.scenario).evaluate(trace)
     return found
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections.abc import Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from safety_harness.admission.kinematic import slower_because
+from safety_harness.campaign.pool import pool
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.fault import Fault
@@ -18,9 +17,7 @@ from safety_harness.selftest.outcome import Outcome, outcome_of
 from safety_harness.selftest.profile import Profile
 from safety_harness.selftest.suite import Suite
 from safety_harness.selftest.system import System
-from safety_harness.selftest.trial import SAME_TWICE, Rung, Trials, judged
-
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+from safety_harness.selftest.trial import SAME_TWICE, Rung, Trials, words_on
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,6 @@ class Plan:
             others=profile.others,
             avoider=self.avoider,
             draws=profile.draws,
-            pool=profile.pool,
         )
 
 
@@ -69,7 +65,6 @@ _TRIALS: list[Trials] = []  # of this process
 
 
 def _begin(plan: Plan) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C and ends the others
     _TRIALS[:] = [Trials(plan.suite())]
 
 
@@ -83,22 +78,13 @@ def outcomes(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
         trials = Trials(plan.suite())
         yield from (try_out(trials, EVERY[number]) for number in numbers)
         return
-    for name in ONE_THREAD:  # before the processes import any library
-        os.environ.setdefault(name, "1")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(plan,)) as pool:
-        running: set[Future[Outcome]] = {pool.submit(_try, number) for number in numbers}
-        try:
-            while running:
-                finished = wait(running, return_when=FIRST_COMPLETED).done
-                running -= finished
-                for future in finished:
-                    yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in list((pool._processes or {}).values()):
-                process.terminate()
-            raise
+    with pool(jobs, partial(_begin, plan)) as processes:
+        running: set[Future[Outcome]] = {processes.submit(_try, number) for number in numbers}
+        while running:
+            finished = wait(running, return_when=FIRST_COMPLETED).done
+            running -= finished
+            for future in finished:
+                yield future.result()
 
 
 def sound_remarks(suite: Suite) -> list[str]:
@@ -106,7 +92,8 @@ def sound_remarks(suite: Suite) -> list[str]:
     avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(suite.episodes)))}
     said = [why for number in avoiders.values() if (why := slower_because(suite.episodes[number].avoider))]
     for name, number in avoiders.items():
-        wrong = judged(System.of(suite.episodes[number]))[SAME_TWICE]
+        system = System.of(suite.episodes[number])
+        wrong = words_on(system.admitted, system.run())[SAME_TWICE]
         if wrong.verdict is not Verdict.HOLDS:
             said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")
     return said

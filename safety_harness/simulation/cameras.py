@@ -108,7 +108,7 @@ def sensors(
 ) -> Sensors:
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
     hand = settings.hand_sensor
-    state = _state(settings).copy()
+    state = camera_state(settings).copy()
     state["transform_sensor_to_base"] = transform_sensor_to_base
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     normals, uniforms = np.zeros((1, MAX_DETECTIONS, 3)), np.zeros((1, MAX_DETECTIONS))
@@ -127,8 +127,8 @@ def sensors(
 
 
 @lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
-def _state(settings: Settings) -> NDArray[np.void]:
-    """(1,) SENSORS, but for where a fixed one stands."""
+def camera_state(settings: Settings) -> NDArray[np.void]:
+    """(1,) SENSORS before the first frame, but for where a fixed one stands; not to be written."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
     state["transform_mount_to_tcp"] = transform_camera_to_tcp(camera, calibrated=False)
@@ -153,6 +153,7 @@ def _state(settings: Settings) -> NDArray[np.void]:
     state["pixel_noise_px"] = hand.pixel_noise_px
     state["depth_noise_per_m"] = hand.depth_noise_per_m
     state["dropout_probability"] = hand.dropout_probability
+    state.setflags(write=False)
     return state
 
 

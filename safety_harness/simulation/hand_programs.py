@@ -5,8 +5,8 @@ A wander's points are drawn here, from the scenario's seed, the hand's number an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,24 @@ class Hands:
     samples: NDArray[np.float64]
 
 
+class Step(NamedTuple):
+    """One entry of a program: a MOVE, in the order of its fields."""
+
+    kind: int = int(Kind.LEG)
+    target_in_base_m: Vector3 = NOWHERE
+    speed_mps: float = 0.0
+    distance_m: float = 0.0
+    duration_s: float = 0.0
+    within_s: float = np.inf
+    after: int = 0
+
+
 def hands_at_start(scenario: Scenario) -> Hands:
     """The hands as the scenario begins."""
     state = np.zeros(MAX_HANDS, HAND)
     state["position_in_base_m"] = state["elbow_in_base_m"] = np.nan
     state["leader"] = -1
-    moves: list[NDArray[np.void]] = [np.zeros(1, MOVE)]  # never empty: compiled code wants its type
+    moves: list[Step] = [Step()]  # never empty: compiled code wants its type
     samples: list[NDArray[np.float64]] = [np.zeros((1, 7))]
     for number, (record, hand) in enumerate(zip(state, scenario.hands, strict=False)):
         record["present"] = True
@@ -69,10 +81,10 @@ def hands_at_start(scenario: Scenario) -> Hands:
             record["apart_in_base_m"] = hand.apart_in_base_m
             continue
         program = _program(hand, number, scenario)
-        record["first"], record["count"] = sum(map(len, moves)), len(program)
-        moves.append(program)
+        record["first"], record["count"] = len(moves), len(program)
+        moves += program
         _begin(record, hand, number, scenario)
-    hands = Hands(state, _joined(moves), np.concatenate(samples))
+    hands = Hands(state, np.array(moves, MOVE), np.concatenate(samples))
     advance_hands(hands.state, hands.moves, hands.samples, np.zeros(3), 0.0, 0.0)
     return hands
 
@@ -88,89 +100,67 @@ def _begin(record: np.void, hand: MovingHand, number: int, scenario: Scenario) -
         record["tremor_phase_rad"] = phases
 
 
-def _program(hand: MovingHand, number: int, scenario: Scenario) -> NDArray[np.void]:
-    """(m,) MOVE: every move that can begin within the scenario's duration."""
-    groups: list[NDArray[np.void]] = []
-    least_s, count = hand.delay_s, 0
+def _program(hand: MovingHand, number: int, scenario: Scenario) -> list[Step]:
+    """Every move that can begin within the scenario's duration."""
+    program: list[Step] = []
+    least_s = hand.delay_s
     if hand.delay_s > 0.0:
-        groups.append(_record(Kind.WAIT, duration_s=hand.delay_s))
+        program.append(Step(int(Kind.WAIT), duration_s=hand.delay_s, after=1))
     for index, move in enumerate(hand.moves):
         if least_s > scenario.duration_s:
             break
         if isinstance(move, Wander):
             rng = generator(scenario.seed, Branch.HAND_MOTION, number, index)
-            groups.append(_wander(move, hand, scenario.duration_s, rng))
+            group = _wander(move, hand, scenario.duration_s, rng)
         else:
-            groups.append(_group(move, hand, scenario))
+            group = _group(move, hand, scenario)
+        after = len(program) + len(group)
+        program += [step._replace(after=after) for step in group]
         least_s += _least_s(move, hand)
-    for group in groups:
-        count += len(group)
-        group["after"] = count
-    return _joined(groups)
+    return program
 
 
-def _joined(groups: Sequence[NDArray[np.void]]) -> NDArray[np.void]:
-    """(m,) MOVE, one after another; numpy's own joining first compares the types field by field."""
-    joined = np.zeros(sum(map(len, groups)), MOVE)
-    begin = 0
-    for group in groups:
-        joined[begin : begin + len(group)] = group
-        begin += len(group)
-    return joined
-
-
-def _record(
-    kind: Kind,
-    target: Vector3 = NOWHERE,
-    *,
-    speed_mps: float = 0.0,
-    distance_m: float = 0.0,
-    duration_s: float = 0.0,
-    within_s: float = np.inf,
-) -> NDArray[np.void]:
-    """(1,) MOVE."""
-    return np.array([(int(kind), target, speed_mps, distance_m, duration_s, within_s, 0)], MOVE)
-
-
-def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> NDArray[np.void]:
-    """The records of one move, but for a wander."""
+def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
+    """The steps of one move, but for a wander."""
     shift = hand.shift_in_base_m
     if isinstance(move, Wait):
-        return _record(Kind.WAIT, duration_s=move.duration_s)
+        return [Step(int(Kind.WAIT), duration_s=move.duration_s)]
     if isinstance(move, ReachForTcp | ReachForObject):
         return _reach(move, scenario.settings.object.position_in_base_m)
     if isinstance(move, FollowTcp):
-        return _record(
-            Kind.FOLLOW_TCP,
-            speed_mps=move.speed_mps,
-            distance_m=move.distance_m,
-            within_s=move.duration_s,
-        )
+        return [
+            Step(
+                int(Kind.FOLLOW_TCP),
+                speed_mps=move.speed_mps,
+                distance_m=move.distance_m,
+                within_s=move.duration_s,
+            )
+        ]
     if isinstance(move, Sweep):
-        there = _record(Kind.LEG, shifted(move.from_in_base_m, shift), speed_mps=move.speed_mps)
-        aside = _record(Kind.LEG, shifted(move.to_in_base_m, shift), speed_mps=move.speed_mps)
-        return _joined([there, *[aside, there] * move.times])
+        there = Step(target_in_base_m=shifted(move.from_in_base_m, shift), speed_mps=move.speed_mps)
+        aside = Step(target_in_base_m=shifted(move.to_in_base_m, shift), speed_mps=move.speed_mps)
+        return [there, *[aside, there] * move.times]
     goal = move.position_in_base_m if isinstance(move, MoveTo) else hand.starts_at_in_base_m
-    return _record(Kind.LEG, shifted(goal, shift), speed_mps=move.speed_mps)
+    return [Step(target_in_base_m=shifted(goal, shift), speed_mps=move.speed_mps)]
 
 
-def _reach(move: Reach, object_position_in_base_m: Vector3) -> NDArray[np.void]:
+def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
     """To the TCP or to the object, in one go or with a hesitation on the way."""
     kind = Kind.REACH_FOR_TCP if isinstance(move, ReachForTcp) else Kind.LEG
-    stops = [move.until_distance_m]
-    if move.hesitation is not None:
-        stops.insert(0, move.hesitation.distance_m)
-    parts = [
-        _record(kind, object_position_in_base_m, speed_mps=move.speed_mps, distance_m=stop) for stop in stops
-    ]
-    if move.hesitation is not None:
-        parts.insert(1, _record(Kind.WAIT, duration_s=move.hesitation.duration_s))
-    group = _joined(parts)
-    group["within_s"] = move.at_most_s
-    return group
+    go = Step(
+        int(kind),
+        object_position_in_base_m,
+        move.speed_mps,
+        distance_m=move.until_distance_m,
+        within_s=move.at_most_s,
+    )
+    if move.hesitation is None:
+        return [go]
+    wait = Step(int(Kind.WAIT), duration_s=move.hesitation.duration_s, within_s=move.at_most_s)
+    return [go._replace(distance_m=move.hesitation.distance_m), wait, go]
 
 
-def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> NDArray[np.void]:
+def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Generator) -> list[Step]:
     """As many legs as fill its duration, or the run's, however near the first point is."""
     corners = np.sort(np.array(move.corners_in_base_m) + hand.shift_in_base_m, axis=0)
     points, filled_s = np.empty((0, 3)), 0.0
@@ -179,10 +169,10 @@ def _wander(move: Wander, hand: MovingHand, longest_s: float, rng: np.random.Gen
         points = np.concatenate([points, more])
         way_m = np.linalg.norm(np.diff(points, axis=0), axis=1)
         filled_s = float(_leg_s(way_m, move.speed_mps, hand.max_acceleration_mps2).sum())
-    group = np.zeros(len(points), MOVE)
-    group["kind"], group["target_in_base_m"] = int(Kind.LEG), points
-    group["speed_mps"], group["within_s"] = move.speed_mps, move.duration_s
-    return group
+    return [
+        Step(target_in_base_m=(x, y, z), speed_mps=move.speed_mps, within_s=move.duration_s)
+        for x, y, z in points.tolist()
+    ]
 
 
 def _leg_s(way_m: NDArray[np.float64], speed_mps: float, acceleration_mps2: float) -> NDArray[np.float64]:

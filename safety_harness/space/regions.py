@@ -21,7 +21,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model
+from safety_harness.avoidance.model_file import SeenSpace, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import Place, RegionError
 from safety_harness.geometry.regions import Box, Region
@@ -69,7 +69,7 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     if avoider.endswith(MODEL_SUFFIX):
         return _of_metadata(load_model(path).seen, avoider)
     if avoider.endswith(ONNX_SUFFIX):
-        exported = _exported_seen(path)
+        exported = _exported_seen(path, settings)
         if exported is not None:
             return _of_metadata(exported, avoider)
     return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
@@ -97,9 +97,8 @@ def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
     )
 
 
-def _exported_seen(path: Path) -> SeenSpace | None:
-    """What an ONNX file of ours says; None for one of others.  Imported only here, as is its runtime."""
-    from safety_harness.avoidance.onnx_model import Exported, open_session
+def _exported_seen(path: Path, settings: Settings) -> SeenSpace | None:
+    """What an ONNX file of ours says; None for one of others.  Imported only here: few spaces ask."""
+    from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
 
-    own = dict(open_session(path).get_modelmeta().custom_metadata_map)
-    return Exported.of(path, own[KEY]).seen if KEY in own else None
+    return isolated_onnx(path, settings)[1]

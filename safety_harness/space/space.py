@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node
-from safety_harness.scenario.read import TOP_GROUPS, scenario_of
+from safety_harness.scenario.read import TOP_GROUPS, scenario_again, scenario_of
 from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
@@ -125,9 +126,21 @@ class ScenarioSpace:
 
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
         """The scenario of values (d,), as ``values_at`` gives them."""
-        tree = filled(self.template, self.parameters, values.tolist())
-        drawn = scenario_of(tree, self.file, self.recordings, name=name or self.name)
+        tree, name = filled(self.template, self.parameters, values.tolist()), name or self.name
+        drawn = scenario_again(self._known, self._varying, tree, self.recordings, name=name)
         return drawn if self.has_seed else replace(drawn, seed=seed)
+
+    @cached_property
+    def _known(self) -> Scenario:
+        """The simplest, which says what all of them say; that it can be read is tried with the space."""
+        tree = filled(self.template, self.parameters, self.simplest_values.tolist())
+        return scenario_of(tree, self.file, self.recordings, name=self.name)
+
+    @cached_property
+    def _varying(self) -> frozenset[str]:
+        """The keys at the top of the text below which something varies."""
+        assert isinstance(self.template, Keyed)  # a text that is no mapping is refused
+        return frozenset(key.text for key, child in self.template.entries if not isinstance(child, Node))
 
     def values_of(self, scenario: Scenario) -> Vector:
         """(d,) values that give ``scenario`` up to its name and free seed; ScenarioError if none do."""

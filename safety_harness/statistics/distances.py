@@ -77,9 +77,7 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
     exact for continuous margins, cautious for others.  The same is a lower bound of the quantile
     1 - content.  StatisticsError for a content outside (0, 1) or without a tested run.
     """
-    if not 0.0 < content < 1.0:
-        place = Place(field="content")
-        raise StatisticsError(place=place, expected="a share between 0 and 1", got=f"{content:g}")
+    _check_content(content)
     chance_of_each(confidence, 1)
     margins = _tested(sample)
     n = len(margins)
@@ -96,8 +94,18 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
 
 
 def runs_for_tolerance(content: float, confidence: float = 0.95) -> int:
-    """How many tested runs it takes for the least margin of all to be such a bound."""
+    """How many tested runs it takes for the least margin of all to be such a bound.
+
+    StatisticsError for a content or confidence outside (0, 1).
+    """
+    _check_content(content)
     return math.ceil(math.log(chance_of_each(confidence, 1)) / math.log(content))
+
+
+def _check_content(content: float) -> None:
+    if not 0.0 < content < 1.0:
+        place = Place(field="content")
+        raise StatisticsError(place=place, expected="a share between 0 and 1", got=f"{content:g}")
 
 
 def _rank(n: int, share: float, confidence: float) -> int:
@@ -113,5 +121,5 @@ def _tested(sample: IndependentSample) -> Floats:
     if not tested.any():
         place = Place(field="margins")
         raise StatisticsError(place=place, expected=f"a tested run ({known.name})", got="none")
-    sure = np.isin(known.outcomes, (Outcome.HOLDS, Outcome.VIOLATED)) & np.isfinite(known.margins)
+    sure = known.judged & np.isfinite(known.margins)
     return np.sort(np.where(sure, known.margins, -np.inf)[tested])

@@ -19,10 +19,10 @@ import numpy as np
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import IndependentSample, Outcome, fixed_length
+from safety_harness.statistics.sample import PERHAPS, IndependentSample, Outcome, fixed_length
 
 # What counts as a violation in either world, so that the two bounds add up.
-_MAYBE = (Outcome.VIOLATED, Outcome.INCONCLUSIVE, Outcome.FAILED)
+_MAYBE = (Outcome.VIOLATED, *PERHAPS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def bridged_bound(
     episodes, in_both = len(kinematic.outcomes), len(there.outcomes)
     alone = upper_bound(kinematic.at_worst, episodes, chance)
     optimistic = upper_bound(optimistic_seen, in_both, chance)
-    sure = int(np.count_nonzero(np.isin(there.outcomes, (Outcome.HOLDS, Outcome.VIOLATED))))
+    sure = int(np.count_nonzero(there.judged))
     tested = lower_bound(sure, in_both, chance)
     return BridgedBound(
         stratum=there.declaration.stratum,

@@ -12,13 +12,20 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr
 
 from safety_harness.exceptions import Place, StatisticsError
-from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.proportions import lower_bound, median_rank, sign_test, upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import Floats, IndependentSample, Ints, Outcome, fixed_length
+from safety_harness.statistics.sample import (
+    PERHAPS,
+    Floats,
+    IndependentSample,
+    Ints,
+    Outcome,
+    fixed_length,
+)
+from safety_harness.statistics.studentised import ends_of_t
 
 BOOTSTRAP_DRAWS = 2000
 _EQUAL = 1e-12  # relative: what is no difference but rounding
@@ -50,11 +57,12 @@ class Comparison:
 
 @dataclass(frozen=True, kw_only=True)
 class MarginComparison:
-    """First minus second, SI, over the ``pairs`` of episodes in which both have a margin.
+    """First minus second, SI, over the ``pairs`` of episodes in which both were judged and have a margin.
 
     ``mean`` lies in an interval that is exact if the differences' ``limit`` was given; otherwise it is the
     bootstrap's t, whose confidence is approximate, and infinite where too few differences differ.  ``median``
-    lies in one by order statistics, which assumes nothing and is exact.  ``left_out`` episodes lack a margin.
+    lies in one by order statistics, which assumes nothing and is exact.  ``left_out`` episodes are no such
+    pair.  ``model_only``: of a simplified world.
     """
 
     pairs: int
@@ -67,6 +75,7 @@ class MarginComparison:
     median_low: float
     median_high: float
     confidence: float
+    model_only: bool
 
 
 def compare(first: IndependentSample, second: IndependentSample, confidence: float = 0.95) -> Comparison:
@@ -117,17 +126,18 @@ def compare_margins(
     """
     _check_pair(first, second)
     chance = chance_of_each(confidence, 2)
-    both = np.isfinite(first.margins) & np.isfinite(second.margins)
+    with_margin = [one.judged & np.isfinite(one.margins) for one in (first, second)]
+    both = with_margin[0] & with_margin[1]
     differences = np.sort(first.margins[both] - second.margins[both])
     n = len(differences)
     if n < 2:
         place = Place(field="margins")
-        raise StatisticsError(place=place, expected="two episodes with margins of both", got=str(n))
+        raise StatisticsError(place=place, expected="two judged episodes with margins of both", got=str(n))
     if limit is None:
         low, high = _bootstrap_t(differences, chance, generator(first.declaration.seed, Branch.STATISTICS, 3))
     else:
         low, high = _bounded(differences, chance, limit)
-    rank = _median_rank(n, chance)
+    rank = median_rank(n, chance)
     ends = (differences[rank - 1], differences[n - rank]) if rank else (-math.inf, math.inf)
     return MarginComparison(
         pairs=n,
@@ -140,6 +150,7 @@ def compare_margins(
         median_low=float(ends[0]),
         median_high=float(ends[1]),
         confidence=confidence,
+        model_only=first.declaration.model_only,
     )
 
 
@@ -166,8 +177,7 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
     """First minus second (n,), at its most and at its least: -1, 0 or 1 each."""
     sure = [(one.outcomes == Outcome.VIOLATED).astype(np.int64) for one in (first, second)]
-    unknown = (Outcome.INCONCLUSIVE, Outcome.FAILED)
-    perhaps = [(own | np.isin(one.outcomes, unknown)) for own, one in zip(sure, (first, second), strict=True)]
+    perhaps = [(own | np.isin(one.outcomes, PERHAPS)) for own, one in zip(sure, (first, second), strict=True)]
     return perhaps[0] - sure[1], sure[0] - perhaps[1]
 
 
@@ -186,7 +196,7 @@ def _mcnemar(worst: Ints, best: Ints) -> float:
         fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))
         if more <= fewer:
             return 1.0
-    return min(1.0, 2.0 * float(bdtr(fewer, more + fewer, 0.5)))
+    return sign_test(more, fewer)
 
 
 def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, float]:
@@ -216,12 +226,5 @@ def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -
         spread = again.std(axis=1, ddof=1)
         apart = spread > deviation * _EQUAL
         redrawn.append(np.where(apart, (again.mean(axis=1) - mean) / np.where(apart, spread, 1.0), np.inf))
-    t = np.concatenate(redrawn)
-    least = float(np.quantile(np.where(np.isinf(t), -np.inf, t), chance, method="lower"))
-    most = float(np.quantile(t, 1.0 - chance, method="higher"))
+    least, most = ends_of_t(np.concatenate(redrawn), chance)
     return mean - most * deviation, mean - least * deviation
-
-
-def _median_rank(n: int, chance: float) -> int:
-    """The greatest r with P(Bin(n, 1/2) < r) <= chance; 0 if there is none."""
-    return int(np.count_nonzero(bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -15,7 +15,7 @@ give an estimate whose expectation is the probability, however badly the moves m
 adapts.  The interval is Student's t over the replications.  A region that hardly any replication finds
 makes most estimates too low and few much too high, and t too hopeful.  So there is an upper end below 1
 only where nine replications of ten found a violation, and none of them makes up half of the sum.  Of a
-region that none found nothing can be said.
+region that none found nothing can be said, nor of how sure replications are that all say the same.
 """
 
 from __future__ import annotations
@@ -139,8 +139,13 @@ class _Judged:
 
 
 def _interval(replicates: Floats, chance: float) -> tuple[float, float]:
-    """Student's t over the replications, cut to [0, 1]; up to 1 where they do not agree well enough."""
+    """Student's t over the replications, cut to [0, 1]; up to 1 where they do not agree well enough.
+
+    From 0 to 1 where none differs: then there is no spread to judge by.
+    """
     n, mean = len(replicates), float(replicates.mean())
+    if np.all(replicates == replicates[0]):
+        return 0.0, 1.0
     half = float(stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
     found = np.count_nonzero(replicates) >= _FOUND * n and float(replicates.max()) < _MOST_OF_SUM * n * mean
     return max(mean - half, 0.0), min(mean + half, 1.0) if found else 1.0

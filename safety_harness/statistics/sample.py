@@ -33,6 +33,10 @@ class Outcome(IntEnum):
     FAILED = 4  # the run could not be carried on
 
 
+JUDGED = (Outcome.HOLDS, Outcome.VIOLATED)
+PERHAPS = (Outcome.INCONCLUSIVE, Outcome.FAILED)  # may have been violations, or none
+
+
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
     """What was said before the first episode was run.
@@ -101,6 +105,11 @@ class IndependentSample:
         return int(np.count_nonzero(self.outcomes == outcome))
 
     @property
+    def judged(self) -> Flags:
+        """(n,) has the claim's word on the episode been said?  A margin without it says nothing."""
+        return np.isin(self.outcomes, JUDGED)
+
+    @property
     def trials(self) -> int:
         """Episodes that put the claim to the test, or may have: all but the untested."""
         return len(self.outcomes) - self.count(Outcome.UNTESTED)
@@ -113,7 +122,7 @@ class IndependentSample:
     @property
     def at_worst(self) -> int:
         """Violations, and whatever may have been one: what an upper bound counts."""
-        return self.violations + self.count(Outcome.INCONCLUSIVE) + self.count(Outcome.FAILED)
+        return self.violations + sum(map(self.count, PERHAPS))
 
     @property
     def name(self) -> str:

@@ -19,7 +19,8 @@ from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import Declaration, Floats, Ints, Outcome, checked_stream
+from safety_harness.statistics.sample import JUDGED, Declaration, Floats, Ints, Outcome, checked_stream
+from safety_harness.statistics.studentised import ends_of_t
 
 _OF_DESIGN = object()
 BOOTSTRAP_DRAWS = 2000
@@ -71,7 +72,7 @@ class VarianceSplit:
     """Standard deviations (SI) of scenarios and draws, and the scenarios' share of the variance.
 
     ``low`` to ``high`` is exact if scenarios and draws are normal, ``bootstrap_low`` to ``bootstrap_high``
-    approximate without that; where the two differ much, trust neither.
+    approximate without that; where the two differ much, trust neither.  ``model_only``: of a simpler world.
     """
 
     scenarios: int
@@ -84,6 +85,7 @@ class VarianceSplit:
     bootstrap_low: float
     bootstrap_high: float
     confidence: float
+    model_only: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,7 +102,7 @@ class ViolationSplit:
     """How many scenarios violate in all ``draws``, in some, in none; the intervals hold all together.
 
     A scenario with a draw that could not be judged, or that did not test the claim, is ``unclear`` unless
-    the others say that it violates sometimes.
+    the others say that it violates sometimes.  ``model_only``: of a simplified world.
     """
 
     draws: int
@@ -109,6 +111,7 @@ class ViolationSplit:
     never: ShareOfScenarios
     unclear: int
     confidence: float
+    model_only: bool
 
 
 def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSplit:
@@ -117,13 +120,16 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
     With the mean squares between, B, and within, W: s2 = (B - W) / k and w2 = W, and
     (B / W) / (1 + k s2 / w2) has an F distribution with m - 1 and m (k - 1) degrees of freedom.
     The bootstrap redraws scenarios and takes quantiles of the studentised log(B / W).  StatisticsError where
-    a margin is missing or none differs.
+    a run was not judged or has no margin, or none differs.
     """
     margins = _nested(sample).margins
     m, k = margins.shape
-    if not np.isfinite(margins).all():
-        got = f"{np.count_nonzero(~np.isfinite(margins))} of {margins.size} without"
-        raise StatisticsError(place=Place(field="margins"), expected="a margin of every run", got=got)
+    usable = np.isin(sample.outcomes, JUDGED) & np.isfinite(margins)
+    if not usable.all():
+        got = f"{np.count_nonzero(~usable)} of {margins.size} without"
+        raise StatisticsError(
+            place=Place(field="margins"), expected="a verdict with a margin of every run", got=got
+        )
     between, within = (float(square) for square in _mean_squares(margins))
     if between <= 0.0 and within <= 0.0:
         raise StatisticsError(
@@ -145,6 +151,7 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
         bootstrap_low=_share(ends[0], k),
         bootstrap_high=_share(ends[1], k),
         confidence=confidence,
+        model_only=sample.declaration.model_only,
     )
 
 
@@ -171,6 +178,7 @@ def violation_split(sample: NestedSample, confidence: float = 0.95) -> Violation
         never=share(never),
         unclear=unclear,
         confidence=confidence,
+        model_only=sample.declaration.model_only,
     )
 
 
@@ -210,9 +218,7 @@ def _studentised(margins: Floats, chance: float, rng: np.random.Generator) -> tu
         t = (redrawn - seen) / errors
     if not (np.isfinite(seen) and error > 0.0):
         return 0.0, math.inf
-    t = np.where(np.isnan(t), np.inf, t)
-    least = float(np.quantile(np.where(np.isinf(t), -np.inf, t), chance, method="lower"))
-    most = float(np.quantile(t, 1.0 - chance, method="higher"))
+    least, most = ends_of_t(t, chance)
     return float(np.exp(seen - most * error)), float(np.exp(seen - least * error))
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.exceptions import InputError, OutputError
-from safety_harness.report.text_file import write_whole
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.testing.asserting import SafetyViolation
 from safety_harness.testing.session import session
 from safety_harness.testing.simulating import digest_of
+from safety_harness.whole_file import write_whole
 
 ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # a file has to claim something
 _LONGEST = 60  # characters of a part of a path

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from functools import reduce
 from operator import or_
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,10 @@ from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
+OTHERS = ("hand_distance_capsule", "sse", "mode", "limits", "faults", "decision")
 MODES = tuple(int(mode) for mode in Mode)
 LIMITS = reduce(or_, (int(limit) for limit in Limit))  # every flag
 CHECKS = 11  # of the ticks
@@ -78,38 +80,42 @@ def _length(trace: Trace) -> Iterator[Inconsistency]:
 
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     scenario, ticks = trace.scenario, trace.ticks
-    raw = {name: np.ascontiguousarray(ticks[name]).view(np.uint8) for name in BOOLEANS}
-    hands = f"the {len(scenario.hands)} hands of the scenario"
-    checks = (  # in the order of ``_first_wrong``
-        ("time_s", "tick times the period", ticks["time_s"]),
-        *((name, "0 or 1", values) for name, values in raw.items()),
-        ("hand_present", hands, ticks["hand_present"]),
-        ("hand_distance_capsule", "a part for each hand, else -1", ticks["hand_distance_capsule"]),
-        ("sse", "a sum of squares", ticks["sse"]),
-        ("mode", f"one of {list(MODES)}", ticks["mode"]),
-        ("limits", f"flags within {LIMITS}", ticks["limits"]),
-        ("faults", "faults of that time", ticks["faults"]),
-        ("decision", "the number of the decision made then, else -1", ticks["decision"]),
-    )
+    raw = [ticks[name].view(np.uint8) for name in BOOLEANS]
+    values: list[NDArray[Any]] = [trace.time_s, *raw, *(ticks[name] for name in OTHERS)]
+    time_s, present, visible, tracked, capsule, sse, mode, limits, faults, decision = values
     first = _first_wrong(
-        history(trace, "time_s"),
-        raw["hand_present"],
-        raw["object_visible"],
-        raw["track_valid"],
-        history(trace, "hand_distance_capsule"),
-        history(trace, "sse"),
-        history(trace, "mode"),
-        history(trace, "limits"),
-        history(trace, "faults"),
-        history(trace, "decision"),
+        time_s,
+        present,
+        visible,
+        tracked,
+        capsule,
+        sse,
+        mode,
+        limits,
+        faults,
+        decision,
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
         np.array([_times_s(scenario, fault) for fault in scenario.faults]).reshape(-1, 2),
     )
-    for (field, expected, values), index in zip(checks, first.tolist(), strict=True):
+    if first.min() >= len(ticks):
+        return
+    checks = (  # in the order of ``_first_wrong``
+        ("time_s", "tick times the period"),
+        *((name, "0 or 1") for name in BOOLEANS),
+        ("hand_present", f"the {len(scenario.hands)} hands of the scenario"),
+        ("hand_distance_capsule", "a part for each hand, else -1"),
+        ("sse", "a sum of squares"),
+        ("mode", f"one of {list(MODES)}"),
+        ("limits", f"flags within {LIMITS}"),
+        ("faults", "faults of that time"),
+        ("decision", "the number of the decision made then, else -1"),
+    )
+    shown = (*values[:4], ticks["hand_present"], *values[4:])
+    for (field, expected), found, index in zip(checks, shown, first.tolist(), strict=True):
         if index < len(ticks):
-            yield Inconsistency(field, "tick", index, expected, " ".join(str(values[index]).split()))
+            yield Inconsistency(field, "tick", index, expected, " ".join(str(found[index]).split()))
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:

@@ -31,6 +31,7 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 3"
 HEADER = "trace.json"
@@ -42,7 +43,7 @@ ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 
 
 def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
-    """Write ``trace`` to ``path``, whole or not at all.
+    """Write ``trace`` to ``path``, whole or not at all.  Raises OSError.
 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
@@ -76,11 +77,12 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(parts.items())},
     }
     parts["trace.json"] = json.dumps(header, indent=1, sort_keys=True).encode()
-    temporary = path.with_name(path.name + ".part")
-    with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    with (
+        replacing(path) as unfinished,
+        zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
         for name in sorted(parts):
             archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED)
-    os.replace(temporary, path)
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
-from safety_harness.trace.records import TICK, as_numbers
 
 R = TypeVar("R")
 
@@ -83,25 +82,14 @@ def once_a_trace(function: Callable[[Trace], R]) -> Callable[[Trace], R]:
 def history(trace: Trace, name: str) -> NDArray[Any]:
     """A field (n, ...) of the ticks, read-only, with every component's n values side by side in memory.
 
-    What goes over all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
+    What numpy makes of all ticks at once is several times quicker with it than with ``trace.ticks[name]``.
+    Compiled code goes from tick to tick, and is as quick without a copy.
     """
-    assert TICK.fields is not None
     known = _histories(trace)
     if name not in known:
-        kind, offset = TICK.fields[name][:2]
-        if kind.base == np.bool_:
-            known[name] = np.array(trace.ticks[name], order="F")
-        else:
-            rows = numbers(trace)[offset // 8 : (offset + kind.itemsize) // 8].view(kind.base)
-            known[name] = np.moveaxis(rows.reshape(*kind.shape, len(trace.ticks)), -1, 0)
+        known[name] = np.array(trace.ticks[name], order="F")
         known[name].setflags(write=False)
     return known[name]
-
-
-@once_a_trace
-def numbers(trace: Trace) -> NDArray[np.float64]:
-    """(c, n) the bytes of all ticks as float64, a row for each column of ``as_numbers``."""
-    return as_numbers(trace.ticks).T.copy()
 
 
 @once_a_trace

@@ -109,7 +109,7 @@ def test_an_interrupted_save_leaves_the_old_file(tmp_path: Path, monkeypatch: py
     def lights_out(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("safety_harness.avoidance.model_file.os.fsync", lights_out)
+    monkeypatch.setattr("safety_harness.whole_file.os.fsync", lights_out)
     with pytest.raises(KeyboardInterrupt):
         save_model(random_model(Dropout.FULL), path)
     assert path.read_bytes() == before
@@ -266,9 +266,10 @@ def test_an_ensemble_lacks_no_member(tmp_path: Path) -> None:
     assert refusal(written(tmp_path, metadata, tensors)).place.field == "3/" + next(iter(tensor_shapes()))
 
 
-def test_a_folder_that_is_not_there_is_an_output_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="nowhere"):
-        save_model(MODEL, tmp_path / "nowhere" / "a.safetensors")
+def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file"):
+        save_model(MODEL, tmp_path / "file" / "a.safetensors")
 
 
 class Booby:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import runpy
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,6 @@ from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import KEY, Calibration
 from safety_harness.avoidance.onnx_model import EXPORT_FORMAT, OnnxAvoider
 from safety_harness.exceptions import AvoiderError, ModelError
-from safety_harness.settings import DEFAULTS
 
 HAND, TCP = np.array([0.8, -0.3, 0.1]), np.array([0.7, 0.0, 0.35])
 INPUTS = {"hand_position_in_base_m": (T.DOUBLE, ["n", 3]), "tcp_position_in_base_m": (T.DOUBLE, ["n", 3])}
@@ -53,9 +52,8 @@ def model(
 
 
 def load(path: Path, made: onnx.ModelProto | bytes) -> OnnxAvoider:
-    file = path / "mine.onnx"
-    file.write_bytes(made if isinstance(made, bytes) else made.SerializeToString())
-    return OnnxAvoider.load(file, DEFAULTS)
+    data = made if isinstance(made, bytes) else made.SerializeToString()
+    return OnnxAvoider.of(path / "mine.onnx", data, hand=HAND, tcp=TCP)
 
 
 def ask(avoider: OnnxAvoider, *, seed: int = 1, hand: np.ndarray = HAND) -> Proposal:
@@ -176,12 +174,6 @@ def test_what_breaks_the_contract_is_refused(
     assert raised.value.place.file == tmp_path / "mine.onnx"
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.onnx", tmp_path):
-        with pytest.raises(ModelError, match="can be read"):
-            OnnxAvoider.load(path, DEFAULTS)
-
-
 @pytest.mark.parametrize("shape", [[3], [2, 3], [1, 4]])
 def test_an_answer_of_another_shape_than_one_row_is_refused(tmp_path: Path, shape: list[int]) -> None:
     """Whatever the file declares: it is tried."""
@@ -224,12 +216,6 @@ def test_tensors_in_another_file_are_refused(
     half.external_data.add(key="location", value=os.fspath(tmp_path / "half.bin") if absolute else "half.bin")
     with pytest.raises(ModelError, match="in the file itself"):
         load(tmp_path, made)
-
-
-def test_a_file_beyond_the_limit_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("safety_harness.avoidance.onnx_model.LARGEST_BYTES", 100)
-    with pytest.raises(ModelError, match="at most 100 bytes"):
-        load(tmp_path, model())
 
 
 CALIBRATION = Calibration(
@@ -294,14 +280,10 @@ def test_a_file_of_export_gets_the_masks_of_the_seed_and_has_the_calibration_s_t
         (counts_kept(exported(dropout="none", dropout_probability=0)), "masks: expected no inputs but"),
         (spread_model(exported()), "masks: expected an input"),
         (model(metadata=exported(dropout="none", dropout_probability=0)), "spread_m: expected an output"),
-        (
-            counts_kept(exported(seen=asdict(replace(SEEN, tcp_low_m=(0.71, -0.15, 0.25))))),
-            "another workspace",
-        ),
         (counts_kept(exported(calibration={"samples": 1})), "calibration"),
     ],
 )
-def test_a_file_of_export_that_contradicts_itself_or_the_cell_is_refused(
+def test_a_file_of_export_that_contradicts_itself_is_refused(
     tmp_path: Path, made: onnx.ModelProto, said: str
 ) -> None:
     with pytest.raises(ModelError, match=said):

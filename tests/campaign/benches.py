@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from safety_harness.campaign.crew import Chunk
 from safety_harness.campaign.rows import Judgement, Row
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.statistics.sample import Outcome
@@ -48,6 +49,11 @@ class Plain:
         """What happens at an episode."""
 
 
+def done_by(bench: Plain, shipment: object, chunk: Chunk) -> list[Row]:
+    """What such a bench does on a cluster."""
+    return list(bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations))
+
+
 @dataclass(frozen=True)
 class Crashes(Plain):
     """At episode ``at`` of the first stratum the process ends; only ``times``, as files count them."""
@@ -69,6 +75,19 @@ class Crashes(Plain):
 class Hangs(Crashes):
     def misbehave(self) -> None:
         time.sleep(600.0)
+
+
+@dataclass(frozen=True)
+class CrashesAndHangs(Crashes):
+    """Crashes at one episode, hangs at another, once each."""
+
+    hangs_at: int = 12
+
+    def meet(self, stratum: int, episode: int) -> None:
+        for kind, at in ((Crashes, self.at), (Hangs, self.hangs_at)):
+            folder = self.folder / kind.__name__
+            folder.mkdir(exist_ok=True)
+            kind(at=at, times=1, folder=folder).meet(stratum, episode)
 
 
 @dataclass(frozen=True)

@@ -9,20 +9,32 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
+from socket import socket
+from socketserver import BaseRequestHandler, TCPServer
+from threading import Thread
 
 import pytest
 
+from safety_harness.campaign import cluster
 from safety_harness.campaign.cluster import DaskCrew, Shipment, run_chunk
 from safety_harness.campaign.crew import Chunk
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.processes import Limits
+from safety_harness.campaign.runner import Progress
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.campaign.worker import Mistake
+from safety_harness.cli.campaign import run
+from safety_harness.cli.console import AS_EXPECTED
 from safety_harness.exceptions import CampaignError, ScenarioError
+from tests.campaign.benches import CrashesAndHangs, done_by
 from tests.campaign.plans import PLAN, plan_in
+from tests.campaign.test_runner import Here, fingerprint_after
+from tests.search.short_space import TEXT
 
 
 @contextmanager
@@ -38,7 +50,10 @@ def scheduler(folder: Path, port: int = 0) -> Iterator[tuple[subprocess.Popen[by
 
 
 @contextmanager
-def workers(file: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
+def workers(
+    file: str, folder: Path, *, count: int = 2, preload: str = "safety_harness.campaign.cluster"
+) -> Iterator[subprocess.Popen[bytes]]:
+    """Workers, each of which imports ``preload`` before it is one."""
     command = [
         sys.executable,
         "-m",
@@ -47,7 +62,8 @@ def workers(file: str, folder: Path) -> Iterator[subprocess.Popen[bytes]]:
         file,
         "--no-dashboard",
     ]
-    command += ["--nthreads", "1", "--nworkers", "2", "--local-directory", str(folder)]
+    command += ["--nthreads", "1", "--nworkers", str(count), "--local-directory", str(folder)]
+    command += ["--preload", preload]
     with started(command) as process:
         yield process
 
@@ -122,18 +138,116 @@ def test_a_cluster_gives_the_bits_of_one_process_and_outlives_its_scheduler(
         assert fingerprint_of(ledger) == alone
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The file of a scheduler that gives a task up when one worker has died of it."""
+    folder = tmp_path_factory.mktemp("shared")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES", "0")
+        with scheduler(folder) as (_, file), workers(file, folder / "workers"):
+            yield file
+
+
+def test_workers_of_a_cluster_that_crash_hang_and_are_killed_cost_nothing(
+    tmp_path: Path, plan: Plan, shared: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = CrashesAndHangs(seconds=0.02, at=5, hangs_at=28, folder=tmp_path)
+    monkeypatch.setattr(cluster, "run_chunk", partial(done_by, bench))
+    path, killed = tmp_path / "ledger.sqlite", []
+    crew = DaskCrew(plan, shared, Limits(silence_s=2.0, first_s=1.0))
+
+    def watch(progress: Progress) -> None:
+        if progress.done_now >= 6 and not killed:
+            killed.extend(crew._client.run(os.getpid).values())
+            os.kill(killed[0], signal.SIGKILL)
+
+    assert carry_on(plan, path, lambda plan: crew, on_progress=watch)
+    assert killed
+    assert crew.replaced >= 1
+    assert len(list(tmp_path.glob("*/crash-*"))) == 2
+    with Ledger.open(path) as ledger:
+        assert fingerprint_of(ledger) == fingerprint_after(tmp_path / "here", plan, Here(1))
+
+
+HANGING = """\
+import time
+
+from safety_harness import Proposal
+
+
+class Hanging:
+    name = "hanging"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        time.sleep(600.0 if seed % 3 == 1 else 0.0)  # the rehearsal has seed 0
+        return Proposal(tcp_position_in_base_m + [0.0, 0.1, 0.0])
+"""
+
+
+def test_a_user_s_avoider_that_hangs_does_the_same_by_the_command_line_on_a_cluster(
+    tmp_path: Path, shared: str
+) -> None:
+    (tmp_path / "hanging.py").write_text(HANGING)
+    text = PLAN.replace("opposite pose", "hanging.py:Hanging").replace("runs: 30", "runs: 4")
+    space = (
+        TEXT + "settings:\n  avoidance:\n    decision deadline: 500 ms\n"
+    )  # that nothing is late but what hangs
+    plan_in(tmp_path, text.replace("runs: 20", "runs: 2"), space)
+    paths = [tmp_path / "here.sqlite", tmp_path / "there.sqlite"]
+    for path, where in zip(paths, (None, shared), strict=True):
+        assert run(tmp_path / "plan.yaml", ledger=path, workers=2, cluster=where) == AS_EXPECTED
+    with Ledger.open(paths[0]) as here, Ledger.open(paths[1]) as there:
+        ((late, decisions),) = there.all("SELECT sum(late), sum(decisions) FROM episode")
+        assert 0 < late < decisions
+        assert fingerprint_of(here) == fingerprint_of(there)
+
+
 def test_a_worker_with_another_version_refuses(plan: Plan) -> None:
     parts = tuple((name, "1.0" if name == "Python" else value) for name, value in plan.identity.parts)
     found = run_chunk(Shipment(plan.files, Identity(parts)), Chunk(0, (0,), False))
     assert isinstance(found, Mistake)
-    assert "Python changed" in str(found.error)
+    assert f"Python changed (the worker {os.uname().nodename}:{os.getpid()})" in str(found.error)
 
 
-def test_a_cluster_that_does_not_answer_is_bad_input(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+class Web(BaseRequestHandler):
+    """Takes a connection, says something that is not Dask's, and waits."""
+
+    def handle(self) -> None:
+        self.request.sendall(b"HTTP/1.0 400 Bad Request\r\n\r\n")
+        self.request.recv(1 << 16)
+
+
+@pytest.mark.parametrize(
+    ("where", "why"),
+    [
+        ("tcp://127.0.0.1:1", "Timed out"),
+        ("tcp://127.0.0.1", "missing port"),
+        ("http://127.0.0.1:1", "unknown address scheme"),
+        ("127.0.0.1:8786", "no such file"),
+        ("no-such-file.json", "no such file"),
+        ("odd.json", "a file that no scheduler has written"),
+        ("of-no-scheduler.json", "a file that no scheduler has written"),
+        ("of-a-dead-one.json", "Timed out"),
+        ("silent", "no answer within 0.2 s"),
+        ("web", "."),
+    ],
+)
+def test_a_cluster_that_does_not_answer_is_bad_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plan: Plan, where: str, why: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("safety_harness.campaign.cluster._ANSWER_S", 0.2)
-    for address in ("tcp://127.0.0.1:1", "no-such-file.json"):
+    (tmp_path / "odd.json").write_text("[")
+    (tmp_path / "of-no-scheduler.json").write_text("{}")
+    (tmp_path / "of-a-dead-one.json").write_text('{"address": "tcp://127.0.0.1:1"}')
+    with closing(socket()) as silent, TCPServer(("127.0.0.1", 0), Web) as web:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        Thread(target=web.handle_request, daemon=True).start()
+        port = {"silent": silent.getsockname()[1], "web": web.server_address[1]}.get(where)
+        where = f"tcp://127.0.0.1:{port}" if port else where
         with (
-            pytest.raises(ScenarioError, match="a Dask scheduler that answers"),
-            closing(DaskCrew(plan, address)),
+            pytest.raises(ScenarioError, match=f"a Dask scheduler that answers; got {where}: .*{why}"),
+            closing(DaskCrew(plan, where)),
         ):
             pass

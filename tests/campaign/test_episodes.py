@@ -8,13 +8,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.admission.admit import Admitted
 from safety_harness.admission.spaces import HOPELESS
-from safety_harness.campaign.episodes import Bench, judgement_of, random_episodes, root_seed, why_broken
-from safety_harness.campaign.plan import read_plan
+from safety_harness.campaign import episodes
+from safety_harness.campaign.episodes import (
+    Bench,
+    Drawn,
+    judgement_of,
+    random_episodes,
+    root_seed,
+    why_broken,
+)
 from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
+from safety_harness.search import trials
+from safety_harness.search.draws import OtherDraws
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
@@ -109,11 +119,66 @@ def test_a_run_that_cannot_be_carried_on_has_failed(tmp_path: Path, monkeypatch:
     assert "the physics gave up" in row.failure
 
 
+@pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
+@pytest.mark.parametrize("where", ["property_of", "admit"])
+def test_an_error_of_the_harness_fails_its_episode_at_the_second_time_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, world: str, where: str
+) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic", f"world: {world}"))
+    undisturbed = list(Bench(plan).run(0, range(3)))
+    whole, raised = getattr(episodes, where), 0
+
+    def odd(first: object, *rest: object, **others: object) -> object:
+        nonlocal raised
+        if "short#1" in {getattr(one, "name", "") for one in (first, *rest)}:
+            raised += 1
+            raise ZeroDivisionError("division of a margin by zero")
+        return whole(first, *rest, **others)
+
+    monkeypatch.setattr(episodes, where, odd)
+    before, broken, after = Bench(plan).run(0, range(3))
+    assert [without_place(row) for row in (before, after)] == [
+        without_place(row) for row in (undisturbed[0], undisturbed[2])
+    ]
+    assert [one.outcome for one in broken.judgements] == [Outcome.FAILED] * 2
+    assert "the harness itself: ZeroDivisionError: division of a margin by zero (test_epi" in broken.failure
+    assert broken.seed == undisturbed[1].seed
+    assert raised == 2
+
+
+def test_an_error_of_the_harness_that_does_not_come_again_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_in(tmp_path)
+    undisturbed = next(Bench(plan).run(0, [0]))
+    whole, calls = episodes.mishap_of, 0
+
+    def odd(trace: Trace) -> str:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            raise OSError("no file can be opened for a moment")
+        return whole(trace)
+
+    monkeypatch.setattr(episodes, "mishap_of", odd)
+    assert without_place(next(Bench(plan).run(0, [0]))) == without_place(undisturbed)
+    assert calls == 2
+
+
+def test_a_worker_without_memory_is_replaced_and_its_episode_not_blamed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def short(*_: object) -> str:
+        raise MemoryError
+
+    monkeypatch.setattr(episodes, "mishap_of", short)
+    with pytest.raises(MemoryError):
+        next(Bench(plan_in(tmp_path)).run(0, [0]))
+
+
 def test_a_run_in_company_that_breaks_costs_the_others_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from safety_harness.campaign import episodes
-
     whole = episodes.run_many
     plan = plan_in(tmp_path)
     expected = list(Bench(plan).run(0, range(3)))
@@ -164,27 +229,45 @@ def test_only_a_whole_run_that_never_tested_the_claim_says_nothing_of_it(visit: 
     assert [outcome(one, spoilt) for one in (never, seen)] == [Outcome.INCONCLUSIVE] * 2
 
 
-def test_our_own_avoiders_are_never_late_by_the_clock(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+MINE = """\
+from safety_harness import Proposal
+
+
+class Mine:
+    name = "mine"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.1, 0.0])
+
+
+class Many(Mine):
+    def propose_many(self, hands_in_base_m, tcps_in_base_m, seeds):
+        return tcps_in_base_m + [0.0, 0.1, 0.0], 0.0 * tcps_in_base_m
+"""
+
+
+@pytest.mark.parametrize(
+    ("avoider", "late"),
+    [("opposite pose", False), ("mc-dropout", False), ("mine.py:Mine", True), ("mine.py:Many", False)],
+)
+def test_who_answers_many_at_once_is_never_late_by_the_clock_in_either_world_or_kind_of_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, avoider: str, late: bool
 ) -> None:
-    plan = plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))
+    (tmp_path / "mine.py").write_text(MINE)
     seen: list[bool] = []
-    from safety_harness.campaign import episodes
 
-    whole = episodes.run_trial
-
-    def watched(admitted: object, *, by_the_clock: bool) -> Trace:
+    def watched(admitted: Admitted, *, by_the_clock: bool) -> Trace:
         seen.append(by_the_clock)
-        return whole(admitted, by_the_clock=by_the_clock)  # type: ignore[arg-type]
+        raise RuntimeError("it is not run")
 
     monkeypatch.setattr(episodes, "run_trial", watched)
-    list(Bench(plan).run(0, [0]))
-    (tmp_path / "mine.py").write_text(
-        "from safety_harness import Proposal\nclass Mine:\n    name = 'mine'\n"
-        "    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):\n"
-        "        return Proposal(tcp_position_in_base_m + [0.0, 0.1, 0.0])\n"
-    )
-    text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic\n", "")
-    (tmp_path / "plan.yaml").write_text(text)
-    list(Bench(read_plan(tmp_path / "plan.yaml")).run(0, [0]))
-    assert seen == [False, True]
+    monkeypatch.setattr(trials, "run_trial", watched)
+    text = PLAN.replace("opposite pose", avoider).replace("world: kinematic\n", "")
+    bench = Bench(plan_in(tmp_path, text))
+    list(bench.run(0, [0]))
+    drawn = bench.draw(0, 0)
+    assert isinstance(drawn, Drawn)
+    trials.in_pybullet([drawn.admitted])
+    other = replace(drawn.admitted, avoider=OtherDraws(drawn.admitted.avoider, 1))
+    trials.in_pybullet([other])
+    assert seen == [late] * 3

@@ -97,7 +97,7 @@ def test_an_episode_that_no_worker_came_to_is_not_to_blame(tmp_path: Path, plan:
     class NotYet(Here):
         def take(self, timeout_s: float) -> Sequence[Event]:
             found = super().take(timeout_s)
-            return [replace(one, begun=False) if isinstance(one, Lost) else one for one in found]
+            return [replace(one, times=0) if isinstance(one, Lost) else one for one in found]
 
     crew = NotYet(2, lose=[(0, 5)])
     looks = 0

@@ -24,6 +24,7 @@ from safety_harness.cli.main import app
 from safety_harness.report.words import rounded_up
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
+from tests.campaign.benches import row_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
@@ -54,6 +55,22 @@ def test_a_complete_campaign_is_not_run_again(folder: Path) -> None:
     assert run(folder / "plan.yaml", ledger=folder / "ledger.sqlite") == AS_EXPECTED
     assert resume(folder / "ledger.sqlite") == AS_EXPECTED
     assert (folder / "ledger.sqlite").read_bytes() == before
+
+
+def test_why_episodes_failed_is_said_the_most_frequent_reason_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_in(tmp_path, SMALL)
+    with Ledger.create(tmp_path / "ledger.sqlite", plan) as ledger:
+        ledger.record(row_of(0, k) for k in range(1, 10))
+        ledger.record([Row.failed(0, 0, 1, 2, "the avoider is gone")])
+        ledger.record(Row.failed(1, k, 1, 2, "an error of the harness itself: \x1b[2J") for k in range(6))
+    assert status(ledger.path) == AS_EXPECTED
+    lines = capsys.readouterr().out.splitlines()
+    assert "near 10/10, 1 FAILED TO RUN; nearer 6/6, 6 FAILED TO RUN" in lines[1]
+    assert lines[2] == "  6 times: an error of the harness itself: ?[2J (first: nearer, episode 0)"
+    assert lines[3] == "  1 times: the avoider is gone (first: near, episode 0)"
+    assert resume(ledger.path) == DIFFERS
 
 
 def rows(text: str) -> list[dict[str, str]]:

@@ -4,10 +4,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from avoidance.random_models import random_model
+from avoidance.random_models import SEEN, random_model
 
+from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
 from safety_harness.avoidance.model_file import Dropout, save_model
-from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
 from safety_harness.cli.export import FORMATS, export
 from safety_harness.learning import export as module
@@ -31,7 +31,9 @@ def test_a_model_file_becomes_one_that_a_run_can_use(
     first, second = printed.out.splitlines()
     assert first == f"onnx: {out}"
     assert float(second.split(" by ")[1].split()[0]) < 1e-3
-    assert OnnxAvoider.load(out, DEFAULTS).name == "ONNX model model.onnx"
+    avoider, seen = isolated_onnx(out, DEFAULTS)
+    assert avoider.name == "ONNX model model.onnx"
+    assert seen == SEEN
     assert printed.err == ""
 
 

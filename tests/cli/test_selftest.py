@@ -101,6 +101,55 @@ def test_ctrl_c_keeps_what_was_tried(
     assert len(found["faults"]) == 2
 
 
+def test_a_defect_of_ours_keeps_what_was_tried_and_is_exit_code_1(
+    scenarios: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def one_then_a_defect(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+        yield outcome_of(EVERY[numbers[0]], (Rung(magnitude=1.0, words="1", episodes=1),))
+        raise ZeroDivisionError("made up")
+
+    monkeypatch.setattr(command, "outcomes", one_then_a_defect)
+    assert selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1) == 1
+    captured = capsys.readouterr()
+    assert "ZeroDivisionError: made up" in captured.err
+    assert f"1 of {len(EVERY)} were tried" in captured.err
+    assert EVERY[0].name in captured.out
+    assert len(json.loads((tmp_path / "out" / DATA).read_text("utf-8"))["faults"]) == 1
+
+
+def test_what_is_finished_is_written_before_the_next_is_tried(
+    scenarios: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that it is there whatever ends the process."""
+    written: list[int] = []
+
+    def looking(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+        for number in numbers[:3]:
+            yield outcome_of(EVERY[number], (Rung(magnitude=1.0, words="1", episodes=1),))
+            found = json.loads((tmp_path / "out" / DATA).read_text("utf-8"))
+            assert found["about"]["interrupted"] is True
+            written.append(len(found["faults"]))
+
+    monkeypatch.setattr(command, "outcomes", looking)
+    selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1)
+    assert written == [1, 2, 3]
+
+
+def test_faults_of_which_none_applies_are_no_success(
+    scenarios: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An avoider that states no spread can have none that is wrong."""
+    options = {"avoider": "opposite pose", "fault": "spread", "out": tmp_path / "out", "jobs": 1}
+    assert selftest(scenarios=scenarios, **options) == 1  # type: ignore[arg-type]
+    assert "none of these faults applies" in capsys.readouterr().err
+
+
+def test_a_folder_of_which_nothing_can_be_run_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "only").mkdir()
+    shutil.copy(SHIPPED / "rendered-images.yaml", tmp_path / "only")
+    assert selftest(scenarios=tmp_path / "only", out=tmp_path / "out", jobs=1) == 2
+
+
 def test_a_folder_that_cannot_be_written_is_said(scenarios: Path, tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
     assert selftest(scenarios=scenarios, fault="overspeed", out=tmp_path / "taken", jobs=1) == 2

@@ -20,7 +20,6 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
@@ -44,6 +43,7 @@ from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace, save_trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 from tests.certification.made_up_evidence import evidence
+from tests.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 from tests.search.short_space import TEXT as SHORT
 from tests.selftest.made_up_faults import CAUGHT, LIMIT, SURVIVES, about
 
@@ -294,7 +294,7 @@ FORMATS = [
         text=False,
         sealed=True,
     ),
-    Format("ONNX model", "file.onnx", onnx_bytes, lambda path: OnnxAvoider.load(path, DEFAULTS), text=False),
+    Format("ONNX model", "file.onnx", onnx_bytes, onnx_read, text=False),
     Format(
         "data set",
         ARRAYS,
@@ -313,6 +313,8 @@ FORMATS = [
         hashed=True,
         beside=lambda: without(MANIFEST),
     ),
+    Format("checkpoint", "file.safetensors", checkpoint_bytes, checkpoint_read, text=False),
+    Format("kept failure", "file.yaml", SCENARIO.encode, kept_read),
     Format("plan", "plan.yaml", PLAN.encode, read_plan, beside=lambda: {"short.yaml": SHORT.encode()}),
     Format("ledger", "ledger.sqlite", ledger_bytes, _ledger_read, text=False),
     Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),

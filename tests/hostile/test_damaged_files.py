@@ -10,10 +10,9 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.avoidance.onnx_model import HAND, OnnxAvoider
+from safety_harness.avoidance.onnx_model import HAND
 from safety_harness.exceptions import InputError, ModelError
-from safety_harness.settings import DEFAULTS
-from tests.hostile.formats import FORMATS, Format, onnx_bytes
+from tests.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
 
 quick = hypothesis_settings(
     max_examples=30,
@@ -94,7 +93,7 @@ def test_a_name_in_an_onnx_file_that_is_no_text_is_refused(tmp_path: Path) -> No
     path = tmp_path / "model.onnx"
     path.write_bytes(onnx_bytes().replace(HAND.encode(), b"\xee" + HAND.encode()[1:]))
     with pytest.raises(ModelError, match=r"model\.onnx"):
-        OnnxAvoider.load(path, DEFAULTS)
+        onnx_read(path)
 
 
 @hashed

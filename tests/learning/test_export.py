@@ -25,7 +25,6 @@ from safety_harness.avoidance.onnx_model import OnnxAvoider, open_session
 from safety_harness.exceptions import AvoiderError, ModelError, OutputError
 from safety_harness.learning import export as module
 from safety_harness.learning.export import Format, WholeFunction, difference, drawn_masks, write_export
-from safety_harness.settings import DEFAULTS
 
 ROOT = Path(__file__).parents[2]
 SOURCE = b"the bytes of a model file"
@@ -79,9 +78,10 @@ def test_an_export_is_the_original_to_a_thousandth_of_a_millimetre(
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports, kind: str) -> None:
     learned = LearnedAvoider.of(KINDS[kind])
-    avoider = OnnxAvoider.load(exports.files[kind, Format.ONNX], DEFAULTS)
-    assert avoider.spread_threshold_m == learned.spread_threshold_m
+    file = exports.files[kind, Format.ONNX]
     hands, tcps, seeds = random_inputs(20, seed=5)
+    avoider = OnnxAvoider.of(file, file.read_bytes(), hand=hands[0], tcp=tcps[0])
+    assert avoider.spread_threshold_m == learned.spread_threshold_m
     for hand, tcp, seed in zip(hands, tcps, seeds, strict=True):
         ours, theirs = (
             checked(one.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed)))
@@ -110,7 +110,7 @@ def test_masks_matter_and_are_those_of_each_row_s_own_seed(exports: Exports) -> 
 
 def test_an_onnx_file_holds_the_model_s_metadata_and_no_path_of_this_machine(exports: Exports) -> None:
     file = exports.files["inter", Format.ONNX]
-    session = open_session(file)
+    session = open_session(file, file.read_bytes())
     about = json.loads(session.get_modelmeta().custom_metadata_map[KEY])
     assert about["source_sha256"] == hashlib.sha256(SOURCE).hexdigest()
     assert about["card"] == KINDS["inter"].card

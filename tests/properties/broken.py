@@ -23,7 +23,7 @@ from examples import (
 
 from safety_harness.admission.admit import admit, kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.scenario.faults import FalseHand
+from safety_harness.scenario.faults import FalseHand, HandSensorBlind
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, GateKind, Settings
 from safety_harness.trace.trace import Trace
@@ -117,6 +117,11 @@ def sees_a_hand_where_none_is() -> Trace:
 
 
 @lru_cache
+def sees_no_hand() -> Trace:
+    return run(replace(scenario(VISIT), faults=(HandSensorBlind(),)))
+
+
+@lru_cache
 def never_answers() -> Trace:
     return run(scenario(VISIT, duration_s=1.5), avoider=Sleeping(seconds=0.2))
 
@@ -157,6 +162,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "stops where neither answer nor opposite pose can be reached": heads_out_of_reach,
     "fallback poses reachable and away": falls_back_to_the_hand,
     "gives way within 100 ms of a predicted hand": lambda: minds_hands_within(0.3),
+    "gives way within 100 ms of a true hand": sees_no_hand,
     "never gives way without a hand": lambda: minds_hands_within(0.8),
     "never gives way without a hand within 600 mm": lambda: minds_hands_within(0.8),
     "joint positions within limits": turns_on_and_on,

@@ -13,7 +13,7 @@ from safety_harness.geometry.segments import point_segment_distance
 from safety_harness.properties.clear_ways import ClearWays, executed, planned
 from safety_harness.properties.clearance import above_polygon, clearances_m
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.hand_distance import joint_reach_m
+from safety_harness.properties.true_motion import joint_reach_m
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules

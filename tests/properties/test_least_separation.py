@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.least_separation import farthest_steps, least_separation
+from safety_harness.properties.least_separation import hand_steps, least_separation
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
@@ -46,8 +46,7 @@ def search(two_hands: Trace) -> Search:
     reach_m = chain_lengths(
         arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
     )
-    steps_m = np.empty((2, n))
-    farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m, steps_m[0], steps_m[1])
+    steps_m = hand_steps(true.hands_m, true.present)
 
     def found(
         ticks: slice, some: slice = slice(None), *, hand_speed_mps: float, first_look: int = 0
@@ -72,8 +71,8 @@ def search(two_hands: Trace) -> Search:
             np.array([DEFAULTS.hand.radius_m, DEFAULTS.hand.forearm_radius_m]),
             hand_speed_mps,
             0.008,
-            steps_m[0],
-            steps_m[1],
+            true.nearest_m,
+            steps_m,
             reach_m,
             first_look,
         )

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from broken import minds_hands_within
+from broken import minds_hands_within, sees_no_hand
 from examples import ConstantSpeed, hand, run, scenario
 
 from safety_harness.properties.false_alarms import NoFalseAlarms, beginnings
-from safety_harness.properties.reaction import GivesWay, gives_way, predicted_near
+from safety_harness.properties.reaction import GivesWay, GivesWayToTrueHand, gives_way, predicted_near
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.model import Verdict
@@ -20,6 +20,7 @@ from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
 
 IN_TIME, NO_ALARM = GivesWay(within_s=0.1), NoFalseAlarms()
+IN_TRUTH = GivesWayToTrueHand(within_s=0.1)
 
 
 def reacting_from(trace: Trace, late: int, until: int | None = None) -> Trace:
@@ -103,6 +104,78 @@ def test_what_is_no_number_is_inconclusive_and_the_reason_says_from_when(field: 
     evaluation = IN_TIME.evaluate(replace(visit, ticks=ticks))
     assert evaluation.verdict is Verdict.INCONCLUSIVE
     assert evaluation.reason.endswith(f"is not finite from {visit.time_s[at]:.3f} s")
+
+
+def true_near(trace: Trace) -> np.ndarray:
+    return nearest_hand_m(trace) < 0.4
+
+
+def answering_from(trace: Trace, late: int, until: int | None = None) -> Trace:
+    """The same run, but the controller gives way only from ``late`` ticks after the hand came near on."""
+    ticks = trace.ticks.copy()
+    first = int(np.flatnonzero(true_near(trace))[0])
+    ticks["mode"] = Mode.SERVOING
+    ticks["mode"][first + late : until] = Mode.REPULSING
+    return replace(trace, ticks=ticks)
+
+
+def test_a_hand_that_nobody_sees_is_a_true_hand_all_the_same() -> None:
+    """What is predicted was answered, and says nothing: there was nothing."""
+    blind = sees_no_hand()
+    assert IN_TIME.evaluate(blind).verdict is Verdict.INCONCLUSIVE
+    evaluation = IN_TRUTH.evaluate(blind)
+    assert (evaluation.verdict, evaluation.exercised) == (Verdict.VIOLATED, 1)
+    beside_s = float(np.count_nonzero(true_near(blind))) * 0.008
+    assert evaluation.margin == pytest.approx(0.1 - beside_s, abs=1e-9)
+
+
+def test_what_is_predicted_does_not_count_for_true_hands(visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    ticks["predicted_hand_in_base_m"] += 5.0
+    ticks["track_valid"] = False
+    assert IN_TRUTH.evaluate(replace(visit, ticks=ticks)) == IN_TRUTH.evaluate(visit)
+    assert IN_TRUTH.evaluate(visit).verdict is Verdict.HOLDS
+
+
+@pytest.mark.parametrize(("late", "verdict"), [(1, "holds"), (12, "holds"), (13, "violated")])
+def test_each_tick_beside_a_true_hand_costs_a_control_period(late: int, verdict: str, visit: Trace) -> None:
+    evaluation = IN_TRUTH.evaluate(answering_from(visit, late))
+    assert evaluation.margin == pytest.approx(0.1 - 0.008 * late, abs=1e-12)
+    assert evaluation.verdict is Verdict(verdict)
+
+
+def test_a_true_hand_that_has_left_need_not_be_answered(visit: Trace) -> None:
+    """Unlike a prediction: the claim is about the danger and not about the controller's own rule."""
+    near = np.flatnonzero(true_near(visit))
+    ticks = visit.ticks.copy()
+    ticks["mode"] = Mode.SERVOING
+    ticks["hand_position_in_base_m"][near[5] :] = [2.0, -1.5, 0.2]
+    evaluation = IN_TRUTH.evaluate(replace(visit, ticks=ticks))
+    assert evaluation.margin == pytest.approx(0.1 - 0.008 * 5, abs=1e-12)
+
+
+def test_a_run_that_ends_beside_a_true_hand_before_the_time_allowed_is_no_evidence(visit: Trace) -> None:
+    first = int(np.flatnonzero(true_near(visit))[0])
+    late = answering_from(visit, 500)
+    for ticks, verdict in ((6, Verdict.INCONCLUSIVE), (20, Verdict.VIOLATED)):
+        scene = replace(visit.scenario, duration_s=float(visit.time_s[first + ticks - 1]))
+        keep = visit.decisions["tick"] < first + ticks
+        short = replace(
+            late, ticks=late.ticks[: first + ticks].copy(), scenario=scene, decisions=visit.decisions[keep]
+        )
+        assert IN_TRUTH.evaluate(short).verdict is verdict
+
+
+@pytest.mark.parametrize("field", ["transform_tcp_to_base", "hand_position_in_base_m"])
+def test_a_true_hand_that_is_no_number_is_no_evidence(field: str, visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    ticks[field][len(ticks) // 2] = np.nan
+    assert IN_TRUTH.evaluate(replace(visit, ticks=ticks)).verdict is Verdict.INCONCLUSIVE
+
+
+def test_no_true_hand_near_is_no_evidence() -> None:
+    far = run(scenario(hand(Wait(duration_s=1.0), at=(2.0, -1.5, 0.2)), duration_s=0.4))
+    assert IN_TRUTH.evaluate(far).verdict is Verdict.INCONCLUSIVE
 
 
 def test_a_controller_that_minds_only_closer_hands_is_too_late() -> None:

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 from safety_harness.selftest.document import About
 from safety_harness.selftest.outcome import Outcome
-from safety_harness.selftest.trial import Alarm, Rung
+from safety_harness.selftest.trial import Alarm, Geometry, Rung
 
 ALARM = Alarm(claim="hand distance never below 50 mm", scenario="a visit", margin="-3.0 mm", before="+9 mm")
 
 
-def rung(magnitude: float, *, caught: bool, confirmed: bool | None = None) -> Rung:
-    alarms = (ALARM,) if caught else ()
+TRUE = replace(ALARM, true=True)
+
+
+def rung(magnitude: float, *alarms: Alarm, caught: bool = False, confirmed: bool | None = None) -> Rung:
     return Rung(
-        magnitude=magnitude, words=f"{magnitude:g} mm", episodes=3, alarms=alarms, confirmed=confirmed
+        magnitude=magnitude,
+        words=f"{magnitude:g} mm",
+        episodes=3,
+        alarms=(*alarms, ALARM) if caught else alarms,
+        confirmed=confirmed,
     )
+
+
+def looked_at(one: Rung, *contradicted: str) -> Rung:
+    return replace(one, geometry=Geometry(runs=3, kept=1, broken=2, contradicted=contradicted))
 
 
 def outcome(name: str, *rungs: Rung, harmless: str = "", limit: str = "", applies: bool = True) -> Outcome:
@@ -38,9 +49,10 @@ CAUGHT = outcome(
 SURVIVES = outcome("survives", rung(float("inf"), caught=False))
 LIMIT = outcome("limit", rung(1.0, caught=False), limit="nobody looks there")
 UNTOUCHED = outcome("untouched", applies=False)
-QUIET = outcome("quiet", rung(1.0, caught=False), harmless="it is so")
-LOUD = outcome("loud", rung(1.0, caught=True), harmless="it is so")
-EVERY_KIND = (CAUGHT, SURVIVES, LIMIT, UNTOUCHED, QUIET, LOUD)
+QUIET = outcome("quiet", looked_at(rung(1.0)), harmless="it is so")
+LOUD = outcome("loud", looked_at(rung(1.0, caught=True)), harmless="it is so")
+WRONGED = outcome("wronged", looked_at(rung(1.0, TRUE)), harmless="it is so")
+EVERY_KIND = (CAUGHT, SURVIVES, LIMIT, UNTOUCHED, QUIET, LOUD, WRONGED)
 
 
 def about(*, interrupted: bool = False) -> About:
@@ -49,7 +61,6 @@ def about(*, interrupted: bool = False) -> About:
         avoider=None,
         scenarios="scenarios",
         episodes=3,
-        pool=0,
         planned=8,
         seconds=12.0,
         command="safety-harness selftest",

@@ -14,8 +14,11 @@ from made_up_faults import (
     LOUD,
     QUIET,
     SURVIVES,
+    TRUE,
     UNTOUCHED,
+    WRONGED,
     about,
+    looked_at,
     outcome,
     rung,
 )
@@ -47,6 +50,10 @@ from safety_harness.selftest.table import (
         (UNTOUCHED, State.UNTOUCHED),
         (QUIET, State.QUIET),
         (LOUD, State.FALSE_ALARM),
+        (WRONGED, State.TRUE_ALARM),
+        (outcome("true and false", rung(1.0, TRUE, caught=True), harmless="it is so"), State.FALSE_ALARM),
+        (outcome("contradicted", looked_at(rung(1.0), "a visit"), harmless="it is so"), State.FALSE_ALARM),
+        (outcome("both", looked_at(rung(1.0, TRUE), "a visit"), harmless="it is so"), State.FALSE_ALARM),
         (outcome("caught below only", rung(9.0, caught=False)), State.SURVIVES),
     ],
 )
@@ -68,12 +75,23 @@ def test_counting() -> None:
     tally = tally_of(EVERY_KIND)
     assert (tally.faults, tally.caught, tally.survivors, tally.limits) == (3, 1, 1, 1)
     assert (tally.rungs, tally.rungs_caught) == (5, 2)
-    assert (tally.harmless, tally.false_alarms) == (2, 1)
+    assert (tally.harmless, tally.false_alarms, tally.true_alarms) == (3, 1, 1)
+    assert (tally.geometry_runs, tally.geometry_contradicted) == (9, 0)
     assert tally.kill_rate == pytest.approx(1 / 3)
     assert tally_of(()).kill_rate == 0.0
     words = summary(tally)
     assert "1 of 3 faults caught (33%)" in words
-    assert "1 false alarm on 2 harmless changes" in words
+    assert "1 false alarm on 3 harmless changes, 1 true alarm" in words
+    assert "PyBullet's geometry does not contradict 9 of 9 hand distances" in words
+
+
+def test_what_geometry_says_of_a_harmless_change_is_in_its_row() -> None:
+    assert harmless_row(QUIET)[-1] == "kept in 1 of 3, broken in 2"
+    contradicted = outcome("contradicted", looked_at(rung(1.0), "a visit", "another"), harmless="it is so")
+    assert harmless_row(contradicted)[-1].endswith("to the contrary in a visit, another")
+    assert harmless_row(outcome("not asked", rung(1.0), harmless="it is so"))[-1] == "-"
+    assert "which is true" in harmless_row(WRONGED)[-2]
+    assert "which is true" not in harmless_row(LOUD)[-2]
 
 
 def test_what_speaks_against_the_harness() -> None:
@@ -108,7 +126,7 @@ def test_the_json_has_it_all_and_can_be_read(tmp_path: Path) -> None:
 
 def test_the_page_says_it_escaped_and_needs_nothing_else() -> None:
     page = render(EVERY_KIND, about(interrupted=True))
-    assert "6 of 8 were tried" in page
+    assert "7 of 8 were tried" in page
     assert "<b>made up</b>" not in page
     for one in EVERY_KIND:
         assert one.fault in page

@@ -17,9 +17,11 @@ from spaces import FILES, HEAD, everything, of_duration
 from safety_harness import parse_scenario, write_scenario
 from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.read import scenario_of
 from safety_harness.space.distributions import Choice, Uniform
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.template import filled
 
 EVERYTHING = everything()
 SPACES = [EVERYTHING, *map(read_space, FILES)]
@@ -31,6 +33,17 @@ def ids(space: ScenarioSpace) -> str:
 
 def scaled(space: ScenarioSpace, count: int, seed: int = 1) -> np.ndarray:
     return space.values_at(np.random.default_rng(seed).random((count, space.dimension)))
+
+
+@pytest.mark.parametrize("space", [*SPACES, of_duration("from 1 s to 9 s")], ids=ids)
+def test_what_all_scenarios_say_is_read_once_and_each_is_as_if_read_alone(space: ScenarioSpace) -> None:
+    for values in scaled(space, 5):
+        scenario = space.scenario(values, name="one")
+        tree = filled(space.template, space.parameters, values.tolist())
+        alone = scenario_of(tree, space.file, name="one")
+        assert scenario == alone
+        assert dict(scenario.places) == dict(alone.places)
+        assert [claim.place for claim in scenario.claims] == [claim.place for claim in alone.claims]
 
 
 @pytest.mark.parametrize("space", SPACES, ids=ids)

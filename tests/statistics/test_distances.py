@@ -85,5 +85,8 @@ def test_what_says_nothing_is_refused() -> None:
         tolerance_bound(with_margins([1.0, 2.0], stop_early=True), 0.9)
     with pytest.raises(StatisticsError, match="between 0 and 1"):
         tolerance_bound(with_margins([1.0, 2.0]), 1.0)
+    for content in (0.0, 1.0, -0.5, math.nan):
+        with pytest.raises(StatisticsError, match="between 0 and 1"):
+            runs_for_tolerance(content)
     with pytest.raises(TypeError, match="declared stream"):
         tolerance_bound(np.ones(3), 0.9)  # type: ignore[arg-type]

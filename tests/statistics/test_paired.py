@@ -156,6 +156,22 @@ def test_differences_that_hardly_ever_differ_say_nothing_of_the_mean_without_a_l
         assert -1.0 <= bounded.mean_low < bounded.mean_high <= 1.0
 
 
+def test_a_margin_without_a_verdict_is_none() -> None:
+    """Untested and inconclusive runs may come with a margin: it says how near something else came."""
+    margins = [1.0, 2.0, 3.0, 400.0, 500.0, 600.0]
+    found = compare_margins(sample_of([H, H, H, U, I, F], margins), with_margins(np.zeros(6)))
+    assert (found.pairs, found.left_out, found.mean) == (3, 3, 2.0)
+    other = compare_margins(with_margins(np.zeros(6)), sample_of([H, H, H, U, I, F], margins))
+    assert (other.pairs, other.mean) == (3, -2.0)
+
+
+@pytest.mark.parametrize(("world", "model_only"), [("kinematic", True), ("PyBullet", False)])
+def test_what_comes_of_a_simplified_world_says_so(world: str, model_only: bool) -> None:
+    samples = [with_margins([1.0, 2.0, 4.0], world=world) for _ in range(2)]
+    assert compare(*samples).model_only is model_only
+    assert compare_margins(*samples).model_only is model_only
+
+
 def test_fewer_than_two_pairs_have_no_mean() -> None:
-    with pytest.raises(StatisticsError, match="two episodes"):
+    with pytest.raises(StatisticsError, match="two judged episodes"):
         compare_margins(sample_of([F, H], [np.nan, 1.0]), with_margins([0.0, 0.0]))

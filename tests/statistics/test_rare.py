@@ -92,6 +92,13 @@ def test_what_is_not_rare_is_estimated_too() -> None:
     assert found.low <= 0.7 <= found.high
 
 
+def test_replications_that_all_say_the_same_tell_nothing_of_their_spread() -> None:
+    """Everything violates: twelve times a probability of 1, with no interval of no width about it."""
+    found = split(lambda points: -1.0 - points[:, 0], 1, seed=7, how=QUICK)
+    assert set(found.replicates) == {1.0}
+    assert (found.value, found.low, found.high) == (1.0, 0.0, 1.0)
+
+
 @pytest.mark.parametrize("margins", [lambda p: np.ones(len(p)), lambda p: 1.0 + p[:, 0]])
 def test_what_is_never_found_is_not_said_to_be_impossible(margins: Callable[[Floats], Floats]) -> None:
     found = split(margins, 2, seed=8, how=QUICK)

@@ -96,6 +96,13 @@ def test_the_three_shares_hold_together_as_often_as_they_say() -> None:
     assert misses_are_no_more_than(missed, 600, 0.1)
 
 
+@pytest.mark.parametrize(("world", "model_only"), [("kinematic", True), ("PyBullet", False)])
+def test_what_comes_of_a_simplified_world_says_so(world: str, model_only: bool) -> None:
+    design = nested([[0.0, 2.0], [4.0, 6.0]], world=world)
+    assert variance_split(design).model_only is model_only
+    assert violation_split(design).model_only is model_only
+
+
 def test_what_is_no_design_is_refused() -> None:
     with pytest.raises(StatisticsError, match="two scenarios and two draws"):
         nested([[1.0], [2.0]])
@@ -103,6 +110,9 @@ def test_what_is_no_design_is_refused() -> None:
         nested([[1.0, 2.0]])
     with pytest.raises(StatisticsError, match="a margin of every run; got 1 of 4"):
         variance_split(nested([[1.0, np.nan], [2.0, 3.0]], [[H, F], [H, H]]))
+    for unsaid in (U, I, F):
+        with pytest.raises(StatisticsError, match="a margin of every run; got 1 of 4"):
+            variance_split(nested([[1.0, 4.0], [2.0, 3.0]], [[H, unsaid], [H, H]]))
     with pytest.raises(StatisticsError, match="all the same"):
         variance_split(nested(np.ones((3, 3))))
     with pytest.raises(StatisticsError, match="some are missing"):

@@ -11,7 +11,7 @@ from examples import run, scenario
 
 from safety_harness.exceptions import TraceError
 from safety_harness.scenario.faults import AvoiderLate, CameraBlind
-from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.consistency import CHECKS, first_inconsistency
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
@@ -87,6 +87,32 @@ def test_a_flag_that_is_neither_0_nor_1_is_named(visit: Trace) -> None:
     found = first_inconsistency(replace(visit, ticks=ticks))
     assert found is not None
     assert found.where == "object_visible at tick 7"
+
+
+def test_each_check_of_the_ticks_has_a_bit_of_its_own_and_is_told_by_it(visit: Trace) -> None:
+    """A tick that fails them one after another: what is told is in the order of the checks, none twice."""
+    wrong: list[tuple[str, object]] = [
+        ("time_s", -1.0),
+        ("hand_present", 2),
+        ("object_visible", 2),
+        ("track_valid", 2),
+        ("hand_present", 0),
+        ("hand_distance_capsule", [-1, -1]),
+        ("sse", -1.0),
+        ("mode", 99),
+        ("limits", 1 << 20),
+        ("faults", 1 << 20),
+        ("decision", 10**6),
+    ]
+    assert len(wrong) == CHECKS
+    for k, (field, _) in enumerate(wrong):
+        ticks = visit.ticks.copy()
+        for later, (other, worse) in enumerate(wrong[k:]):
+            records = ticks[other].view(np.uint8) if ticks[other].dtype == np.bool_ else ticks[other]
+            records[20 - later] = worse  # the others fail earlier in the run, and are told later
+        found = first_inconsistency(replace(visit, ticks=ticks))
+        assert found is not None
+        assert found.where == f"{field} at tick 20", (k, str(found))
 
 
 def test_a_fault_acts_within_its_time_and_a_late_avoider_until_the_deadline(visit: Trace) -> None:

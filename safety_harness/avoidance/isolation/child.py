@@ -1,4 +1,4 @@
-"""What runs in the process of a user's avoider: it makes avoiders of one file and answers questions.
+"""What runs in the process of a user's file: it makes its avoiders and answers questions.
 
 The same functions ask here as at home, so that an answer, a fault and a deadline are the same in both.
 It must start quickly: nothing imported here waits for a compiler.
@@ -14,7 +14,11 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from safety_harness.avoidance.asking import Answer, Question, ask
 from safety_harness.avoidance.avoider import Avoider, described, printable, spread_threshold_of
@@ -29,7 +33,7 @@ from safety_harness.avoidance.isolation.frames import (
     unpacked_header,
 )
 from safety_harness.avoidance.python_file import PythonFile
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.exceptions import InputError, Place
 
 MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
 MOST_QUESTION_BYTES = 1 << 30
@@ -116,23 +120,30 @@ class _Child:
         """An avoider under the number of the frame."""
         header, source = frame.payload.split(b"\0", 1)
         asked = json.loads(header)
-        path, name, place = Path(asked["path"]), asked["name"], Place(field="avoider")
+        path = Path(asked["path"])
         sys.path[:] = asked["sys_path"]
         try:
             os.chdir(asked["folder"])
-            avoider = PythonFile(path, source, place).avoider(name)
+            avoider, seen = _avoider(path, source, asked)
             self._avoiders[frame.number] = avoider, str(path)
             made = {
                 "name": str(avoider.name),
                 "spread_threshold_m": spread_threshold_of(avoider),
                 "takes_many": takes_many(avoider),
+                "seen": seen,
             }
             return packed(Kind.MADE, frame.number, json.dumps(made).encode())
-        except InadmissibleError as error:
-            expected, got, hint = error.expected, error.got, error.hint
+        except InputError as error:
+            expected, got, hint, field = error.expected, error.got, error.hint, error.place.field
         except BaseException as error:  # a user's code may raise anything
-            expected, got, hint = f"{name} to be an avoider", described(error, str(path)), ""
-        words = {"expected": printable(expected), "got": printable(got), "hint": hint}
+            what = asked.get("attribute", path.name)
+            expected, got, hint, field = f"{what} to be an avoider", described(error, str(path)), "", None
+        words = {
+            "expected": printable(expected),
+            "got": printable(got),
+            "hint": printable(hint),
+            "field": printable(field or ""),
+        }
         return packed(Kind.REFUSED, frame.number, json.dumps(words).encode())
 
     def _answers(self, frame: Frame) -> Iterator[Answer]:
@@ -149,6 +160,16 @@ class _Child:
                 return
         for question in questions:
             yield _answer(avoider, question, file)
+
+
+def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> tuple[Avoider, dict[str, Any] | None]:
+    """What a program has under a name, or what a model is, and what that has seen."""
+    if "attribute" in asked:
+        return PythonFile(path, source, Place(field="avoider")).avoider(asked["attribute"]), None
+    from safety_harness.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
+
+    model = OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))
+    return model, None if model.seen is None else asdict(model.seen)
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:

@@ -1,4 +1,4 @@
-"""One Python file of a user's and the process in which its avoiders are made; begun anew when it is gone."""
+"""One file of a user's and the process in which its avoiders are made; begun anew when it is gone."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from safety_harness.avoidance.isolation.process import GoneError, Process
 from safety_harness.scenario.fields import is_sentence
 
 GRACE_S = 2.0  # beyond a deadline, at which an avoider is interrupted if it can be
-LONGEST_S = 300.0  # to be made, and to answer for the first time
+LONGEST_S = 300.0  # for a program to be imported, and to answer for the first time
 UNTIMED_S = 30.0  # to answer where there is no deadline
 SEND_S = 10.0
 MOST_LINES, MOST_CHARACTERS = 5, 200
@@ -42,13 +42,22 @@ class Made:
     name: str
     spread_threshold_m: float | None
     takes_many: bool
+    seen: Mapping[str, object] | None  # of a model that says what it was trained on, not yet looked at
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which avoider of a file, in the words that its process takes, and how long that may take."""
+
+    words: Mapping[str, object]
+    within_s: float
 
 
 class RefusedError(Exception):
-    """The file gives no avoider: what was expected, what came, and where to read on."""
+    """The file gives no avoider: what was expected, what came, where to read on, and in which field."""
 
-    def __init__(self, expected: str, got: str, hint: str) -> None:
-        self.expected, self.got, self.hint = expected, got, hint
+    def __init__(self, expected: str, got: str, hint: str, field: str) -> None:
+        self.expected, self.got, self.hint, self.field = expected, got, hint, field
         super().__init__(f"expected {expected}; got {got}")
 
 
@@ -82,23 +91,24 @@ class Host:
         """Is what was made in that generation still there?"""
         return self.alive and generation == self.generation
 
-    def make(self, number: int, name: str) -> Made:
-        """The avoider ``name`` of the file; RefusedError, GoneError."""
+    def make(self, number: int, wanted: Wanted) -> Made:
+        """An avoider of the file; RefusedError, GoneError."""
         if not self.alive:
             try:
                 self._process = Process(self._hear)
             except OSError as error:
                 raise GoneError(f"no process could be started: {error}") from error
             self.generation += 1
-        asked = {"path": str(self.path), "name": name, "folder": os.getcwd(), "sys_path": sys.path}
+        asked = {"path": str(self.path), "folder": os.getcwd(), "sys_path": sys.path, **wanted.words}
         self._send(packed(Kind.MAKE, number, json.dumps(asked).encode() + b"\0" + self._source))
         assert self._process is not None
-        frame = self._process.receive(LONGEST_S)
+        frame = self._process.receive(wanted.within_s)
         try:
             words = words_from(frame.payload)
             if frame.kind is Kind.REFUSED:
-                expected, got, hint = (printable(str(words[key])) for key in ("expected", "got", "hint"))
-                raise RefusedError(expected, got, hint)
+                raise RefusedError(
+                    *(printable(str(words[key])) for key in ("expected", "got", "hint", "field"))
+                )
             return _made(words)
         except (NonsenseError, KeyError):
             raise GoneError("its process answered nonsense") from None
@@ -156,12 +166,16 @@ def limit_s(question: Question) -> float:
 
 
 def _made(words: dict[str, object]) -> Made:
-    name, threshold_m, many = (words[key] for key in ("name", "spread_threshold_m", "takes_many"))
+    name, threshold_m, many, seen = (
+        words[key] for key in ("name", "spread_threshold_m", "takes_many", "seen")
+    )
     if not isinstance(name, str) or not is_sentence(name) or not isinstance(many, bool):
         raise NonsenseError
     if threshold_m is not None and not (isinstance(threshold_m, float) and 0.0 <= threshold_m < float("inf")):
         raise NonsenseError
-    return Made(name, threshold_m, many)
+    if not (seen is None or isinstance(seen, dict)):
+        raise NonsenseError
+    return Made(name, threshold_m, many, seen)
 
 
 _hosts: OrderedDict[tuple[Path, str], Host] = OrderedDict()

@@ -14,7 +14,6 @@ import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -22,74 +21,36 @@ from safety_harness.avoidance.asking import Answer, Elsewhere, Question, answer_
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.host import (
     GRACE_S,
-    LONGEST_S,
     UNTIMED_S,
     Host,
     Made,
     RefusedError,
-    host_of,
+    Wanted,
 )
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.exceptions import AvoiderError, InadmissibleError, Place, SimulationError
-from safety_harness.scenario.files import read_bytes
+from safety_harness.exceptions import AvoiderError, SimulationError
 
-MOST_SOURCE = 10_000_000
 ATTEMPTS = 3  # to make it anew, one after another
-
-
-def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
-    """The avoider called ``name`` in a Python file, which is executed in another process.
-
-    InadmissibleError at ``place`` if there is none, or the process does not live to say so.
-    """
-    source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
-    if len(source) > MOST_SOURCE:
-        expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
-        raise InadmissibleError(place=place, expected=expected, got="a larger one")
-    host = host_of(path, source)
-    number = host.number()
-    try:
-        with host.lock:
-            made = _first_made(host, number, name)
-            return IsolatedAvoider(host, number, name, made)
-    except RefusedError as error:
-        raise InadmissibleError(
-            place=place, expected=error.expected, got=error.got, hint=error.hint
-        ) from error
-    except GoneError as error:
-        within = f" within {LONGEST_S:g} s" if error.hung else ""
-        raise InadmissibleError(
-            place=place, expected=f"{path.name} to give an avoider {name}{within}", got=str(error)
-        ) from error
-
-
-def _first_made(host: Host, number: int, name: str) -> Made:
-    """Once more in a new process if that of earlier avoiders is gone."""
-    for new in (not host.alive, True):
-        try:
-            return host.make(number, name)
-        except RefusedError:
-            raise
-        except GoneError:
-            host.end()
-            if new:
-                raise
-        except BaseException:  # Ctrl-C: who knows what it will say next
-            host.end()
-            raise
-    raise AssertionError
 
 
 class IsolatedAvoider(Elsewhere):
     """One avoider in the process of its file."""
 
-    def __init__(self, host: Host, number: int, attribute: str, made: Made) -> None:
+    @classmethod
+    def of(cls, host: Host, wanted: Wanted) -> IsolatedAvoider:
+        """Make it there; RefusedError, or GoneError if the process does not live to say so."""
+        number = host.number()
+        with host.lock:
+            return cls(host, number, wanted, _first_made(host, number, wanted))
+
+    def __init__(self, host: Host, number: int, wanted: Wanted, made: Made) -> None:
         self.name = made.name
         self.spread_threshold_m = made.spread_threshold_m
         self.takes_many = made.takes_many
+        self.seen = made.seen
         self._host = host
         self._number = number
-        self._attribute = attribute
+        self._wanted = wanted
         self._generation = host.generation
         self._asked = False
         self._rehearsal: Question | None = None  # its first question, if it survived that
@@ -145,10 +106,10 @@ class IsolatedAvoider(Elsewhere):
         why = ""
         for _ in range(ATTEMPTS):
             try:
-                self._host.make(self._number, self._attribute)
+                self._host.make(self._number, self._wanted)
                 self._generation = self._host.generation
                 if self._rehearsal is not None:
-                    again = self._rehearsal._replace(deadline_s=LONGEST_S, timed=True)
+                    again = self._rehearsal._replace(deadline_s=self._wanted.within_s, timed=True)
                     list(self._host.ask(self._number, [again], together=False))
                 return
             except RefusedError as error:
@@ -158,6 +119,23 @@ class IsolatedAvoider(Elsewhere):
                 why, self._rehearsal = str(error), None
                 self._host.end()
         raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
+
+
+def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
+    """Once more in a new process if that of earlier avoiders is gone."""
+    for new in (not host.alive, True):
+        try:
+            return host.make(number, wanted)
+        except RefusedError:
+            raise
+        except GoneError:
+            host.end()
+            if new:
+                raise
+        except BaseException:  # Ctrl-C: who knows what it will say next
+            host.end()
+            raise
+    raise AssertionError
 
 
 def _looked_at(answer: Answer) -> Answer:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small import shipped
 
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import run_trial
+from safety_harness.avoidance.asking import Answer, Elsewhere, Question
 from safety_harness.avoidance.gate import Gate
-from safety_harness.selftest.system import Records, System
+from safety_harness.selftest.system import Delayed, Records, System
 from safety_harness.settings import GateKind
 from safety_harness.trace.compare import first_difference
 
@@ -55,6 +59,38 @@ def test_an_edit_reaches_its_own_run_and_no_other() -> None:
 
 def test_decisions_of_our_own_avoiders_are_not_timed() -> None:
     assert np.isnan(System.of(shipped("network-certain")).run().decision_latency_s).all()
+
+
+class InAnotherProcess(Elsewhere):
+    """Where an avoider of a user's runs: whether it takes many is known of it, not seen."""
+
+    name = "isolated"
+
+    def __init__(self, takes_many: bool) -> None:
+        self.takes_many = takes_many
+
+    def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
+        raise AssertionError("nobody asks")
+
+
+@pytest.mark.parametrize("takes_many", [True, False])
+def test_an_avoider_in_another_process_is_timed_only_if_it_is_asked_in_turn(takes_many: bool) -> None:
+    isolated = InAnotherProcess(takes_many)
+    admitted = replace(shipped("network-certain"), avoider=isolated)  # type: ignore[arg-type]
+    assert System.of(admitted).timed is not takes_many
+
+
+def test_what_is_delayed_comes_out_once_and_the_last_of_several() -> None:
+    queue = Delayed(0.1)
+    assert queue.due(0.0) is None
+    queue.put(0.0, "first")
+    queue.put(0.05, "second")
+    assert queue.due(0.09) is None
+    assert queue.due(0.1) == "first"
+    assert queue.due(0.1) is None
+    queue.put(0.1, "third")
+    assert queue.due(0.5) == "third"
+    assert queue.due(0.5) is None
 
 
 def test_ctrl_c_in_a_run_passes_through() -> None:

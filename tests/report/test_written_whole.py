@@ -1,12 +1,14 @@
+"""A report is there whole or not at all."""
+
 from __future__ import annotations
 
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
 import factory
 import pytest
 
-import safety_harness.report.text_file as text_file
 from safety_harness.report.html import write_report
 
 WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)
@@ -22,7 +24,7 @@ def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: py
     def no_room(_: int) -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr(text_file.os, "fsync", no_room)
+    monkeypatch.setattr(os, "fsync", no_room)
     with pytest.raises(OSError, match="no space"):
         write_report(path, [factory.truncated_run()], **arguments)
     assert path.read_bytes() == before

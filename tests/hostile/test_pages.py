@@ -1,0 +1,178 @@
+"""Every text of every page, drawing and XML file may be markup of a stranger's; it stays text everywhere."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from datetime import UTC, datetime
+from enum import Enum
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+import safety_harness
+from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.page import render as evidence_page
+from safety_harness.report.coverage_map import coverage_map
+from safety_harness.report.html import render as report_page
+from safety_harness.report.page_parts import asset
+from safety_harness.report.search_page import render as search_page
+from safety_harness.report.svg import standalone
+from safety_harness.reproduction import figure7, table1
+from safety_harness.reproduction.page import render as reproduction_page
+from safety_harness.reproduction.scale import DEFAULT
+from safety_harness.selftest.page import render as selftest_page
+
+sys.path.append(str(Path(__file__).parents[1] / "report"))
+sys.path.append(str(Path(__file__).parents[1] / "certification"))
+sys.path.append(str(Path(__file__).parents[1] / "selftest"))
+sys.path.append(str(Path(__file__).parents[1] / "reproduction"))
+
+import factory
+import made_up
+import made_up_evidence
+import made_up_faults
+import test_page as reproduction
+import test_search_page as search
+
+MARKUP = "</script></style></svg><img src=x onerror=alert(1)><script>alert(2)</script>\"'&{{7*7}}"
+IN_PLACE = {  # what is looked up, never shown as it came
+    "format",
+    "kind",
+    "direction",
+    "speed",
+    "distance",
+    "seen",
+    "outcome",
+    "symbol",
+    "unit",
+    "arm_name",
+    "avoider_sha256",
+}
+WHEN = datetime(2026, 11, 21, tzinfo=UTC)
+
+
+def spoilt(value: Any) -> Any:
+    """The same with markup at the end of every text."""
+    if isinstance(value, Enum):
+        return value
+    if isinstance(value, str):
+        return value + MARKUP
+    if isinstance(value, tuple | list):
+        return type(value)(map(spoilt, value)) if type(value) in (tuple, list) else value
+    if is_dataclass(value) and not isinstance(value, type):
+        changes = {
+            field.name: spoilt(getattr(value, field.name))
+            for field in fields(value)
+            if field.init and field.name not in IN_PLACE
+        }
+        return replace(value, **changes)
+    return value
+
+
+def report() -> str:
+    runs = [spoilt(factory.violated_run()), spoilt(factory.truncated_run())]
+    return report_page(runs, title=MARKUP, command=MARKUP, interrupted=True, generated_at=WHEN)
+
+
+def a_search() -> str:
+    return search_page(spoilt(search.evidence()))
+
+
+def certified() -> str:
+    return evidence_page(spoilt(made_up_evidence.evidence()), {1: spoilt(factory.violated_run())})
+
+
+def tried() -> str:
+    return selftest_page(spoilt(list(made_up_faults.EVERY_KIND)), spoilt(made_up_faults.about()))
+
+
+def reproduced() -> str:
+    results = [
+        table1.result(DEFAULT, made_up.main_evaluations()),
+        figure7.result(DEFAULT, made_up.trials()),
+    ]
+    return reproduction_page(spoilt(results), spoilt(reproduction.ABOUT))
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "report.html.j2": report,
+    "search.html.j2": a_search,
+    "evidence.html.j2": certified,
+    "selftest.html.j2": tried,
+    "reproduction.html.j2": reproduced,
+}
+
+
+class Elements(HTMLParser):
+    """What a browser would make of a page."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.handlers: list[str] = []
+        self.sources: list[str] = []
+        self.text = ""
+        self.scripts = ""
+        self._within = ""
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._within = tag if tag in ("script", "style") else ""
+        self.handlers += [name for name, _ in attrs if name.startswith("on")]
+        self.sources += [value or "" for name, value in attrs if name in ("src", "href")]
+        self.text += "".join(value or "" for _, value in attrs)
+
+    def handle_data(self, data: str) -> None:
+        if self._within == "script":
+            self.scripts += data
+        elif not self._within:
+            self.text += data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._within = ""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_markup_stays_text_on_every_page(name: str) -> None:
+    page = PAGES[name]()
+    elements = Elements(page)
+    assert not elements.handlers
+    assert all(":" not in source.removeprefix("data:").partition("/")[0] for source in elements.sources)
+    assert "alert(" not in elements.scripts
+    assert "<img" not in page
+    assert elements.text.count(MARKUP) > 10  # and it is there
+
+
+def coverage_file() -> str:
+    """As ``fuzz`` writes it."""
+    counts = search.evidence().violations.counts
+    drawn = coverage_map(search.evidence().coverage, counts, prefix="c-", title=MARKUP)
+    return standalone(drawn, style=asset("report.css"))
+
+
+XML: dict[str, Callable[[], str]] = {
+    "certification/junit.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
+    "report/coverage_map.py": coverage_file,
+    "report/svg.py": coverage_file,
+}
+
+
+@pytest.mark.parametrize("name", XML)
+def test_markup_stays_text_in_every_xml_file(name: str) -> None:
+    root = ElementTree.fromstring(XML[name]())
+    assert {element.tag.rpartition("}")[2] for element in root.iter()}.isdisjoint({"img", "script"})
+    texts = [element.text or "" for element in root.iter()]
+    texts += [value for element in root.iter() for value in element.attrib.values()]
+    assert any(MARKUP in text for text in texts)
+
+
+def test_every_page_and_every_maker_of_xml_is_tried_here() -> None:
+    package = Path(safety_harness.__file__).parent
+    assert {file.name for file in package.rglob("*.html.j2")} == {*PAGES, "page.html.j2", "parts.html.j2"}
+    makers = {file for file in package.rglob("*.py") if "ElementTree.tostring(" in file.read_text()}
+    urdf = package / "robot" / "description.py"  # nobody's words
+    assert {file.relative_to(package).as_posix() for file in makers - {urdf}} == set(XML)
