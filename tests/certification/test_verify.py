@@ -363,7 +363,7 @@ def test_no_draw_is_executed_unasked_wherever_it_names_a_program(tmp_path: Path,
     refused = 0
     for episode in range(8):
         try:
-            bench.draw(0, episode)
+            list(bench.run(0, [episode]))
         except CampaignError as error:
             refused += "names a program" in str(error)
     assert 0 < refused < 8
