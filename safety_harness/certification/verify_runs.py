@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from safety_harness.admission.avoiders import is_a_program
+from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.files import references_in
 from safety_harness.campaign.ledger import Ledger
@@ -139,6 +140,9 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
             compared.add(bench.row_of(stratum, episode, draws, trace))
         except InputError as error:
             faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
+            continue
+        except Exception as error:  # whatever a stranger's trace does to what judges it
+            faults.append(f"{where}: its trace cannot be judged: {described(error)}")
             continue
         others += other
         if other and same:

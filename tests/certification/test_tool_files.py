@@ -7,9 +7,10 @@ from typing import Any
 import pytest
 
 from safety_harness.certification.findings import of_selftest
-from safety_harness.certification.tool_files import read_oracles, read_selftest
+from safety_harness.certification.tool_files import STATES, read_oracles, read_selftest
 from safety_harness.exceptions import InputError
 from safety_harness.selftest.document import document
+from safety_harness.selftest.outcome import State
 from tests.selftest.made_up_faults import EVERY_KIND, about
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -68,6 +69,10 @@ def test_what_selftest_writes_is_read_with_its_limits(tmp_path: Path) -> None:
         ("limit", "nobody looks there"),
     ]
     assert read.false_alarms == ("loud",)
+
+
+def test_every_state_that_selftest_writes_is_known() -> None:
+    assert set(STATES) == {state.value for state in State}
 
 
 @pytest.mark.parametrize(
