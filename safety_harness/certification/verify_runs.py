@@ -16,6 +16,7 @@ from safety_harness.certification.check import Check, few
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify_files import kept
 from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.properties.consistency import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.pybullet_world import PyBulletWorld
@@ -132,6 +133,7 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
         )
         try:
             trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
+            refuse_contradictions(trace)  # claims believe poses, speeds and distances
             drawn = bench.scenario(stratum, episode, draws - 1)
             other = write_scenario(trace.scenario, all_settings=True) != write_scenario(
                 drawn, all_settings=True
