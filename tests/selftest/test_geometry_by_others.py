@@ -14,7 +14,8 @@ from small import shipped, trials
 
 from safety_harness.admission.claims import property_of
 from safety_harness.properties.base import Evaluation
-from safety_harness.properties.hand_distance import HAND_DISTANCE, HandDistance, capsules_of
+from safety_harness.properties.hand_distance import HAND_DISTANCE, HandDistance
+from safety_harness.properties.true_motion import capsules_of
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
@@ -41,11 +42,12 @@ def sound(name: str) -> Trace:
 def by_coal_m(trace: Trace, tick: int) -> float:
     """Least distance of any hand or forearm from the arm's capsules; within them any number below 0."""
     arm, settings = load_arm(trace.scenario.robot.arm_name), trace.scenario.settings
-    _, links, starts, ends, radii = capsules_of(arm, settings)
+    capsules = capsules_of(trace)
+    links, radii = capsules.link_index, capsules.radius_m
     transforms, placed = np.empty((8, 4, 4)), np.empty((len(radii), 2, 3))
     row = trace.ticks[tick]
     forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, row["joint_position_rad"], transforms)
-    place_capsules(transforms, links, starts, ends, placed)
+    place_capsules(transforms, links, capsules.start_in_link, capsules.end_in_link, placed)
     least = np.inf
     for k in np.flatnonzero(row["hand_present"]):
         wrist, elbow = row["hand_position_in_base_m"][k], row["elbow_position_in_base_m"][k]
