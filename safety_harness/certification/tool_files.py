@@ -13,13 +13,7 @@ from safety_harness.exceptions import InputError, Place
 FORMAT = "safety-harness selftest 1"
 MOST = 1e100  # that a disagreement can be
 ON_TRIAL = ("caught", "survives", "a stated limit")
-STATES = (
-    *ON_TRIAL,
-    "does not apply",
-    "quiet",
-    "false alarm",
-    "true alarm",
-)  # the last three: of harmless changes
+STATES = (*ON_TRIAL, "does not apply", "quiet", "false alarm", "true alarm")  # three of harmless ones
 
 
 def read_selftest(path: Path) -> SelfTest:

@@ -119,3 +119,7 @@ def test_what_is_no_table_of_oracles_is_refused(tmp_path: Path, found: object) -
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         read_oracles(tmp_path / "none.json")
+
+
+def test_every_state_of_a_self_test_can_be_read() -> None:
+    assert set(STATES) == {state.value for state in State}
