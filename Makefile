@@ -33,20 +33,15 @@ others: .venv-psy-taliro/installed .venv-verifai/installed
 psy-taliro := psy-taliro==3.2.0
 verifai := verifai==2.2.0
 
-bench-all: bench
-	$(BIN)/python benchmarks/loop.py
-	$(BIN)/python benchmarks/decision.py
-	$(BIN)/python benchmarks/isolation.py
-	$(BIN)/python benchmarks/dataset.py
-	$(BIN)/python benchmarks/spaces.py
-	$(BIN)/python benchmarks/scenario_files.py
-	$(BIN)/python benchmarks/formulas.py
-	$(BIN)/python benchmarks/search_power.py
-	$(BIN)/python benchmarks/flat_bugs.py
-	$(BIN)/python benchmarks/interval_coverage.py
-	$(BIN)/python benchmarks/campaign.py
-	$(BIN)/python benchmarks/convergence.py
-	$(BIN)/python benchmarks/convergence_in_pybullet.py
+# The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
+LONG := agreement campaign convergence convergence_in_pybullet crashes dataset decision flat_bugs formulas \
+	interval_coverage isolation kinematic loop overhead rare_in_kinematic scenario_files search_power soak \
+	spaces training
+
+bench-all: $(LONG:%=bench-%)
+
+bench-%: $(VENV)/benchmarks
+	$(BIN)/python benchmarks/$*.py
 
 docs: $(VENV)/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

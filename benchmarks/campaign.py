@@ -25,6 +25,8 @@ from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
 
+from ratios import Ratio
+
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
@@ -36,6 +38,9 @@ from safety_harness.campaign.summary import fingerprint_of, tally_of
 from tests.campaign.benches import Plain, row_of
 from tests.campaign.plans import PLAN, plan_in
 
+WORKERS, WAIT_S = 64, 0.3
+IDEAL = WORKERS / WAIT_S  # episodes a second
+TURNS = 3
 SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
 
 
@@ -68,32 +73,59 @@ def run(plan: Plan, path: Path, crew: Processes) -> tuple[float, float, float]:
     return (arrived[-1][1] - arrived[first][1]) / seconds, own_s, work_s
 
 
-def real(runs: int) -> None:
+def real(runs: int, workers: int) -> tuple[float, float]:
+    """Real episodes: how many a second, and the runner's own processor time over the workers' time."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan = planned(Path(folder), runs, "nominal.yaml")
+        rate, own_s, work_s = run(plan, Path(folder) / "ledger", processes(workers)(plan))
+    return rate, own_s / work_s
+
+
+def print_real(runs: int) -> None:
     """One worker, then two."""
     rates = []
     for workers in (1, 2):
-        with tempfile.TemporaryDirectory() as folder:
-            plan = planned(Path(folder), runs, "nominal.yaml")
-            rate, own_s, work_s = run(plan, Path(folder) / "ledger", processes(workers)(plan))
+        rate, own = real(runs, workers)
         rates.append(rate)
-        own = own_s / work_s
         print(
             f"{runs} real episodes, {workers} workers: {rate:.1f} a second; the runner's own time {own:.2%}"
         )
     print(f"two workers do {rates[1] / rates[0]:.2f} times what one does")
 
 
-def waiting(runs: int, workers: int = 64, seconds: float = 0.3) -> None:
-    """Only scheduling, pipes and commits are real."""
+def waiting(runs: int) -> tuple[float, float]:
+    """Episodes a second of 64 workers, and the part of the time that the runner is busy.
+
+    Only scheduling, pipes and commits are real.
+    """
     with tempfile.TemporaryDirectory() as folder:
         plan = planned(Path(folder), runs)
-        crew = Processes(Plain(seconds=seconds), workers)
-        rate, own_s, _ = run(plan, Path(folder) / "ledger", crew)
-    ideal = workers / seconds
+        rate, own_s, _ = run(plan, Path(folder) / "ledger", Processes(Plain(seconds=WAIT_S), WORKERS))
+    return rate, own_s / (runs / rate)
+
+
+def print_waiting(runs: int) -> None:
+    """Beside the ideal rate."""
+    rate, busy = waiting(runs)
     print(
-        f"{workers} workers that wait {seconds} s an episode: {rate:.1f} a second of {ideal:.1f} possible "
-        f"({rate / ideal:.1%}); the runner is busy {own_s / (runs / rate):.1%} of the time"
+        f"{WORKERS} workers that wait {WAIT_S} s an episode: {rate:.1f} a second of {IDEAL:.1f} possible "
+        f"({rate / IDEAL:.1%}); the runner is busy {busy:.1%} of the time"
     )
+
+
+def ratios() -> list[Ratio]:
+    """What a campaign costs beside its episodes, what a second worker brings, what 64 lose to one runner."""
+    own, gain, ideal = [], [], []
+    for _ in range(TURNS):
+        (one, _), (two, cost) = real(300, 1), real(300, 2)
+        own.append(cost)
+        gain.append(two / one)
+        ideal.append(IDEAL / waiting(6400)[0])
+    return [
+        Ratio.of("the runner's own time over the work of real episodes", own, aim=0.05, at_most=True),
+        Ratio.of("real episodes a second, two workers over one", gain),
+        Ratio.of(f"{WORKERS} waiting workers, the ideal rate over ours", ideal, aim=1.05, at_most=True),
+    ]
 
 
 def timed(what: str, question: object) -> None:
@@ -149,8 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--waiting", type=int, default=6400)
     parser.add_argument("--episodes", type=int, default=10_000)
     given = parser.parse_args(arguments)
-    real(given.real)
-    waiting(given.waiting)
+    print_real(given.real)
+    print_waiting(given.waiting)
     ledger_of(given.episodes)
 
 

@@ -39,8 +39,8 @@ from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.exceptions import CampaignError
 from tests.campaign.benches import Plain, row_of
+from tests.campaign.clusters import scheduler, workers
 from tests.campaign.plans import PLAN, plan_in
-from tests.campaign.test_cluster import scheduler, workers
 
 
 class AtOnce:

@@ -126,34 +126,42 @@ def rendered(dataset: CompactDataset) -> None:
     numbers = np.arange(RENDERED_POSES)
     candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, numbers)
     exact = errors.select(candidates)[0]
+    found, seconds = rendered_errors(errors, candidates.reshape(-1, 3))
+    unseen = int(np.count_nonzero(np.isinf(found)))
+    missed = int(np.count_nonzero(~errors.at(candidates)[1]))
+    agreement("rendered", candidates, exact, np.argmin(found.reshape(candidates.shape[:2]), axis=1))
+    print(
+        f"  {found.size} images in {seconds:.0f} s; no whole object found in {unseen} of them, by exact "
+        f"geometry in {missed}"
+    )
+
+
+def rendered_errors(errors: ImageErrors, positions: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """(k,) |f - f*|^2 of images rendered at (k, 3) of the TCP, and the seconds that they took.
+
+    Infinite where no whole object is found.
+    """
     arm = load_arm()
     kinematics = InverseKinematics(arm)
     preferred = np.array(DEFAULTS.cell.preferred_joint_position_rad)
     camera_to_tcp = transform_camera_to_tcp(DEFAULTS.camera, calibrated=False)
-    found = np.full(candidates.shape[:2], np.inf)
     client = pybullet.connect(pybullet.DIRECT)
-    began = time.perf_counter()
     try:
         bodies = build_cell(client, DEFAULTS, arm, preferred, rendered=True)
-        for k, c in np.ndindex(found.shape):
+        found, began = np.empty(len(positions)), time.perf_counter()
+        for k, position in enumerate(positions):
             pose = desired_transform_tcp_to_base(DEFAULTS)
-            pose[:3, 3] = candidates[k, c]
+            pose[:3, 3] = position
             joints = kinematics.nearest(pose, preferred)
             if joints is None:
                 raise SimulationError("a candidate that the arm cannot reach")
             pybullet.resetJointStatesMultiDof(
                 bodies.robot, bodies.joints, [[q] for q in joints], [[0.0]] * 6, physicsClientId=client
             )
-            found[k, c] = error_in(errors, client, pose @ camera_to_tcp)
+            found[k] = error_in(errors, client, pose @ camera_to_tcp)
+        return found, time.perf_counter() - began
     finally:
         pybullet.disconnect(client)
-    unseen = int(np.count_nonzero(np.isinf(found)))
-    missed = int(np.count_nonzero(~errors.at(candidates)[1]))
-    agreement("rendered", candidates, exact, np.argmin(found, axis=1))
-    print(
-        f"  {found.size} images in {time.perf_counter() - began:.0f} s; no whole object found in {unseen} of "
-        f"them, by exact geometry in {missed}"
-    )
 
 
 def error_in(errors: ImageErrors, client: int, camera_to_base: NDArray[np.float64]) -> float:
@@ -167,31 +175,6 @@ def error_in(errors: ImageErrors, client: int, camera_to_base: NDArray[np.float6
     return float(feature_error(current, view.features, np.empty(6)))
 
 
-def rendered_s(poses: NDArray[np.float64]) -> float:
-    """Seconds to put the arm at poses (k, 3) of the TCP, render an image at each and measure its error."""
-    errors, arm = ImageErrors.of(DEFAULTS), load_arm()
-    kinematics = InverseKinematics(arm)
-    preferred = np.array(DEFAULTS.cell.preferred_joint_position_rad)
-    camera_to_tcp = transform_camera_to_tcp(DEFAULTS.camera, calibrated=False)
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        bodies = build_cell(client, DEFAULTS, arm, preferred, rendered=True)
-        began = time.perf_counter()
-        for position in poses:
-            pose = desired_transform_tcp_to_base(DEFAULTS)
-            pose[:3, 3] = position
-            joints = kinematics.nearest(pose, preferred)
-            if joints is None:
-                raise SimulationError("a candidate that the arm cannot reach")
-            pybullet.resetJointStatesMultiDof(
-                bodies.robot, bodies.joints, [[q] for q in joints], [[0.0]] * 6, physicsClientId=client
-            )
-            error_in(errors, client, pose @ camera_to_tcp)
-        return time.perf_counter() - began
-    finally:
-        pybullet.disconnect(client)
-
-
 def ratios() -> list[Ratio]:
     """A label by rendered images of its candidates over one of ours, the hands of a TCP included."""
     generate(DEFAULTS, seen(DEFAULTS), seed=SEED, tcps=1)
@@ -202,7 +185,7 @@ def ratios() -> list[Ratio]:
         own_s = (time.perf_counter() - began) / 1000
         labels = len(dataset) // 1000
         candidates = candidates_of(dataset.settings, dataset.tcp_in_base, dataset.seed, np.arange(1))[0]
-        image_s = rendered_s(candidates[:10]) / 10
+        image_s = rendered_errors(ImageErrors.of(DEFAULTS), candidates[:10])[1] / 10
         turns.append((len(candidates) * image_s, own_s))
     note = f"a TCP of {labels} samples; ours {1e6 * min(own_s for _, own_s in turns):.0f} us"
     return [Ratio.of("data, rendered candidates over ours", [a / b for a, b in turns], note=note)]

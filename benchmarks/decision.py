@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from naive_loop import monte_carlo_mean, regression_network
 from numpy.typing import NDArray
-from ratios import Ratio
+from ratios import Ratio, say
 
 from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.learned import LearnedAvoider
@@ -157,11 +157,6 @@ def one_batch_mean(network: Any, values: NDArray[np.float64]) -> NDArray[np.floa
     with torch.no_grad():
         mean: NDArray[np.float64] = network(x).numpy().mean(axis=0).astype(np.float64)
     return mean
-
-
-def say(name: str, values: list[float], unit: str) -> None:
-    """A line: median (least to greatest)."""
-    print(f"  {name:28}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
 
 
 def measured() -> tuple[list[float], list[float], list[float], list[float]]:

@@ -16,9 +16,9 @@ import argparse
 import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 
 import numpy as np
+from ratios import Ratio, say
 
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal
@@ -59,26 +59,18 @@ def microseconds(what: Callable[[], object], count: int) -> float:
     return (time.perf_counter() - begun_s) / count * 1e6
 
 
-def row(what: str, found: list[float], unit: str) -> str:
-    """One line of the table."""
-    return f"{what:<44} {median(found):8.1f} {unit} ({min(found):.1f} to {max(found):.1f})"
-
-
-def here_and_there(onnx: Path | None) -> tuple[Avoider, IsolatedAvoider]:
+def here_and_there(onnx: Path | None = None) -> tuple[Avoider, IsolatedAvoider]:
     """The same avoider in this process and in another."""
     if onnx is None:
         return Upwards(), isolated_avoider(FILE, "Upwards", Place())
     return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)[0]
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--onnx", type=Path)
-    here, there = here_and_there(parser.parse_args().onnx)
+def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, float]]:
+    """Microseconds a question in turns: here, there, there and many in one message."""
     questions = [Question(HAND, TCP, seed, 10.0, True) for seed in range(IN_ONE_MESSAGE)]
     one_by_one(there)
-    turns = [
+    return [
         (
             microseconds(lambda: one_by_one(here), ONE_BY_ONE),
             microseconds(lambda: one_by_one(there), ONE_BY_ONE),
@@ -86,14 +78,37 @@ def main() -> None:
         )
         for _ in range(TURNS)
     ]
-    begun = []
+
+
+def begun_anew(there: IsolatedAvoider) -> list[float]:
+    """Milliseconds from the end of a process to the first answer of the next."""
+    question, begun = Question(HAND, TCP, 0, 10.0, True), []
     for _ in range(BEGUN):
         there._host.end()
-        begun.append(microseconds(lambda: there.answers(questions[:1], together=False), 1) / 1e3)
-    print(row("one question, in this process", [turn[0] for turn in turns], "us"))
-    print(row("one question, in another", [turn[1] for turn in turns], "us"))
-    print(row(f"one of {IN_ONE_MESSAGE} questions in one message", [turn[2] for turn in turns], "us"))
-    print(row("a process begun anew, up to its first answer", begun, "ms"))
+        begun.append(microseconds(lambda: there.answers([question], together=False), 1) / 1e3)
+    return begun
+
+
+def ratios() -> list[Ratio]:
+    """A question in another process over one in this; one by one over many in one message."""
+    turns = measured(*here_and_there())
+    note = f"{min(there for _, there, _ in turns):.0f} us"
+    return [
+        Ratio.of("a question, in another process over in this one", [b / a for a, b, _ in turns], note=note),
+        Ratio.of("questions to another process, one by one over together", [b / c for _, b, c in turns]),
+    ]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--onnx", type=Path)
+    here, there = here_and_there(parser.parse_args().onnx)
+    turns = measured(here, there)
+    say("one question, in this process", [turn[0] for turn in turns], "us")
+    say("one question, in another", [turn[1] for turn in turns], "us")
+    say(f"one of {IN_ONE_MESSAGE} questions in one message", [turn[2] for turn in turns], "us")
+    say("a process begun anew, up to its first answer", begun_anew(there), "ms")
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from statistics import median
 import numba
 import numpy as np
 from loop import Recorded, naive_loop, naive_time
-from ratios import Ratio
+from ratios import Ratio, say
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
@@ -116,11 +116,6 @@ def compare(scenarios: list[Admitted], properties: Sequence[tuple[Property, ...]
     say("PyBullet", engine, "ms an episode")
     say("kinematic", kinematic, "ms an episode")
     say("ratio", ratio, f"(aim {AIMED_RATIO:g}: {met(median(ratio) >= AIMED_RATIO)})")
-
-
-def say(name: str, values: list[float], unit: str) -> None:
-    """A line: median (least to greatest)."""
-    print(f"  {name:24}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
 
 
 def split(space: ScenarioSpace, scenarios: list[Admitted]) -> None:

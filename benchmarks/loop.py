@@ -24,7 +24,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from ratios import Ratio
+from ratios import Ratio, say
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.avoidance.gate import Gate
@@ -198,11 +198,6 @@ def compare(recorded: Recorded) -> None:
     say("naive loop", [1e6 * c for c in naive], "us a tick")
     ratios = [c / a for a, c in zip(loops, naive, strict=True)]
     say("naive loop", ratios, f"x the whole loop (aim: {AIMED_SPEEDUP:g})")
-
-
-def say(name: str, values: list[float], unit: str) -> None:
-    """A line: median (least to greatest)."""
-    print(f"  {name:24}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)
 
 
 class Stopwatch:

@@ -70,3 +70,8 @@ class Ratio:
 def shown(value: float) -> str:
     """Three digits, or whole numbers from 100 on."""
     return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
+
+
+def say(name: str, values: Sequence[float], unit: str) -> None:
+    """A line: median (least to greatest)."""
+    print(f"  {name:<44}{median(values):10.2f} ({min(values):.2f} to {max(values):.2f}) {unit}", flush=True)

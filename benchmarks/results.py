@@ -1,8 +1,11 @@
-"""The table of ratios: run what offers ratios, write RESULTS.md.  Run: python benchmarks/results.py [NAME]...
+"""The table of ratios: run what offers ratios, write RESULTS.md.
+
+Run: python benchmarks/results.py [NAME]..., or python benchmarks/results.py --against REVISION.
 
 Each benchmark runs in a process of its own.  Ratios are formed between sides that take turns, so that they
 bear a busy machine better than seconds do; the load stands beside them all the same.  With names only those
-run, and nothing is written.
+run, and nothing is written.  With --against nothing is run: the table of a revision (HEAD, say) is compared
+with the one that is there, and the exit code is 1 if a ratio got worse.
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import datetime
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from dataclasses import asdict
@@ -22,7 +26,17 @@ from ratios import Ratio, shown
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "RESULTS.md"
-BENCHMARKS = ("loop", "decision", "formulas", "kinematic", "overhead", "training", "dataset")
+BENCHMARKS = (
+    "loop",
+    "decision",
+    "formulas",
+    "kinematic",
+    "overhead",
+    "training",
+    "dataset",
+    "isolation",
+    "campaign",
+)
 LIBRARIES = ("numpy", "numba", "pybullet", "torch", "rtamt", "onnxruntime")
 HEAD = """\
 # Ratios
@@ -76,12 +90,57 @@ def table(rows: list[tuple[Ratio, str, str]]) -> str:
     return HEAD + where + head + "".join(row_of(*row) + "\n" for row in rows)
 
 
+def read(text: str) -> dict[str, Ratio]:
+    """The rows of a RESULTS.md by what they are about; those that were not measured are left out."""
+    rows = {}
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
+        turns = re.fullmatch(r"([\d.,e+-]+) to ([\d.,e+-]+)", cells[2]) if len(cells) == 8 else None
+        if turns is not None:
+            value, least, greatest = (float(c.replace(",", "")) for c in (cells[1], *turns.groups()))
+            rows[cells[0]] = Ratio(cells[0], value, least, greatest, at_most=cells[3].startswith("at most"))
+    return rows
+
+
+def changes(before: dict[str, Ratio], now: dict[str, Ratio]) -> tuple[list[str], bool]:
+    """Ratios none of whose turns are among those of before, in words, and whether any of them is worse.
+
+    A ratio that is gone is worse.
+    """
+    lines, worse = [], False
+    for what, old in before.items():
+        new = now.get(what)
+        if new is None:
+            lines.append(f"gone: {old}")
+        elif new.least > old.greatest or new.greatest < old.least:
+            better = (new.value < old.value) == old.at_most
+            lines.append(f"{'better' if better else 'WORSE'}: {new}; before {shown(old.value)}")
+        else:
+            continue
+        worse = worse or not lines[-1].startswith("better")
+    return lines + [f"new: {now[what]}" for what in now if what not in before], worse
+
+
+def compare(revision: str) -> int:
+    """Print what changed since a revision; 1 if anything got worse, 2 if there is no such table."""
+    command = ["git", "show", f"{revision}:./{RESULTS.name}"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=HERE)
+    if done.returncode != 0:
+        print(f"expected a revision with {RESULTS.name}; got {revision}", file=sys.stderr)
+        return 2
+    lines, worse = changes(read(done.stdout), read(RESULTS.read_text(encoding="utf-8")))
+    print("\n".join(lines) or "no ratio changed by more than the spread of its turns")
+    return int(worse)
+
+
 def main(arguments: list[str]) -> int:
     """Run, print as it goes, and write the table if all were run; 1 if a script failed."""
     if arguments[:1] == ["--json"]:
         rows = import_module(arguments[1]).ratios()
         print(json.dumps([asdict(row) for row in rows]))
         return 0
+    if arguments[:1] == ["--against"] and len(arguments) == 2:
+        return compare(arguments[1])
     names = arguments or list(BENCHMARKS)
     if unknown := set(names) - set(BENCHMARKS):
         print(f"expected names of {', '.join(BENCHMARKS)}; got {', '.join(sorted(unknown))}", file=sys.stderr)

@@ -152,11 +152,12 @@ class Bench:
     ) -> _Done | Row:
         """An error of ours would come in every worker: once it has come twice, the episode has failed to run.
 
-        InputError, where the plan is to blame, and MemoryError, where this process is, are raised.
+        InputError, where the plan is to blame, MemoryError, where this process is, and CampaignError for a
+        program that is not to be executed, are raised.
         """
         try:
             return work()
-        except (InputError, MemoryError):
+        except (InputError, MemoryError, CampaignError):
             raise
         except Exception as error:
             if again:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -175,8 +176,8 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
         command=command,
         commands=(
             command,
-            f"safety-harness verify {folder.name}",
-            f"safety-harness campaign status {folder.name}/{ledger.path.name}",
+            shlex.join(["safety-harness", "verify", folder.name]),
+            shlex.join(["safety-harness", "campaign", "status", f"{folder.name}/{ledger.path.name}"]),
         ),
         began_at=began_at,
         ended_at=in_words(datetime.now(UTC)),

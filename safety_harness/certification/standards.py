@@ -30,7 +30,7 @@ from safety_harness.properties.protective_separation import (
     PROTECTIVE_SEPARATION_AT,
     PROTECTIVE_SEPARATION_OWN,
 )
-from safety_harness.properties.reaction import GIVES_WAY
+from safety_harness.properties.reaction import GIVES_WAY, GIVES_WAY_TO_TRUE_HAND
 from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
 from safety_harness.properties.starvation import NEVER_STARVED
@@ -68,6 +68,11 @@ REACTION = _traced(
     "the arm notices a hand, but gives way or stops too late",
     MONITORING,
     (COLLABORATION, "reaction time T_r"),
+)
+UNNOTICED = _traced(
+    "a hand is near, and the arm does not notice it or notices it too late",
+    MONITORING,
+    (COLLABORATION, "reaction time T_r, and position uncertainty of the human, Z_d"),
 )
 LEARNED = _traced(
     "a learned proposal is followed where it should not be trusted",
@@ -112,6 +117,7 @@ TRACED: dict[Entry, Tracing] = {
     FALLBACK_POSES: LEARNED,
     STOPS: STOPPING,
     GIVES_WAY: REACTION,
+    GIVES_WAY_TO_TRUE_HAND: UNNOTICED,
     DECISION_TIME: REACTION,
     FALSE_ALARMS: AVAILABILITY,
     FALSE_ALARMS_WITHIN: AVAILABILITY,

@@ -194,6 +194,8 @@ _ODD = {
     "files with values of another kind": _not("file", name="text", data="blob"),
     "impossible counts": "SELECT count(*) FROM episode WHERE draws NOT BETWEEN 0 AND "
     f"{HOPELESS} OR min(proposed, opposite, stopped, faults, late) < 0 OR seconds NOT BETWEEN 0 AND 1e12",
+    "traces of runs that were never drawn": "SELECT count(*) FROM trace t JOIN episode e "
+    "ON e.stratum = t.stratum AND e.episode = t.episode WHERE e.draws < 1",
     "outcomes that are none": "SELECT count(*) FROM judgement WHERE outcome NOT BETWEEN 0 AND "
     f"{int(max(Outcome))}",
     "failures without a reason": "SELECT count(*) FROM judgement j JOIN episode e ON e.stratum = j.stratum "

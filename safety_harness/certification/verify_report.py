@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -76,6 +77,8 @@ def check_numbers(
     text = (
         f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
     )
+    if recorded.plan.search_runs:
+        notes.append("the search was not made again: what it found is what its files say")
     unchecked = [] if again else ["the runs by which the simulator is doubted were not made again"]
     if recorded.selftest or recorded.credibility.oracles:
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
@@ -122,12 +125,24 @@ def _short(value: Any) -> str:
 
 
 def _files(folder: Path, recorded: Evidence, hashes: dict[str, str]) -> Iterator[str]:
-    """The list in the evidence is that of the manifest, and the evidence the file that was written."""
+    """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
     listed = {one.path: one.sha256 for one in recorded.files}
     if listed != {name: digest for name, digest in hashes.items() if name not in MADE}:
         yield f"files: {JSON} lists others than the manifest"
     if _bytes_of(folder / JSON) != _written(as_text(recorded)):
         yield f"{JSON} has been edited: the same content is written otherwise"
+    for command in (recorded.provenance.command, *recorded.provenance.commands):
+        if not _is_ours(command):
+            yield f"provenance: a command to be copied that certify does not write: {command[:80]}"
+
+
+def _is_ours(command: str) -> bool:
+    """One command of this package, of plain or quoted words: nothing else happens to who pastes it."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return False
+    return words[:1] == ["safety-harness"] and shlex.join(words) == command and command.isprintable()
 
 
 def check_pages(folder: Path, recorded: Evidence, gathered: Gathered, *, same: bool) -> Check:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 
 from safety_harness.admission.avoiders import is_a_program
+from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.files import references_in
 from safety_harness.campaign.ledger import Ledger
@@ -15,6 +16,7 @@ from safety_harness.certification.check import Check, few
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify_files import kept
 from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.properties.consistency import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.pybullet_world import PyBulletWorld
@@ -131,6 +133,7 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
         )
         try:
             trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
+            refuse_contradictions(trace)  # claims believe poses, speeds and distances
             drawn = bench.scenario(stratum, episode, draws - 1)
             other = write_scenario(trace.scenario, all_settings=True) != write_scenario(
                 drawn, all_settings=True
@@ -139,6 +142,9 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
             compared.add(bench.row_of(stratum, episode, draws, trace))
         except InputError as error:
             faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
+            continue
+        except Exception as error:  # whatever a stranger's trace does to what judges it
+            faults.append(f"{where}: its trace cannot be judged: {described(error)}")
             continue
         others += other
         if other and same:

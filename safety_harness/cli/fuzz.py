@@ -24,11 +24,14 @@ from safety_harness.cli.fuzz_page import FINDINGS, PAGE, Written, evidence_of, w
 from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, remarks, summary
 from safety_harness.cli.show import write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.report.search_page import MOST_DRAWN
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
+from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
+from safety_harness.search.disagreement import Disagreement, disagreement_of
 from safety_harness.search.findings import Episode, Findings, Group
 from safety_harness.search.sampling import Uniform
 from safety_harness.search.search import find_violations
@@ -97,7 +100,7 @@ class _Session:
     written: list[Written] = field(default_factory=list)
     confirmed: int = 0
     unwritable: OutputError | None = None
-    unconfirmed: list[Group] = field(default_factory=list)
+    unconfirmed: list[Disagreement] = field(default_factory=list)
 
     def search(self, make: MakesSearcher) -> None:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
@@ -185,12 +188,17 @@ class _Session:
             self.findings.interrupted = True
             return None
         if one is None:
-            self.unconfirmed.append(group)
+            self.unconfirmed.append(self._disagreement(group, complaint, found))
             say(f"not confirmed in PyBullet: {complaint.sentence}, point {group.worst.number}")
             return None
         self.confirmed += 1
         self.findings.interrupted |= one.shrunk.interrupted
         return one
+
+    def _disagreement(self, group: Group, complaint: Complaint, found: Scenario) -> Disagreement:
+        if len(self.unconfirmed) >= MOST_DRAWN:
+            return Disagreement(group, complaint)
+        return disagreement_of(group, complaint, found, self.trials.world, self.confirming)
 
     def _found(self, episode: Episode) -> Scenario:
         return as_seen_from(self.out, self.trials.scenario(episode.point, episode.number))

@@ -31,7 +31,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         else {"searcher": baseline.searcher, "tried": baseline.tried, "claims": _of_claims(baseline)},
         "distinct": [_of_group(trials, group) for group in findings.groups],
         "confirmed in PyBullet": evidence.confirmed,
-        "not confirmed in PyBullet": [_of_group(trials, group) for group in evidence.unconfirmed],
+        "not confirmed in PyBullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
         "counterexamples": [shown.file for shown in evidence.shown],
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
         "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},

@@ -18,6 +18,7 @@ from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
 from safety_harness.report.svg import standalone
 from safety_harness.search.counterexample import Counterexample
+from safety_harness.search.disagreement import Disagreement
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.provenance import provenance
@@ -63,7 +64,7 @@ def evidence_of(
     baseline: Findings | None,
     written: Sequence[Written],
     confirmed: int,
-    unconfirmed: Sequence[Group],
+    unconfirmed: Sequence[Disagreement],
 ) -> SearchEvidence:
     """Everything that the page shows."""
     avoider = trials.avoider or trials.space.simplest.avoider

@@ -33,8 +33,8 @@ def least_separation(
     body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
     hand_speed_mps: float,  # constant, or NaN for each hand's own
     period_s: float,
-    nearest_m: NDArray[np.float64],  # (n,) the least distance of all, as the trace has it
-    hand_step_m: NDArray[np.float64],  # (n,) of ``hand_steps``
+    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
+    hand_step_m: NDArray[np.float64],  # (n,)
     reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -43,8 +43,9 @@ def least_separation(
     (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
     distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
 
-    Ticks and pairs are passed over that cannot have as little to spare as the best so far: no pair is
-    nearer than the nearest, and no point of a capsule or of a hand is faster than an end.
+    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
+    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
+    The trace's own distances are not believed.
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
     capsules = radius_m.shape[0]
@@ -53,25 +54,27 @@ def least_separation(
     apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
-    looked, arm_mps = 0, np.inf  # when the arm's speed was looked at, and the fastest end's
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
     for step in range(-1, judged.shape[0]):
         k = step if step >= 0 else first_look
-        if step == 0:
-            least = np.inf  # what was found at the first look counts in its turn
+        if step > 0:
+            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
+        elif step == 0:
+            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
         if not judged[k]:
             continue
         human_mps = hand_step_m[k] / period_s
         v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
         most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
         per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
-        if nearest_m[k] - most_human_m > good_enough:
+        if near_m - most_human_m > good_enough:
             arm_now_mps = arm_mps + faster_mps(joints_rad, rates_radps, reach_m, looked, k)
-            if nearest_m[k] - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
+            if near_m - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
                 continue  # never for a NaN, which must come out
         forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
         place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
         _twists(joint_axes, transforms, rates_radps[k], twists)
-        looked, arm_mps = k, 0.0
+        looked, near_m, arm_mps = k, np.inf, 0.0
         for capsule in range(capsules):
             fastest_mps[capsule] = _fastest_end(twists[min(link_index[capsule], 6)], placed[capsule])
             if not fastest_mps[capsule] <= arm_mps:
@@ -86,6 +89,7 @@ def least_separation(
                 most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
                 lower_m = axes_lower_m(hands_m[k, hand], placed[capsule]) - radius_m[capsule] - thickest_m
                 if lower_m - most_human_m - most_arm_m > good_enough:
+                    near_m = min(near_m, lower_m)
                     continue
                 for body in range(2):
                     start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
@@ -100,13 +104,14 @@ def least_separation(
                         human[i] += s * (velocities[body, i] - velocities[0, i])
                     axes = sqrt(total)
                     distance = axes - radius_m[capsule] - body_radius_m[body]
+                    near_m = min(near_m, distance)
                     own_speed = _along(human, apart, -axes)
                     hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
                     hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
                     human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
                     if distance - human_m - most_arm_m > good_enough:
                         continue
-                    _velocity(joint_axes, transforms, link_index[capsule], rates_radps[k], robot)
+                    robot[0], robot[1], robot[2] = _velocity(twists[min(link_index[capsule], 6)], robot)
                     robot_speed = _along(robot, apart, axes)
                     robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
                     needed = 0.0
@@ -126,33 +131,37 @@ def least_separation(
 
 
 @compiled
-def hand_steps(
+def farthest_steps(
+    joints_rad: NDArray[np.float64],  # (n, 6)
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
-) -> NDArray[np.float64]:
-    """(n,) how far [m], at most, any point of a hand goes from each tick to the next.
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
 
     Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
     """
-    n = hands_m.shape[0]
-    found = np.zeros(n)
+    n = joints_rad.shape[0]
+    arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
     for k in range(n - 1):
         farthest = 0.0
+        for i in range(6):
+            arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
         for hand in range(hands_m.shape[1]):
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
-            if not (present[k, hand] or present[k + 1, hand]):
-                continue
+            if not (present[k, hand] and present[k + 1, hand]):
+                continue  # what stands where no hand is need not be a number
             for body in range(2):
                 total = 0.0
                 for i in range(3):
                     total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
                 if not total <= farthest:
                     farthest = total
-        found[k] = sqrt(farthest)
+        hand_step_m[k] = sqrt(farthest)
     if n > 1:
-        found[n - 1] = found[n - 2]
-    return found
+        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
+    return arm_step_m, hand_step_m
 
 
 @inlined
@@ -214,42 +223,26 @@ def _twists(
 
 
 @inlined
+def _velocity(twist: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The velocity [m/s] of a point (3,) of a link, both in the base frame."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        twist[3] + twist[1] * z - twist[2] * y,
+        twist[4] + twist[2] * x - twist[0] * z,
+        twist[5] + twist[0] * y - twist[1] * x,
+    )
+
+
+@inlined
 def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
     """The speed [m/s] of the faster of two points (2, 3) of a link."""
     fastest = 0.0
     for end in range(2):
-        x, y, z = ends[end, 0], ends[end, 1], ends[end, 2]
-        vx = twist[3] + twist[1] * z - twist[2] * y
-        vy = twist[4] + twist[2] * x - twist[0] * z
-        vz = twist[5] + twist[0] * y - twist[1] * x
-        total = vx * vx + vy * vy + vz * vz
+        x, y, z = _velocity(twist, ends[end])
+        total = x * x + y * y + z * z
         if not total <= fastest:
             fastest = total
     return sqrt(fastest)
-
-
-@compiled
-def _velocity(
-    joint_axes: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    link: int,
-    rates_radps: NDArray[np.float64],
-    point: NDArray[np.float64],  # (3,) in the base frame; its velocity [m/s] is written over it
-) -> None:
-    """The velocity of a point that is fixed to a link."""
-    px, py, pz = point[0], point[1], point[2]
-    vx = vy = vz = 0.0
-    for joint in range(min(link, 6)):
-        frame, own = transforms[joint + 1], joint_axes[joint]
-        ax = frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2]
-        ay = frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2]
-        az = frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2]
-        rx, ry, rz = px - frame[0, 3], py - frame[1, 3], pz - frame[2, 3]
-        rate = rates_radps[joint]
-        vx += rate * (ay * rz - az * ry)
-        vy += rate * (az * rx - ax * rz)
-        vz += rate * (ax * ry - ay * rx)
-    point[0], point[1], point[2] = vx, vy, vz
 
 
 @compiled

@@ -19,7 +19,7 @@ from safety_harness.properties.base import (
     unreadable,
 )
 from safety_harness.properties.entry import Entry, quantity
-from safety_harness.properties.least_separation import hand_steps, least_separation
+from safety_harness.properties.least_separation import farthest_steps, least_separation
 from safety_harness.properties.separation import Separation, lengths, separation_terms
 from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
 from safety_harness.robot.description import load_arm
@@ -30,7 +30,6 @@ from safety_harness.trace.trace import Trace, once_a_trace
 
 WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
 GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
-TOLERANCE_M = 2e-9  # by which a distance in a trace may be off (``consistency``), and rounding
 READS = (
     "joint_position_rad",
     "joint_velocity_radps",
@@ -119,8 +118,7 @@ class ProtectiveSeparation:
             np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
             np.nan if self.own_speeds else self.assumed_mps,
             settings.clock.control_period_s,
-            true.nearest_m - TOLERANCE_M,
-            _hand_steps_m(trace),
+            *_steps_m(trace),
             joint_reach_m(trace),
             int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
         )
@@ -157,9 +155,10 @@ class ProtectiveSeparation:
 
 
 @once_a_trace
-def _hand_steps_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) of ``hand_steps``."""
-    return hand_steps(true_motion(trace).hands_m, true_motion(trace).present)
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``."""
+    true = true_motion(trace)
+    return farthest_steps(true.joints_rad, true.hands_m, true.present, joint_reach_m(trace))
 
 
 @once_a_trace

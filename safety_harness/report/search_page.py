@@ -9,6 +9,8 @@ from datetime import datetime
 from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
+from safety_harness.admission.claims import property_of
+from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -16,12 +18,15 @@ from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_progress import progress_figure
 from safety_harness.report.words import margin_words, share_words, with_minus
+from safety_harness.search.confirm import Complaint, mishap
 from safety_harness.search.counterexample import DRAWS, Counterexample
 from safety_harness.search.coverage import Coverage
+from safety_harness.search.disagreement import Disagreement
 from safety_harness.search.findings import Findings, Group
 from safety_harness.trace.trace import Trace
 
 MOST_GROUPS = 100  # rows of violations that were found
+MOST_DRAWN = 8  # disagreements of the worlds of which both runs are shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +64,7 @@ class SearchEvidence:
     violations: Coverage
     shown: tuple[ShownCounterexample, ...]
     confirmed: int
-    unconfirmed: tuple[Group, ...]
+    unconfirmed: tuple[Disagreement, ...]
     agreement: Agreement
     provenance: tuple[tuple[str, str], ...]
 
@@ -98,6 +103,18 @@ class Section:
     moment_time: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What one of two worlds says of a finding: in words, and drawn from above and from the side."""
+
+    sentence: str
+    words: str
+    verdict: str
+    run: Trace | None
+    views: tuple[Markup, ...]
+    moment_time: str
+
+
 def render(evidence: SearchEvidence) -> str:
     """The page as text; the same evidence gives the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline
@@ -123,7 +140,12 @@ def render(evidence: SearchEvidence) -> str:
             for claim in (*range(len(findings.goals)), None)
             for group in findings.of_claim(claim)
         ][:MOST_GROUPS],
-        unconfirmed=[_group_row(findings, group) for group in evidence.unconfirmed],
+        unconfirmed=[_group_row(findings, one.group) for one in evidence.unconfirmed],
+        apart=[
+            [_told(one.complaint, run, f"apart-{number}-{world}-") for world, run in enumerate(_runs(one))]
+            for number, one in enumerate(evidence.unconfirmed, start=1)
+            if one.searched is not None
+        ],
         map=Markup(
             coverage_map(
                 evidence.coverage,
@@ -178,6 +200,37 @@ def _section(shown: ShownCounterexample, number: int) -> Section:
         parts=[line for each in one.evaluations for line in _part_lines(each, 0)],
         run=run,
         views=views,
+        moment_time=moment_time,
+    )
+
+
+def _runs(one: Disagreement) -> tuple[Trace | Exception | None, Trace | Exception | None]:
+    return one.searched, one.confirming
+
+
+def _told(complaint: Complaint, run: Trace | Exception | None, prefix: str) -> Told:
+    if not isinstance(run, Trace):
+        words = "not run" if run is None else f"no run: {described(run)}"
+        return Told(
+            sentence=complaint.sentence,
+            words=words,
+            verdict="inconclusive",
+            run=None,
+            views=(),
+            moment_time="",
+        )
+    evaluations = tuple(property_of(claim, run.scenario).evaluate(run) for claim in run.scenario.claims)
+    if complaint.claim is None:
+        verdict, words = ("violated", mishap(run)) if mishap(run) else ("holds", "nothing goes wrong")
+    else:
+        verdict, words = evaluations[0].verdict.value, margin_words(evaluations[0])
+    views, moment_time = _pictures(run, evaluations, prefix) if len(run.ticks) else ((), "")
+    return Told(
+        sentence=complaint.sentence,
+        words=words,
+        verdict=verdict,
+        run=run,
+        views=views[:2],
         moment_time=moment_time,
     )
 

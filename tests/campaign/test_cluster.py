@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from socket import socket
@@ -32,60 +29,10 @@ from safety_harness.cli.campaign import run
 from safety_harness.cli.console import AS_EXPECTED
 from safety_harness.exceptions import CampaignError, ScenarioError
 from tests.campaign.benches import CrashesAndHangs, done_by
+from tests.campaign.clusters import scheduler, workers
 from tests.campaign.plans import PLAN, plan_in
 from tests.campaign.test_runner import Here, fingerprint_after
 from tests.search.short_space import TEXT
-
-
-@contextmanager
-def scheduler(folder: Path, port: int = 0) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A scheduler in a process of its own, and its address."""
-    file = folder / "scheduler.json"
-    file.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
-    command += ["--port", str(port), "--no-dashboard", "--scheduler-file", str(file)]
-    with started(command) as process:
-        wait_until(lambda: file.exists() and file.stat().st_size > 0)
-        yield process, str(file)
-
-
-@contextmanager
-def workers(
-    file: str, folder: Path, *, count: int = 2, preload: str = "safety_harness.campaign.cluster"
-) -> Iterator[subprocess.Popen[bytes]]:
-    """Workers, each of which imports ``preload`` before it is one."""
-    command = [
-        sys.executable,
-        "-m",
-        "distributed.cli.dask_worker",
-        "--scheduler-file",
-        file,
-        "--no-dashboard",
-    ]
-    command += ["--nthreads", "1", "--nworkers", str(count), "--local-directory", str(folder)]
-    command += ["--preload", preload]
-    with started(command) as process:
-        yield process
-
-
-@contextmanager
-def started(command: list[str]) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-
-
-def wait_until(is_so: object, seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not is_so():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 @pytest.fixture(autouse=True)

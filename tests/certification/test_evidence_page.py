@@ -90,3 +90,11 @@ def test_what_the_plan_did_not_measure_is_said(document: page.Node) -> None:
     assert "no run gave it an occasion" in words
     assert "measured with another source" in words
     assert "Nothing here compares the simulator with a real cell." in words
+
+
+def test_a_search_that_was_asked_for_and_is_not_there_is_not_passed_over() -> None:
+    whole = evidence(counterexamples=0)
+    missing = page.parse(render(replace(whole, search=None), {}))
+    assert "The plan asks for a search of 2000 runs, of which nothing is known" in missing.text
+    none = page.parse(render(replace(whole, search=None, plan=replace(whole.plan, search_runs=0)), {}))
+    assert "The plan asks for no search." in none.text

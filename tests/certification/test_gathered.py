@@ -11,8 +11,10 @@ import pytest
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.stopping import Stopping
 from safety_harness.certification.folder import read_manifest, write_folder, write_manifest
 from safety_harness.certification.gather import gather
+from safety_harness.certification.verify_files import check_plan
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
@@ -84,3 +86,5 @@ def test_a_plan_that_may_stop_early_is_interrupted_until_it_stops(tmp_path: Path
             ledger.stop(stratum, 50)
         assert not gather(plan, ledger, tmp_path, command="certify").evidence.interrupted
         assert all(next(ledger.missing(stratum), None) is None for stratum in range(2))
+        assert Stopping(plan, ledger).decided == {0: 50, 1: 50}
+        assert not any("stopped" in fault for fault in check_plan(tmp_path, plan, ledger).faults)

@@ -71,6 +71,10 @@ def test_what_selftest_writes_is_read_with_its_limits(tmp_path: Path) -> None:
     assert read.false_alarms == ("loud",)
 
 
+def test_every_state_that_selftest_writes_is_known() -> None:
+    assert set(STATES) == {state.value for state in State}
+
+
 @pytest.mark.parametrize(
     "changes", [{"interrupted": True}, {"planned": 6}, {"command": "safety-harness selftest --fault sign"}]
 )

@@ -16,12 +16,14 @@ from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.certification import folder, verify_report
 from safety_harness.certification import verify as verify_module
 from safety_harness.certification.check import Check
 from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.evidence import Standing
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
+from safety_harness.certification.page import render
 from safety_harness.certification.verify import verify
 from safety_harness.certification.verify_runs import programs_in
 from safety_harness.exceptions import CampaignError, InputError
@@ -41,15 +43,18 @@ def write(report: Path) -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("verified")
-    plan = plan_in(folder, SMALL)
-    assert carry_on(plan, folder / "report" / LEDGER, processes(1))
-    write(folder / "report")
-    return folder / "report"
+    report = tmp_path_factory.mktemp("verified") / "report"
+    assert carry_on(plan_in(report.parent, SMALL), report / LEDGER, processes(1))
+    write(report)
+    return report
 
 
 @pytest.fixture
-def report(made: Path, tmp_path: Path) -> Path:
+def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
+    page = (made / "evidence.html").read_text()
+    monkeypatch.setattr(verify_report, "render", lambda *_: page)
+    monkeypatch.setattr(folder, "write_page", lambda path, *_: path.write_text(page))
     return Path(shutil.copytree(made, tmp_path / "report"))
 
 
@@ -63,9 +68,12 @@ def change(report: Path, *statements: str) -> None:
             connection.execute(statement)
 
 
-def test_a_report_stands_and_says_by_what_it_is_known(report: Path) -> None:
+def test_a_report_stands_with_every_part_of_it_made_again(
+    report: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify_report, "render", render)
     checks = list(verify(report, runs=2, seed=1))
-    assert all(check.stands for check in checks), faults(report)
+    assert [fault for check in checks for fault in check.faults] == []
     names = [check.name for check in checks]
     assert names == ["files", "ledger", "plan", "stored traces", "numbers", "pages", "runs"]
     assert not any(check.unchecked for check in checks)
@@ -205,12 +213,17 @@ def edited(report: Path, **parts: object) -> None:
         ({"interrupted": True}, "interrupted: True in the report"),
         ({"files": ()}, "lists others than the manifest"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),
+        ({"provenance": "rm -rf ~"}, "a command to be copied that certify does not write"),
+        ({"provenance": "safety-harness verify x; rm -rf ~"}, "a command to be copied"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
 def test_what_does_not_follow_from_the_ledger_is_noticed(
     report: Path, parts: dict[str, object], said: str
 ) -> None:
+    if "provenance" in parts:
+        origin = read_evidence(report / "evidence.json").provenance
+        parts = {"provenance": replace(origin, command=parts["provenance"])}
     edited(report, **parts)
     assert said in faults(report)
 
@@ -299,6 +312,30 @@ def test_names_that_lead_elsewhere_are_refused(report: Path, name: str) -> None:
         list(verify(report))
 
 
+@pytest.mark.parametrize("name", ["evidence.json", "manifest.json", LEDGER, "plan/plan.yaml"])
+def test_a_file_of_a_report_that_is_damaged_is_told_in_order(report: Path, name: str) -> None:
+    """Cut, flipped or filled with brackets, with a manifest that fits; all is seen that needs no run."""
+    whole, before = (report / name).read_bytes(), read_evidence(report / "evidence.json")
+    refused = 0
+    for k in range(4):
+        at = (2 * k + 1) * len(whole) // 8
+        flipped = whole[:at] + bytes([whole[at] ^ 1 << k]) + whole[at + 1 :]
+        for data in (whole[:at], flipped, whole[:at] + b"[" * 50_000 + whole[at:]):
+            (report / name).write_bytes(data)
+            if name != "manifest.json":
+                write_manifest(report, stored_files(report))
+            try:
+                stands = all(check.stands for check in verify(report, runs=0, seed=1))
+            except InputError:
+                refused += 1
+                continue
+            if stands:
+                assert name == "evidence.json"
+                now = read_evidence(report / name)
+                assert replace(now, credibility=before.credibility) == before
+    assert (refused > 0) == (name == "manifest.json")
+
+
 PROGRAM = """\
 from pathlib import Path
 Path({mark!r}).write_text("executed")
@@ -311,12 +348,12 @@ SEEN = "avoider: one of mine.py:Up, opposite pose"
 HIDDEN = "choices:\n  about:\n    one of: [mine.py:Up, opposite pose]\navoider: the about"
 
 
-def with_program(folder: Path, avoider: str) -> Plan:
+def with_program(theirs: Path, avoider: str) -> Plan:
     """A plan of which some draws name a program that leaves a mark where it is executed."""
-    folder.mkdir()
-    (folder / "mine.py").write_text(PROGRAM.format(mark=str(folder / "mark")))
+    theirs.mkdir()
+    (theirs / "mine.py").write_text(PROGRAM.format(mark=str(theirs / "mark")))
     text = SMALL.replace("avoider: opposite pose\n", "")
-    return plan_in(folder, text, TEXT.replace("avoider: opposite pose", avoider))
+    return plan_in(theirs, text, TEXT.replace("avoider: opposite pose", avoider))
 
 
 def test_a_program_that_only_some_draws_name_is_seen_before_anything_is_run(tmp_path: Path) -> None:
@@ -330,7 +367,7 @@ def test_no_draw_is_executed_unasked_wherever_it_names_a_program(tmp_path: Path,
     refused = 0
     for episode in range(8):
         try:
-            bench.draw(0, episode)
+            list(bench.run(0, [episode]))
         except CampaignError as error:
             refused += "names a program" in str(error)
     assert 0 < refused < 8

@@ -14,6 +14,8 @@ import pytest
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import plan_of
+from safety_harness.certification import folder as folder_module
+from safety_harness.certification import verify_report
 from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.document import read_evidence, schema
 from safety_harness.certification.evidence import Standing
@@ -40,7 +42,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def report(made: Path, tmp_path: Path) -> Path:
+def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
+    page = (made / "evidence.html").read_text()
+    monkeypatch.setattr(verify_report, "render", lambda *_: page)
     return Path(shutil.copytree(made, tmp_path / "report"))
 
 
@@ -219,8 +224,10 @@ def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
 
 
 def test_a_program_in_a_report_is_not_executed_unasked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
+    monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     (tmp_path / "mine.py").write_text(
         "from pathlib import Path\n"
         "from safety_harness import Proposal\n\n\n"

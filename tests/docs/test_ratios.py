@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,49 @@ def test_a_row_says_what_was_not_measured_and_why() -> None:
     lines = results.table(rows).splitlines()
     assert "| theirs | - | - |  | not measured | not installed | 1 to 2 | `overhead.py` |" in lines
     assert "| ours | 2 | 2 to 2 |  |  |  | - | `loop.py` |" in lines
+
+
+def test_what_stands_in_the_table_is_read_again() -> None:
+    rows = [
+        Ratio.of("many", [1234.0, 1050.0, 2345.0], aim=400.0),
+        Ratio.of("few", [0.0123, 0.02, 0.01], aim=0.05, at_most=True),
+        Ratio.missing("theirs", "not installed"),
+    ]
+    found = results.read(results.table([(row, "loop", "1.0 to 2.0") for row in rows]))
+    assert set(found) == {"many", "few"}
+    assert (found["many"].value, found["many"].least, found["many"].greatest) == (1234.0, 1050.0, 2345.0)
+    assert [found[what].at_most for what in ("many", "few")] == [False, True]
+    assert len(results.read(results.RESULTS.read_text())) > 15
+
+
+@pytest.mark.parametrize(
+    ("turns", "at_most", "said", "worse"),
+    [
+        ([9.0, 10.0, 14.0], False, None, False),
+        ([20.0, 21.0, 22.0], False, "better", False),
+        ([20.0, 21.0, 22.0], True, "WORSE", True),
+        ([1.0, 2.0, 3.0], False, "WORSE", True),
+        ([1.0, 2.0, 3.0], True, "better", False),
+        (None, False, "gone", True),
+    ],
+)
+def test_a_ratio_changed_if_none_of_its_turns_is_among_those_before(
+    turns: list[float] | None, at_most: bool, said: str | None, worse: bool
+) -> None:
+    before = {"a": Ratio.of("a", [10.0, 12.0, 15.0], at_most=at_most)}
+    now = {} if turns is None else {"a": Ratio.of("a", turns, at_most=at_most)}
+    lines, got_worse = results.changes(before, now)
+    assert [line.partition(":")[0] for line in lines] == ([said] if said else [])
+    assert got_worse is worse
+
+
+def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
+    (listed,) = re.findall(r"^LONG := ((?:.*\\\n)*.*)$", (BENCHMARKS.parent / "Makefile").read_text(), re.M)
+    scripts = {file.stem for file in BENCHMARKS.glob("*.py") if "__main__" in file.read_text()}
+    asked_by_others = {"results", "overhead_of_others"}
+    writers = {"model_cards", "reproduction_results"}
+    of_hours = {"million"}  # and told where to write
+    assert sorted(listed.replace("\\", " ").split()) == sorted(scripts - asked_by_others - writers - of_hours)
 
 
 def test_a_benchmark_that_fails_is_a_row_that_says_so() -> None:

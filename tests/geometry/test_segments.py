@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from safety_harness.geometry.segments import (
+    ROUNDING_M,
+    axes_lower_m,
     point_segment_distance,
     segment_segment_distance,
     segment_segment_vector,
@@ -80,3 +82,18 @@ def test_a_nan_is_not_hidden(broken: int) -> None:
     points = np.random.default_rng(2).normal(size=(4, 3))
     points[broken, 1] = np.nan
     assert np.isnan(segment_segment_distance(*points))
+
+
+@settings(deadline=None)
+@given(POINT, POINT, POINT, POINT)
+def test_the_cheap_bound_is_never_above_the_distance(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
+) -> None:
+    bound = axes_lower_m(np.array([a, b]), np.array([c, d]))
+    assert bound - ROUNDING_M <= segment_segment_distance(a, b, c, d)
+
+
+def test_the_cheap_bound_is_the_distance_of_two_points_and_takes_a_nan_over() -> None:
+    a, b = np.full((2, 3), 0.5), np.full((2, 3), -0.5)
+    assert axes_lower_m(a, b) == pytest.approx(np.sqrt(3.0))
+    assert np.isnan(axes_lower_m(a, np.full((2, 3), np.nan)))

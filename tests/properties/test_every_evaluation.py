@@ -49,6 +49,17 @@ def test_its_evaluation_is_whole_whatever_the_trace(entry: Entry) -> None:
         whole(evaluation, trace)
 
 
+@pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
+def test_it_is_understood_in_capitals_and_no_half_of_it_is(entry: Entry) -> None:
+    assert entry.understands(f"  {entry.example.upper()} ")
+    assert not entry.understands(entry.example[: len(entry.example) // 2])
+    assert not entry.understands(f"never {entry.example}")
+
+
+def test_no_two_entries_have_one_sentence() -> None:
+    assert len(set(IDS)) == len(CATALOGUE)
+
+
 def test_a_limit_or_number_that_is_none_is_refused_where_it_stands() -> None:
     place = Place(field="claims[0]")
     for text in ("0 mm", "-1 mm", "11 m"):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.least_separation import hand_steps, least_separation
+from safety_harness.properties.least_separation import farthest_steps, least_separation
+from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
@@ -46,7 +48,7 @@ def search(two_hands: Trace) -> Search:
     reach_m = chain_lengths(
         arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
     )
-    steps_m = hand_steps(true.hands_m, true.present)
+    steps_m = farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m)
 
     def found(
         ticks: slice, some: slice = slice(None), *, hand_speed_mps: float, first_look: int = 0
@@ -71,8 +73,7 @@ def search(two_hands: Trace) -> Search:
             np.array([DEFAULTS.hand.radius_m, DEFAULTS.hand.forearm_radius_m]),
             hand_speed_mps,
             0.008,
-            true.nearest_m,
-            steps_m,
+            *steps_m,
             reach_m,
             first_look,
         )
@@ -116,3 +117,22 @@ def test_a_tick_that_does_not_count_is_not_the_worst(search: Search) -> None:
     before = search(slice(0, worst), hand_speed_mps=1.6, first_look=worst)
     assert before[0][0] < worst
     assert margin_m(before) > margin_m(search(slice(None), hand_speed_mps=1.6))
+
+
+def test_a_distance_that_the_trace_claims_does_not_hide_a_pair(two_hands: Trace) -> None:
+    """Whoever writes greater distances into a trace's field changes no margin."""
+    ticks = two_hands.ticks.copy()
+    ticks["hand_distance_m"] += 0.4
+    for prop in (ProtectiveSeparation(), ProtectiveSeparation(own_speeds=True)):
+        honest, claimed = prop.worst(two_hands), prop.worst(replace(two_hands, ticks=ticks))
+        assert honest is not None
+        assert claimed == honest
+
+
+@pytest.mark.parametrize("value", [np.nan, 1e9])
+def test_what_stands_where_no_hand_is_changes_nothing(value: float, visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    assert not ticks["hand_present"][:, 1].any()
+    ticks["hand_position_in_base_m"][::7, 1], ticks["elbow_position_in_base_m"][3, 1] = value, value
+    for prop in (ProtectiveSeparation(), ProtectiveSeparation(own_speeds=True)):
+        assert prop.evaluate(replace(visit, ticks=ticks)) == prop.evaluate(visit)

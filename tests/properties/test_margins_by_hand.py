@@ -9,13 +9,20 @@ import numpy as np
 import pytest
 from examples import VISIT, run, scenario
 
+from safety_harness.avoidance.gate import REACH_MARGIN_M
 from safety_harness.properties.accelerations import TcpAcceleration
 from safety_harness.properties.decision_time import waited_s
 from safety_harness.properties.fallback_poses import FallbackPoses
 from safety_harness.properties.finite import FiniteTrace, bad_decisions
+from safety_harness.properties.hand_distance import instants
 from safety_harness.properties.hand_paths import hand_bend_m, hand_paths
+from safety_harness.properties.hand_prediction import HandPredictions
+from safety_harness.properties.iterations import GainSwitchIterations
+from safety_harness.properties.positions import opposite_position, spare_m
+from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
-from safety_harness.properties.servoing import Converged
+from safety_harness.properties.separation import separation_terms
+from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.properties.spread_calibration import (
     Intervals,
     SpreadCalibration,
@@ -82,6 +89,61 @@ def test_a_fallback_that_is_nowhere_is_a_radius_short_of_every_hand(visit: Trace
         assert part.margin == -RADIUS_M
         assert part.verdict is Verdict.VIOLATED
         assert part.worst_time_s == visit.decisions["time_s"][0]
+
+
+def test_no_position_is_opposite_to_a_hand_at_the_tcp_or_nowhere(visit: Trace) -> None:
+    ticks, decision = visit.ticks.copy(), visit.decisions[0]
+    tick = ticks[int(decision["tick"])]
+    for hand in (tick["transform_tcp_to_base"][:3, 3].copy(), np.full(3, np.nan)):
+        tick["track_valid"] = False
+        tick["track_valid"][0] = True
+        tick["predicted_hand_in_base_m"][0] = hand
+        found = opposite_position(replace(visit, ticks=ticks), decision)
+        assert found.dtype == np.float64
+        assert np.isnan(found).tolist() == [True] * 3
+
+
+def test_the_forearm_is_told_from_the_hand_and_its_ways_are_counted() -> None:
+    """Of a hand that comes its own ball is nearer; of one held back, its forearm across the arm."""
+    across = replace(
+        VISIT, moves=(), starts_at_in_base_m=(0.2, -0.9, 0.4), elbow_towards_in_base_m=(0.3, 0.3, 0.4)
+    )
+    for moved, forearm in ((VISIT, False), (across, True)):
+        trace = run(scenario(moved, duration_s=0.5))
+        prop = ProtectiveSeparation()
+        worst = prop.worst(trace)
+        assert worst is not None
+        assert worst.forearm is forearm
+        assert ("'s forearm" in prop.evaluate(trace).reason) is forearm
+        at_ticks = separation_terms(
+            hand_speed_mps=worst.hand_speed_mps,
+            robot_speed_mps=worst.robot_speed_mps,
+            reaction_time_s=worst.reaction_time_s,
+            stop_time_s=worst.stop_time_s,
+        )
+        assert worst.required_m > sum(term.length_m for term in at_ticks)
+
+
+def test_a_run_too_short_for_its_iterations_has_no_margin_of_them() -> None:
+    trace = run(scenario(duration_s=0.8))
+    found = GainSwitchIterations(within=600).evaluate(trace)
+    timed = GainSwitchReached(within_s=600.5 * DEFAULTS.clock.control_period_s).evaluate(trace)
+    assert found.verdict is timed.verdict is Verdict.INCONCLUSIVE
+    assert found.margin is timed.margin is None
+    assert found.sentence == "gain switch reached within 600 iterations"
+
+
+def test_hands_that_are_no_numbers_are_no_evidence_of_their_prediction(visit: Trace) -> None:
+    ticks = visit.ticks.copy()
+    ticks["hand_position_in_base_m"][50, 0] = np.nan
+    evaluation = HandPredictions(maximum_m=0.05).evaluate(replace(visit, ticks=ticks))
+    assert evaluation.verdict is Verdict.INCONCLUSIVE
+    assert "hand_position_in_base_m is not finite" in evaluation.reason
+
+
+def test_a_position_that_is_nowhere_lacks_the_gate_s_margin_too(visit: Trace) -> None:
+    nowhere = np.full(3, np.nan)
+    assert spare_m(visit, visit.decisions[0], nowhere) == pytest.approx(-RADIUS_M - REACH_MARGIN_M)
 
 
 def test_from_a_hand_at_the_tcp_itself_any_way_leads_away(visit: Trace) -> None:
@@ -171,3 +233,21 @@ def test_a_hundred_decisions_are_enough(visit: Trace) -> None:
     assert calibration.evaluate([visit] * 99).verdict is Verdict.INCONCLUSIVE
     assert calibration.evaluate([visit] * 99).exercised == 99
     assert calibration.evaluate([visit] * 100).verdict is Verdict.HOLDS
+
+
+def test_a_corner_stands_between_its_ticks_and_shares_the_slack_of_both_sides(visit: Trace) -> None:
+    corner = np.array([[[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]])
+    smooth = hand_paths(visit)
+    paths = replace(smooth, corner_hand=np.array([0]), corner_at=np.array([10.5]), corners_in_base_m=corner)
+    before, after = instants(visit, smooth, 0), instants(visit, paths, 0)
+    assert after[0][9:13].tolist() == [9.0, 10.0, 10.5, 11.0]
+    assert after[1][11] == pytest.approx((before[1][10] + before[1][11]) / 2)
+    for k, expected in ((2, corner[0, 0]), (3, corner[0, 1]), (4, np.inf)):
+        assert np.array_equal(after[k][11], expected)
+        assert np.array_equal(np.delete(after[k], 11, axis=0), before[k])
+    assert after[5][10] == after[5][11] == before[5][10]
+    assert np.array_equal(np.delete(after[5], 11), before[5])
+
+
+def test_where_nothing_is_wrong_the_last_tick_is_the_worst(visit: Trace) -> None:
+    assert FiniteTrace().evaluate(visit).worst_time_s == visit.time_s[-1]

@@ -8,23 +8,30 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 
 import factory
 import numpy as np
 import pytest
 from page import Node, parse
 
+from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import Agreement, Difference, present_source
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import Counterexample
 from safety_harness.search.coverage import Cell, Coverage
 from safety_harness.search.cube import Column, Cube
+from safety_harness.search.disagreement import Disagreement
 from safety_harness.search.explain import Ingredient
 from safety_harness.search.findings import Findings
 from safety_harness.search.outcomes import Goal, Outcomes
 from safety_harness.search.shrink import Shrunk
+from safety_harness.search.trials import in_kinematic
+from safety_harness.trace.trace import Trace
+from tests.search.short_space import SHORT
 
 GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))
 CELL = Cell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
@@ -90,6 +97,18 @@ def shown() -> ShownCounterexample:
     )
 
 
+@cache
+def apart() -> Disagreement:
+    """Violated in the world that was searched, and held in what stands for the other: another draw."""
+    claim = next(claim for claim in SHORT.simplest.claims if "hand distance" in claim.sentence)
+    admitted = [admit(replace(SHORT.draw(1, k), claims=(claim,))) for k in range(8)]
+    runs = {run.scenario.name: run for run in in_kinematic(admitted) if isinstance(run, Trace)}
+    complaint = Complaint(claim)
+    violated = next(run for run in runs.values() if complaint.is_in(run))
+    held = next(run for run in runs.values() if not complaint.is_in(run))
+    return Disagreement(findings_of([(0.1, -0.02)]).groups[0], complaint, violated, held)
+
+
 def evidence(**changes: object) -> SearchEvidence:
     whole = SearchEvidence(
         title="a hand comes",
@@ -105,7 +124,7 @@ def evidence(**changes: object) -> SearchEvidence:
         violations=Coverage(Counter({CELL: 2})),
         shown=(shown(),),
         confirmed=2,
-        unconfirmed=(findings_of([(0.1, -0.02)]).groups[0],),
+        unconfirmed=(apart(),),
         agreement=AGREEMENT,
         provenance=(("Package", "safety-harness 0"),),
     )
@@ -174,6 +193,30 @@ def test_what_pybullet_does_not_confirm_is_listed_and_called_no_violation(page: 
     assert "TCP speed never above 250 mm/s" in page.text
     assert "disagreements of the two worlds, and no violations" in page.text
     assert "2 of the 3 findings that were tried in PyBullet were confirmed" in page.text
+
+
+def test_what_pybullet_does_not_confirm_is_drawn_in_either_world_with_what_each_says(page: Node) -> None:
+    (section,) = page.all("section", "apart")
+    assert len([node for node in section.all("svg") if node.attributes.get("role") == "img"]) == 4
+    searched, confirming = (node.text for node in section.all("p") if node.all("span", "verdict"))
+    assert searched.startswith("violated")
+    assert "kinematic world" in searched
+    assert confirming.startswith("holds")
+    assert "PyBullet" in confirming
+
+
+def test_a_disagreement_without_runs_says_why() -> None:
+    refused = replace(apart(), searched=ScenarioError(place=Place(), expected="a hand", got="none"))
+    words = parse(render(evidence(unconfirmed=(refused,)))).all("section", "apart")[0].text
+    assert "no run: " in words
+    assert "expected a hand" in words
+
+
+def test_only_so_many_disagreements_are_drawn_and_the_others_are_counted() -> None:
+    more = replace(apart(), searched=None, confirming=None)
+    page = parse(render(evidence(unconfirmed=(apart(), more))))
+    assert len(page.all("section", "apart")) == 1
+    assert "The first 1 are drawn." in page.text
 
 
 def test_finding_nothing_is_called_no_evidence() -> None:

@@ -12,6 +12,7 @@ from streams import declared, violations, with_margins
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.binomial import bounds_of, chance_of_each
+from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.planning import Aim, allowed_violations, power, runs_needed
 from safety_harness.statistics.rare import Splitting, split
@@ -34,6 +35,8 @@ def test_estimates_name_the_claim_and_the_stratum_that_they_are_of() -> None:
     found = compare(sample, other)
     assert (bounds.stratum, bounds.claim) == (found.stratum, found.claim) == ("unseen", "a claim")
     assert nested(np.eye(3)).claim == "a claim"
+    margins = with_margins(np.linspace(-1.0, 1.0, 100))
+    assert tolerance_bound(margins, 0.9).content == 0.9
 
 
 @pytest.mark.parametrize(("confidence", "family", "field"), [(1.0, 1, "confidence"), (0.9, 0, "claims")])
@@ -94,6 +97,17 @@ def test_a_rare_event_s_interval_is_student_s_over_the_replications() -> None:
     assert found.reached == 8
     assert found.low == pytest.approx(max(replicates.mean() - half, 0.0))
     assert found.high == pytest.approx(replicates.mean() + half)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"particles": 0}, {"steps": 0}, {"replications": 1}, {"survivors": 0.0}, {"survivors": 1.0}]
+)
+def test_a_splitting_without_particles_steps_replications_or_survivors_is_refused(
+    wrong: dict[str, float],
+) -> None:
+    with pytest.raises(StatisticsError) as caught:
+        Splitting(**wrong)  # type: ignore[arg-type]
+    assert caught.value.place.field == "splitting"
 
 
 def test_where_one_replication_is_half_of_the_sum_nothing_is_said_of_the_upper_end() -> None:
