@@ -169,8 +169,8 @@ class _Builder:
         index, line = mark.index, mark.line
         here = [one for one in self._comments if one.line == line and one.index >= index]
         follows = self._events[self._next].start_mark.index if self._next < len(self._events) else None
-        if not here or (follows is not None and follows < here[0].index and follows > index):
-            return ""
+        if not here or (follows is not None and index <= follows < here[0].index):
+            return ""  # an empty value is marked where the next thing begins
         self._comments.remove(here[0])
         return here[0].text
 

@@ -153,6 +153,14 @@ def test_how_it_is_laid_out(before: str, after: str) -> None:
     assert laid_out(after) == after
 
 
+@pytest.mark.parametrize("empty", ["k:\n", "k:  # of k\n"])
+def test_a_comment_beside_a_value_does_not_move_to_the_empty_one_above_it(empty: str) -> None:
+    text = f"scenario: a\nstart:\n  {empty}  offset: 1  # of the offset\n"
+    after = laid_out(text)
+    assert "offset: 1  # of the offset" in after
+    assert laid_out(after) == after
+
+
 def test_a_long_list_stands_below_its_key_and_long_prose_is_folded() -> None:
     numbers = [f"{number} mm" for number in range(100, 130)]
     out = laid_out(f"a: [{', '.join(numbers)}]\nabout: {'word ' * 60}\n")
