@@ -145,10 +145,10 @@ class _Builder:
         key, beside_key = None, ""
         if mapping:
             key = self._value()
-            beside_key = self._beside(self._end_mark())
+            beside_key = self._beside()
         value = self._value()
         plain = value.flow or (value.kind == "scalar" and not value.raw)
-        beside = self._beside(self._end_mark()) if plain else ""
+        beside = self._beside() if plain else ""
         if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
             beside = self._comments.pop(0).text  # beside the sign that begins the prose
         return Entry(key, value, before, beside_key, beside)
@@ -164,13 +164,16 @@ class _Builder:
                 return int(event.start_mark.index)
         return len(self._text) + 1
 
-    def _beside(self, mark: StreamMark) -> str:
-        """The comment on the line of a mark, after it and before anything else."""
+    def _beside(self) -> str:
+        """The comment on the line where the last thing ends, after it and before anything else."""
+        last, mark = self._events[self._next - 1], self._end_mark()
+        if last.start_mark.index == mark.index:
+            return ""  # an empty value, which is marked where the next thing begins
         index, line = mark.index, mark.line
         here = [one for one in self._comments if one.line == line and one.index >= index]
         follows = self._events[self._next].start_mark.index if self._next < len(self._events) else None
-        if not here or (follows is not None and index <= follows < here[0].index):
-            return ""  # an empty value is marked where the next thing begins
+        if not here or (follows is not None and follows < here[0].index and follows > index):
+            return ""
         self._comments.remove(here[0])
         return here[0].text
 
