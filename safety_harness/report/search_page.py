@@ -9,7 +9,6 @@ from datetime import datetime
 from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
-from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
@@ -21,7 +20,7 @@ from safety_harness.report.words import margin_words, share_words, with_minus
 from safety_harness.search.confirm import Complaint, mishap
 from safety_harness.search.counterexample import DRAWS, Counterexample
 from safety_harness.search.coverage import Coverage
-from safety_harness.search.disagreement import Disagreement
+from safety_harness.search.disagreement import Disagreement, InOneWorld
 from safety_harness.search.findings import Findings, Group
 from safety_harness.trace.trace import Trace
 
@@ -142,7 +141,10 @@ def render(evidence: SearchEvidence) -> str:
         ][:MOST_GROUPS],
         unconfirmed=[_group_row(findings, one.group) for one in evidence.unconfirmed],
         apart=[
-            [_told(one.complaint, run, f"apart-{number}-{world}-") for world, run in enumerate(_runs(one))]
+            [
+                _told(one.complaint, run, f"apart-{number}-{world}-")
+                for world, run in enumerate((one.searched, one.confirming))
+            ]
             for number, one in enumerate(evidence.unconfirmed, start=1)
             if one.searched is not None
         ],
@@ -204,27 +206,22 @@ def _section(shown: ShownCounterexample, number: int) -> Section:
     )
 
 
-def _runs(one: Disagreement) -> tuple[Trace | Exception | None, Trace | Exception | None]:
-    return one.searched, one.confirming
-
-
-def _told(complaint: Complaint, run: Trace | Exception | None, prefix: str) -> Told:
-    if not isinstance(run, Trace):
-        words = "not run" if run is None else f"no run: {described(run)}"
+def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> Told:
+    run = None if world is None else world.run
+    if world is None or not isinstance(run, Trace):
         return Told(
             sentence=complaint.sentence,
-            words=words,
+            words=f"no run: {described(run)}" if isinstance(run, Exception) else "not run",
             verdict="inconclusive",
             run=None,
             views=(),
             moment_time="",
         )
-    evaluations = tuple(property_of(claim, run.scenario).evaluate(run) for claim in run.scenario.claims)
     if complaint.claim is None:
         verdict, words = ("violated", mishap(run)) if mishap(run) else ("holds", "nothing goes wrong")
     else:
-        verdict, words = evaluations[0].verdict.value, margin_words(evaluations[0])
-    views, moment_time = _pictures(run, evaluations, prefix) if len(run.ticks) else ((), "")
+        verdict, words = world.evaluations[0].verdict.value, margin_words(world.evaluations[0])
+    views, moment_time = _pictures(run, world.evaluations, prefix) if len(run.ticks) else ((), "")
     return Told(
         sentence=complaint.sentence,
         words=words,

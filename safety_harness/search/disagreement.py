@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.exceptions import InputError
+from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Scenario
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.findings import Group
@@ -14,17 +15,21 @@ from safety_harness.trace.trace import Trace
 
 
 @dataclass(frozen=True, eq=False)
-class Disagreement:
-    """A finding that PyBullet does not show.
+class InOneWorld:
+    """A run, judged by its scenario's claims; an exception where there is none."""
 
-    ``searched`` is the run of the world that was searched in, ``confirming`` that of PyBullet; each an
-    exception where there is no run, and None where none was made.
-    """
+    run: Trace | Exception
+    evaluations: tuple[Evaluation, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """A finding that PyBullet does not show, in the world that was searched and there; None where not run."""
 
     group: Group
     complaint: Complaint
-    searched: Trace | Exception | None = None
-    confirming: Trace | Exception | None = None
+    searched: InOneWorld | None = None
+    confirming: InOneWorld | None = None
 
 
 def disagreement_of(
@@ -35,5 +40,12 @@ def disagreement_of(
     try:
         admitted = admit(replace(found, claims=claims))
     except InputError as error:
-        return Disagreement(group, complaint, error, error)
-    return Disagreement(group, complaint, searched([admitted])[0], confirming([admitted])[0])
+        return Disagreement(group, complaint, InOneWorld(error), InOneWorld(error))
+    return Disagreement(group, complaint, _in(searched, admitted), _in(confirming, admitted))
+
+
+def _in(world: World, admitted: Admitted) -> InOneWorld:
+    run = world([admitted])[0]
+    if isinstance(run, Exception):
+        return InOneWorld(run)
+    return InOneWorld(run, tuple(prop.evaluate(run) for prop in admitted.properties))

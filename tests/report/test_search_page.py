@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from page import Node, parse
 
-from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import Agreement, Difference, present_source
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
@@ -24,13 +23,12 @@ from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import Counterexample
 from safety_harness.search.coverage import Cell, Coverage
 from safety_harness.search.cube import Column, Cube
-from safety_harness.search.disagreement import Disagreement
+from safety_harness.search.disagreement import Disagreement, InOneWorld, disagreement_of
 from safety_harness.search.explain import Ingredient
 from safety_harness.search.findings import Findings
 from safety_harness.search.outcomes import Goal, Outcomes
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
-from safety_harness.trace.trace import Trace
 from tests.search.short_space import SHORT
 
 GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))
@@ -101,12 +99,12 @@ def shown() -> ShownCounterexample:
 def apart() -> Disagreement:
     """Violated in the world that was searched, and held in what stands for the other: another draw."""
     claim = next(claim for claim in SHORT.simplest.claims if "hand distance" in claim.sentence)
-    admitted = [admit(replace(SHORT.draw(1, k), claims=(claim,))) for k in range(8)]
-    runs = {run.scenario.name: run for run in in_kinematic(admitted) if isinstance(run, Trace)}
-    complaint = Complaint(claim)
-    violated = next(run for run in runs.values() if complaint.is_in(run))
-    held = next(run for run in runs.values() if not complaint.is_in(run))
-    return Disagreement(findings_of([(0.1, -0.02)]).groups[0], complaint, violated, held)
+    complaint, group = Complaint(claim), findings_of([(0.1, -0.02)]).groups[0]
+    draws = [SHORT.draw(1, k) for k in range(8)]
+    worlds = [disagreement_of(group, complaint, one, in_kinematic, in_kinematic).searched for one in draws]
+    violated = next(world for world in worlds if world and complaint.is_in(world.run))
+    held = next(world for world in worlds if world and not complaint.is_in(world.run))
+    return Disagreement(group, complaint, violated, held)
 
 
 def evidence(**changes: object) -> SearchEvidence:
@@ -206,7 +204,8 @@ def test_what_pybullet_does_not_confirm_is_drawn_in_either_world_with_what_each_
 
 
 def test_a_disagreement_without_runs_says_why() -> None:
-    refused = replace(apart(), searched=ScenarioError(place=Place(), expected="a hand", got="none"))
+    error = ScenarioError(place=Place(), expected="a hand", got="none")
+    refused = replace(apart(), searched=InOneWorld(error))
     words = parse(render(evidence(unconfirmed=(refused,)))).all("section", "apart")[0].text
     assert "no run: " in words
     assert "expected a hand" in words

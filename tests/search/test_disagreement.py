@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.scenario.model import OffsetStart, Scenario
+from safety_harness.scenario.model import OffsetStart, Scenario, Verdict
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.disagreement import disagreement_of
@@ -32,32 +32,39 @@ def group() -> Group:
     return findings.groups[0]
 
 
-def far_away(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-    """A world in which hands are a metre farther away."""
-    runs = []
-    for run in in_kinematic(admitted):
-        assert isinstance(run, Trace)
-        ticks = run.ticks.copy()
-        ticks["hand_distance_m"] += 1.0
-        runs.append(replace(run, ticks=ticks))
-    return runs
+def without_hands(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+    """A world that no hand comes into."""
+    return in_kinematic([replace(one, scenario=replace(one.scenario, hands=())) for one in admitted])
 
 
-def test_both_runs_are_of_the_same_scenario_and_only_one_shows_it(found: Scenario) -> None:
+def broken(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+    """A world in which nothing runs."""
+    return [RuntimeError("no engine") for _ in admitted]
+
+
+def test_the_scenario_is_run_in_either_world_and_judged_by_what_is_complained_about_alone(
+    found: Scenario,
+) -> None:
     claim = next(claim for claim in found.claims if "hand distance" in claim.sentence)
-    complaint = Complaint(claim)
-    one = disagreement_of(group(), complaint, found, in_kinematic, far_away)
-    for run in (one.searched, one.confirming):
-        assert isinstance(run, Trace)
-        assert run.scenario.claims == (claim,)
-        assert run.scenario.hands == found.hands
-    assert complaint.is_in(one.searched)
-    assert one.searched is not one.confirming
+    one = disagreement_of(group(), Complaint(claim), found, in_kinematic, without_hands)
+    for world, verdict in ((one.searched, Verdict.VIOLATED), (one.confirming, Verdict.INCONCLUSIVE)):
+        assert world is not None
+        assert isinstance(world.run, Trace)
+        assert world.run.scenario.claims == (claim,)
+        assert [evaluation.verdict for evaluation in world.evaluations] == [verdict]
+
+
+def test_a_world_in_which_nothing_runs_has_the_reason_in_place_of_a_run(found: Scenario) -> None:
+    one = disagreement_of(group(), Complaint(found.claims[0]), found, in_kinematic, broken)
+    assert one.confirming is not None
+    assert str(one.confirming.run) == "no engine"
+    assert one.confirming.evaluations == ()
 
 
 def test_a_scenario_that_can_no_longer_be_tried_has_the_reason_in_place_of_runs(found: Scenario) -> None:
     below = replace(found, start=OffsetStart(offset_in_base_m=(0.0, 0.0, -0.5)))
     one = disagreement_of(group(), Complaint(found.claims[0]), below, in_kinematic, in_kinematic)
-    assert isinstance(one.searched, Exception)
-    assert isinstance(one.confirming, Exception)
-    assert "tcp start" in str(one.searched)
+    assert one.searched is not None
+    assert isinstance(one.searched.run, Exception)
+    assert "tcp start" in str(one.searched.run)
+    assert one.searched.evaluations == ()

@@ -81,8 +81,18 @@ def test_at_its_gravest_it_is_caught_where_it_shows(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(BIT_FOR_BIT))
 def test_what_is_said_not_to_matter_at_all_changes_no_bit(name: str) -> None:
     fault = fault_named(name)
-    sound = System.of(shipped("nothing-reachable"))
+    sound = System.of(shipped(where_it_acts(name)))
     assert first_difference(sound.run(), fault.seed_into(sound, 1.0).run()) is None
+
+
+def where_it_acts(name: str) -> str:
+    """A scenario with protective stops, or with a slow camera for what lies between its frames."""
+    return "overhead-camera" if name == "rubbish between frames" else "nothing-reachable"
+
+
+def said(records: Records) -> bytes:
+    """What records say, without the bytes between their fields, which may be anything."""
+    return b"".join(records[name].tobytes() for name in records.dtype.names or ())
 
 
 class Watching(Around):
@@ -93,9 +103,9 @@ class Watching(Around):
         self._seen, self._told = seen, told
 
     def step(self, observation: Records) -> Records:
-        self._seen.append(observation.tobytes())
+        self._seen.append(said(observation))
         command = super().step(observation)
-        self._told.append(command.tobytes())
+        self._told.append(said(command))
         return command
 
 
@@ -106,16 +116,16 @@ def what_it_changes(fault: Fault) -> set[str]:
 
     def note(log: list[bytes]) -> Change:
         def look(records: Records) -> Records:
-            log.append(records.tobytes())
+            log.append(said(records))
             return records
 
         return look
 
-    sound = System.of(shipped("nothing-reachable"))
+    sound = System.of(shipped(where_it_acts(fault.name)))
     within = sound.with_world(lambda world: Between(world, see=note(shown), obey=note(obeyed)))
-    within = within.with_records(lambda records: before.append(records.parameters.tobytes()))
+    within = within.with_records(lambda records: before.append(said(records.parameters)))
     changed = fault.seed_into(within, 1.0)
-    changed = changed.with_records(lambda records: after.append(records.parameters.tobytes()))
+    changed = changed.with_records(lambda records: after.append(said(records.parameters)))
     changed.with_pilot(lambda pilot: Watching(pilot, seen, told)).run()
     hand, tcp = np.array([0.9, -0.4, 0.3]), np.array([0.7, -0.2, 0.3])
     state = np.random.get_state()  # noqa: NPY002
