@@ -5,7 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check bench bench-all others docs oracles mutation setup clean
+.PHONY: demo test check paper bench bench-all others docs oracles mutation mutants bounds setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -34,7 +34,7 @@ psy-taliro := psy-taliro==3.2.0
 verifai := verifai==2.2.0
 
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
-LONG := agreement campaign convergence convergence_in_pybullet crashes dataset decision flat_bugs formulas \
+LONG := agreement altered_rows busy campaign convergence convergence_in_pybullet crashes dataset decision flat_bugs formulas \
 	interval_coverage isolation kinematic loop overhead rare_in_kinematic scenario_files search_power soak \
 	spaces training
 
@@ -42,6 +42,10 @@ bench-all: $(LONG:%=bench-%)
 
 bench-%: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/$*.py
+
+# "safety-harness reproduce": the paper's tables and figures, measured again.
+paper: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[learning]' --editable paper
 
 docs: $(VENV)/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -57,6 +61,16 @@ mutation: $(VENV)/tested
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
 	$(BIN)/mutmut run
 
+# 100 mutants of the control stack, drawn by lot, into docs/mutants.json and docs/selftest.md: resumes.
+mutants: $(VENV)/tested
+	$(BIN)/python benchmarks/mutants.py
+	$(BIN)/python docs/tables.py
+
+# The tests of the control stack, compiled with a check of every index.
+bounds: $(VENV)/tested
+	NUMBA_BOUNDSCHECK=1 SAFETY_HARNESS_CACHE=$(CURDIR)/$(VENV)/cache-with-bounds $(BIN)/python -m pytest -q \
+		tests/controller tests/perception tests/robot tests/servoing tests/simulation tests/avoidance/test_gate.py
+
 setup: $(VENV)/installed
 
 $(VENV)/bin/python:
@@ -67,7 +81,7 @@ $(VENV)/installed: pyproject.toml | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/tested: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,learning]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,learning]' --editable paper
 	touch $@
 
 $(VENV)/benchmarks: $(VENV)/installed

@@ -145,7 +145,7 @@ def compare(scenarios: Iterator[Admitted], tally: Tally) -> None:
             tally.left_out.append(f"{admitted.scenario.name}: {error.place.field}: {error.got}")
             print(f"  left out: {tally.left_out[-1]}")
             continue
-        tally.take(admitted, run_trial(admitted, by_the_clock=False), kinematic)
+        tally.take(admitted, run_trial(admitted), kinematic)
         if tally.runs % 25 == 0:
             print(f"  {tally.runs} compared", file=sys.stderr, flush=True)
 

@@ -24,7 +24,7 @@ from scipy import stats
 from scipy.special import ndtri
 
 from safety_harness.proportions import lower_bound, upper_bound
-from safety_harness.statistics.binomial import Sides, bounds_of
+from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
 from safety_harness.statistics.distances import distribution_of, tolerance_bound
 from safety_harness.statistics.model_gap import bridged_bound
 from safety_harness.statistics.paired import compare, compare_margins
@@ -65,15 +65,29 @@ class Row:
 
 def declared(planned: int, **changes: object) -> Declaration:
     """A declaration of so many episodes."""
-    return Declaration(**({"plan_sha256": "", "stratum": "s", "seed": 1, "planned": planned} | changes))  # type: ignore[arg-type]
+    hashes = {"plan_sha256": "0" * 64, "draws_sha256": "1" * 64}
+    return Declaration(**(hashes | {"stratum": "s", "seed": 1, "planned": planned} | changes))  # type: ignore[arg-type]
+
+
+def told(codes: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
+    """A seed for each run, and an occasion for each that was tested."""
+    seeds = np.arange(codes.size).reshape(codes.shape)
+    return {"seeds": seeds, "exercised": (codes != Outcome.UNTESTED).astype(np.int64)}
 
 
 def sample_of(
     codes: NDArray[np.int64], margins: Floats | None = None, **changes: object
 ) -> IndependentSample:
-    """A sample of outcomes (n,), without margins if none are given."""
-    signed = np.full(len(codes), np.nan) if margins is None else margins
-    return IndependentSample.of_stream(declared(len(codes), **changes), np.arange(len(codes)), codes, signed)
+    """A sample of outcomes (n,), with margins that only suit them if none are given."""
+    any_of_the_sign = np.select([codes == HELD, codes == VIOLATED], [1.0, -1.0], np.nan)
+    signed = any_of_the_sign if margins is None else margins
+    declaration = declared(len(codes), **changes)
+    return IndependentSample.of_stream(declaration, np.arange(len(codes)), codes, signed, **told(codes))
+
+
+def violations(count: int, trials: int) -> IndependentSample:
+    """A sample in which the first ``count`` of ``trials`` runs violate."""
+    return sample_of(np.where(np.arange(trials) < count, VIOLATED, HELD))
 
 
 def with_margins(margins: Floats) -> IndependentSample:
@@ -94,21 +108,68 @@ def binomials(times: int) -> Iterator[Row]:
         seen = counts / trials
         wald = seen + stats.norm.isf(0.05) * np.sqrt(seen * (1.0 - seen) / trials)
 
-        def covered(low: Floats, high: Floats, share: float, counts: Floats = counts) -> float:
-            chances = stats.binom.pmf(counts, len(counts) - 1, share)
-            return float(chances[(low <= share) & (share <= high)].sum())
-
         none = np.zeros(trials + 1)
         for share in (1e-3, 1e-2, 0.1):
-            where = f"n = {trials}, p = {share:g}"
-            yield Row("Clopper-Pearson, upper", where, 0.95, covered(none, upper, share), 0)
-            yield Row("Wald, upper (broken)", where, 0.95, covered(none, wald, share), 0, exact=False)
+            where, only = f"n = {trials}, p = {share:g}", np.array([share])
+            yield Row("Clopper-Pearson, upper", where, 0.95, covered(none, upper, only), 0)
+            yield Row("Wald, upper (broken)", where, 0.95, covered(none, wald, only), 0, exact=False)
         for name, low, high in (
             ("Clopper-Pearson, upper", none, upper),
             ("Clopper-Pearson, two-sided", ends[:, 0], ends[:, 1]),
         ):
-            least = min(covered(low, high, share) for share in worst)
+            least = covered(low, high, worst)
             yield Row(name, f"n = {trials}, worst of 800 p", 0.95, least, 0)
+
+
+def shown(times: int) -> Iterator[Row]:
+    """What a report shows of plans: each interval alone, and all of them at once, margins beside them."""
+    worst = np.concatenate([np.geomspace(1e-5, 0.5, 400), 1.0 - np.geomspace(1e-5, 0.5, 400)])
+    for claims, strata in ((1, 1), (2, 2)):
+        many = ends_of(claims, strata)
+        for trials in (40, 300):
+            made = [
+                bounds_of([violations(k, trials)], 0.95, Sides.BOTH, family=many)[0]
+                for k in range(trials + 1)
+            ]
+            low, high = (np.array([getattr(one, end) for one in made]) for end in ("low", "high"))
+            one_sided = [
+                (lower_bound(k, trials, 0.1 / many), upper_bound(k, trials, 0.1 / many))
+                for k in range(trials + 1)
+            ]
+            lower, upper = np.array(one_sided).T
+            where = f"{many} ends, n = {trials}, worst of 800 p"
+            yield Row("interval on the page, alone", where, made[0].confidence, covered(low, high, worst), 0)
+            before = covered(lower, upper, worst)
+            name = "the same with an error for each interval, not each end (broken)"
+            yield Row(name, where, made[0].confidence, before, 0, exact=False)
+    rng, probabilities = np.random.default_rng(11), np.array([0.01, 0.03])
+    sure, with_margins_too = 0, 0
+    for _ in range(times):
+        samples = []
+        for _ in range(2):
+            drawn = rng.random(300)
+            samples += [with_margins(drawn - p) for p in probabilities]
+        made = list(bounds_of(samples, 0.95, Sides.BOTH))
+        held = all(b.low <= p <= b.high for b, p in zip(made, np.tile(probabilities, 2), strict=True))
+        kept = all(
+            tolerance_bound(one, content, made[0].confidence).at_least <= 1.0 - content - p
+            for one, p in zip(samples, np.tile(probabilities, 2), strict=True)
+            for content in (0.9, 0.99, 0.999)
+        )
+        sure += held
+        with_margins_too += held and kept
+    where = "2 claims x 2 strata, n = 300"
+    yield Row("all 8 ends of the page at once", where, 0.95, sure / times, times)
+    name = "the same, and 12 margins by order statistics (not promised)"
+    yield Row(name, where, 0.95, with_margins_too / times, times, exact=False)
+
+
+def covered(low: Floats, high: Floats, shares: Floats) -> float:
+    """How often an interval (n + 1,), of each count, holds the share; the least over shares (m,)."""
+    counts = np.arange(len(low))
+    chances = stats.binom.pmf(counts, len(low) - 1, shares[:, None])
+    inside = (low <= shares[:, None]) & (shares[:, None] <= high)
+    return float(np.where(inside, chances, 0.0).sum(axis=1).min())
 
 
 def families(times: int) -> Iterator[Row]:
@@ -151,7 +212,7 @@ def sequences(times: int) -> Iterator[Row]:
 
 def rare(times: int) -> Iterator[Row]:
     """The intervals over replications, of problems with known answers."""
-    runs = max(times // 10, 20)
+    runs = max(times // 2, 20)
 
     def tail(points: Floats) -> Floats:
         return np.asarray(ndtri(np.maximum(points[:, 0], 1e-300)))
@@ -165,20 +226,33 @@ def rare(times: int) -> Iterator[Row]:
     ]
     known.append(("4 sigma, both tails", lambda u: 4.0 - np.abs(tail(u)), 2, 2.0 * float(stats.norm.sf(4))))
     known.append(("outside r = 8, 30-d", lambda u: 8.0 - radius(u), 30, float(stats.chi2.sf(64, 30))))
-    for name, margins, dimensions, truth in known:
-        found = [split(margins, dimensions, seed=k, how=Splitting(particles=200)) for k in range(runs)]
-        held = sum(one.low <= truth <= one.high for one in found) / runs
+    few = Splitting(particles=100, steps=3, replications=8)
+    usual = Splitting(particles=200)
+    for name, margins, dimensions, truth, how in [(*one, usual) for one in known] + [(*known[2], few)]:
+        samples = max(runs * 6 // 100, 20) if dimensions > 2 else runs
+        found = [split(margins, dimensions, seed=k, how=how) for k in range(samples)]
         values = np.array([one.value for one in found]) / truth
         spent = np.mean([one.evaluations for one in found])
         where = (
             f"{name}, p = {truth:.2g}; mean {values.mean():.3f} p, deviation {values.std():.3f} p, "
             f"{spent:,.0f} points"
         )
-        yield Row("splitting, 20 of 200 particles, 10 steps", where, 0.95, held, runs, exact=False)
-    few = Splitting(particles=100, steps=3, replications=8)
-    found = [split(known[2][1], 2, seed=k, how=few) for k in range(runs)]
-    held = sum(one.low <= known[2][3] <= one.high for one in found) / runs
-    yield Row("splitting, 8 of 100 particles, 3 steps", known[2][0], 0.95, held, runs, exact=False)
+        kind = f"splitting, {how.replications} of {how.particles} particles, {how.steps} steps"
+        ends = np.array([(one.low, one.high) for one in found])
+        student = np.array([student_upper(np.array(one.replicates)) for one in found])
+        held = float(np.mean((ends[:, 0] <= truth) & (truth <= ends[:, 1])))
+        yield Row(kind, where, 0.95, held, samples, exact=False)
+        upper = float(np.mean(ends[:, 1] >= truth))
+        yield Row(f"{kind}: upper end", where, 0.975, upper, samples, exact=False)
+        name = f"{kind}: Student's upper end (not used)"
+        yield Row(name, where, 0.975, float(np.mean(student >= truth)), samples, exact=False)
+
+
+def student_upper(replicates: Floats) -> float:
+    """Of their mean, wrong with a chance of 2.5 % if they were normal."""
+    n = len(replicates)
+    half = stats.t.isf(0.025, n - 1) * replicates.std(ddof=1) / np.sqrt(n)
+    return float(replicates.mean() + half)
 
 
 def pairs(times: int) -> Iterator[Row]:
@@ -259,7 +333,8 @@ def variances(times: int) -> Iterator[Row]:
             for _ in range(runs):
                 drawn = np.sqrt(share) * draw(rng, (m, 1)) + np.sqrt(1.0 - share) * draw(rng, (m, k))
                 codes = np.where(drawn < 0.0, VIOLATED, HELD)
-                found = variance_split(NestedSample.of_design(declared(m), np.arange(m), codes, drawn))
+                design = NestedSample.of_design(declared(m), np.arange(m), codes, drawn, **told(codes))
+                found = variance_split(design)
                 f += found.low <= share <= found.high
                 bootstrap += found.bootstrap_low <= share <= found.bootstrap_high
             where = f"{m} scenarios x {k}, share {share:g}, {name}"
@@ -293,7 +368,7 @@ def main() -> int:
     times = 200 if parser.parse_args().quick else 2000
     print("| interval | setting | nominal | measured | by |\n|---|---|---|---|---|")
     broken = []
-    for part in (binomials, families, sequences, margins, pairs, variances, gaps, rare):
+    for part in (binomials, shown, families, sequences, margins, pairs, variances, gaps, rare):
         start = time.perf_counter()
         for row in part(times):
             print(row.markdown(), flush=True)

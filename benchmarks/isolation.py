@@ -49,7 +49,7 @@ class Upwards:
 def one_by_one(avoider: Avoider) -> None:
     """As a run asks."""
     for seed in range(ONE_BY_ONE):
-        ask(avoider, hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=seed, deadline_s=10.0)
+        ask(avoider, hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=seed)
 
 
 def microseconds(what: Callable[[], object], count: int) -> float:
@@ -68,7 +68,7 @@ def here_and_there(onnx: Path | None = None) -> tuple[Avoider, IsolatedAvoider]:
 
 def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, float]]:
     """Microseconds a question in turns: here, there, there and many in one message."""
-    questions = [Question(HAND, TCP, seed, 10.0, True) for seed in range(IN_ONE_MESSAGE)]
+    questions = [Question(HAND, TCP, seed, 10.0) for seed in range(IN_ONE_MESSAGE)]
     one_by_one(there)
     return [
         (
@@ -82,7 +82,7 @@ def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, 
 
 def begun_anew(there: IsolatedAvoider) -> list[float]:
     """Milliseconds from the end of a process to the first answer of the next."""
-    question, begun = Question(HAND, TCP, 0, 10.0, True), []
+    question, begun = Question(HAND, TCP, 0, 10.0), []
     for _ in range(BEGUN):
         there._host.end()
         begun.append(microseconds(lambda: there.answers([question], together=False), 1) / 1e3)

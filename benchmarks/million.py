@@ -19,8 +19,12 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+
+from campaign import timed
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -29,6 +33,7 @@ from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.runner import Progress
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.campaign.worker import resident_bytes
 from safety_harness.statistics.sample import Outcome
 
 SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
@@ -60,29 +65,31 @@ def plan_in(folder: Path, episodes: int) -> Plan:
     return read_plan(file)
 
 
-def watch(begun_s: float) -> Callable[[Progress], None]:
-    """A line every half a minute."""
-    last_s = begun_s
+@dataclass
+class Watch:
+    """Prints a line every half a minute, and notes the most memory that another process of this group has."""
 
-    def say(progress: Progress) -> None:
-        nonlocal last_s
-        if time.monotonic() - last_s >= 30.0:
-            last_s = time.monotonic()
-            print(f"  {progress.tally.done:,} after {(last_s - begun_s) / 60.0:.1f} min", flush=True)
+    begun_s: float
+    last_s: float = 0.0
+    most_bytes: int = 0
 
-    return say
+    def __call__(self, progress: Progress) -> None:
+        """Told of every batch that was committed."""
+        since_s = time.monotonic() - self.begun_s
+        if since_s - self.last_s >= 30.0:
+            self.last_s = since_s
+            self.most_bytes = max(self.most_bytes, *map(resident_bytes, others_of_this_group()), 0)
+            print(f"  {progress.tally.done:,} after {since_s / 60.0:.1f} min", flush=True)
 
 
-def megabytes(who: int) -> float:
-    """The most memory that this process (or the largest of those it started) has had."""
-    return resource.getrusage(who).ru_maxrss / 1024.0
-
-
-def timed(what: str, question: Callable[[], object]) -> None:
-    """How long an answer takes."""
-    begun_s = time.monotonic()
-    question()
-    print(f"  {what}: {time.monotonic() - begun_s:.2f} s")
+def others_of_this_group() -> list[int]:
+    """The processes that were started from this one, and from those, as long as they stay in its group."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(ProcessLookupError):
+            if os.getpgid(int(folder.name)) == os.getpgid(0) and int(folder.name) != os.getpid():
+                found.append(int(folder.name))
+    return found
 
 
 def told(path: Path, plan: Plan) -> None:
@@ -113,24 +120,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     given = parser.parse_args(arguments)
     plan, path = plan_in(given.folder, given.episodes), given.folder / "ledger.sqlite"
-    begun_s, load = time.monotonic(), os.getloadavg()[0]
-    before = 0
+    begun_s, load, before = time.monotonic(), os.getloadavg()[0], 0
+    watch = Watch(begun_s)
     if path.exists():
         with Ledger.open(path, check=False) as ledger:
             before = tally_of(ledger).done
     try:
-        carry_on(plan, path, processes(given.workers), on_progress=watch(begun_s))
+        carry_on(plan, path, processes(given.workers), on_progress=watch)
     except KeyboardInterrupt:
         print("interrupted; the same command goes on")
     seconds = time.monotonic() - begun_s
     with Ledger.open(path, check=False) as ledger:
         done = tally_of(ledger).done
-    print(
-        f"{done - before:,} episodes in {seconds / 60.0:.1f} min, {(done - before) / seconds:.0f} a second, "
-    )
+    print(f"{done - before:,} episodes in {seconds / 60.0:.1f} min, {(done - before) / seconds:.0f} a second")
     print(f"  {given.workers} workers; load before and after {load:.1f}, {os.getloadavg()[0]:.1f}")
-    print(f"  at most {megabytes(resource.RUSAGE_SELF):.0f} MB in the runner, ", end="")
-    print(f"{megabytes(resource.RUSAGE_CHILDREN):.0f} MB in any other process")
+    own_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    worker_mb = watch.most_bytes / 2**20
+    print(f"  at most {own_mb:.0f} MB in the runner, {worker_mb:.0f} MB in a worker when looked at")
     told(path, plan)
 
 

@@ -22,6 +22,7 @@ SCHEMA = DOCS / "schema" / "scenario.schema.json"
 EVIDENCE = DOCS / "schema" / "evidence.schema.json"
 KILLS = DOCS / "selftest-results.json"
 ORACLES = DOCS / "oracles.json"
+MUTANTS = DOCS / "mutants.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
 KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -35,6 +36,7 @@ def with_tables(text: str) -> str:
     tables["signals"] = markdown_of_signals()
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
+    tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
 
 
@@ -60,6 +62,45 @@ def markdown_of_oracles() -> str:
         for one in found
     ]
     return "\n".join(table_of(("oracle", "compared", "largest disagreement", "numbers"), rows)) + "\n"
+
+
+def markdown_of_mutants() -> tuple[str, str]:
+    """What the last run of ``make mutants`` came to by file, and what became of those that survived at first.
+
+    A note begins with what became of it: gap closed, equivalent, superfluous code, open.
+    """
+    found = [
+        one for one in json.loads(MUTANTS.read_text("utf-8"))["mutants"] if one["outcome"] != "stillborn"
+    ]
+    files = sorted({one["mutant"]["file"] for one in found})
+    kinds = ("noticed", "gap closed", "equivalent", "superfluous code", "open")
+    rows = []
+    for file in [*files, ""]:
+        mine = [one for one in found if file in ("", one["mutant"]["file"])]
+        became = [one.get("note", "").partition(":")[0] or "noticed" for one in mine]
+        counts = [became.count(kind) for kind in kinds]
+        if sum(counts) != len(mine):
+            raise KeyError(f"{file or 'all files'}: a note begins with none of {', '.join(kinds)}")
+        rows.append(
+            [f"`{file}`" if file else "all", str(len(mine)), *(str(count or "-") for count in counts)]
+        )
+    noted = [one for one in found if one.get("note")]
+    stories = [
+        [
+            f"`{one['mutant']['file']}`:{one['mutant']['line']}",
+            _code(one["mutant"]["before"]) + " becomes " + _code(one["mutant"]["after"]),
+            one["note"],
+        ]
+        for one in noted
+    ]
+    return (
+        "\n".join(table_of(("file", "mutants", *kinds), rows)) + "\n",
+        "\n".join(table_of(("where", "change", "what became of it"), stories)) + "\n",
+    )
+
+
+def _code(text: str) -> str:
+    return "`" + " ".join(text.split()) + "`"
 
 
 def _cell(value: object) -> str:

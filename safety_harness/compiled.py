@@ -29,14 +29,22 @@ numba_config: Any = config  # its settings are made at run time, unknown to type
 
 PACKAGE = Path(__file__).parent
 # A test holds the package to this one form of import, so that none is overlooked.
-_IMPORT = re.compile(r"^\s*from safety_harness\.([\w.]+) import ", re.MULTILINE)
+_IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
+
+
+def _package_of(file: Path) -> Path:
+    """Ours if the file lies in it, else the outermost package that it lies in, else its folder."""
+    if PACKAGE in file.parents:
+        return PACKAGE
+    packages = [folder for folder in file.parents if (folder / "__init__.py").is_file()]
+    return packages[-1] if packages else file.parent
 
 
 def _hash(files: Iterable[Path]) -> str:
     """Sixteen hex digits over numba's version and the names and contents of files of the package."""
     digest = hashlib.sha256(f"numba {numba.__version__}".encode())
     for path in sorted(files):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode())
+        digest.update(path.relative_to(_package_of(path)).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -49,17 +57,21 @@ def source_hash() -> str:
 
 @lru_cache
 def _imports(file: Path) -> tuple[Path, ...]:
-    """The files of the package that a file imports directly."""
-    modules = _IMPORT.findall(file.read_text(encoding="utf-8"))
-    return tuple(PACKAGE / (module.replace(".", "/") + ".py") for module in modules)
+    """The files of this package, and of the file's own, that a file imports directly."""
+    packages = {package.name: package for package in (_package_of(file), PACKAGE)}
+    found = _IMPORT.findall(file.read_text(encoding="utf-8"))
+    return tuple(
+        packages[name] / (rest.replace(".", "/") + ".py") for name, rest in found if name in packages
+    )
 
 
 def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozenset[Path]:
-    """A file of the package and every other that it imports, directly or not, through none of ``without``.
+    """A file of a package and every other that it imports, directly or not, through none of ``without``.
 
-    A file outside the package (a benchmark, say) may use anything: all of it.
+    Files are those of this package and of the file's own.  A file in no package (a benchmark, say) may use
+    anything: all of this one.
     """
-    if PACKAGE not in file.parents:
+    if PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file():
         return frozenset(PACKAGE.rglob("*.py"))
     found: set[Path] = set()
     waiting = [file]

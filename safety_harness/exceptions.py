@@ -115,6 +115,10 @@ class RegionError(InputError):
     """A box without an inside, or a shell of which nothing is left."""
 
 
+class InstallationError(InputError):
+    """What is installed does not tell which software runs: two packages own one module."""
+
+
 class AvoiderError(SafetyHarnessError):
     """An avoider could not propose a repulsive position (no direction, NaN, wrong shape)."""
 
@@ -129,6 +133,13 @@ class FlakyAvoiderError(AvoiderError):
 
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
+
+
+class NoAnswerError(SimulationError):
+    """An avoider hangs: no answer within the wall limit.  The run has failed, and has no verdict."""
+
+    def __init__(self, name: str, limit_s: float) -> None:
+        super().__init__(f"the avoider {name!r} gave no answer within {limit_s:g} s of wall time")
 
 
 class CampaignError(SafetyHarnessError):

@@ -22,6 +22,7 @@ class Branch(IntEnum):
     CAMPAIGN = 6
     STATISTICS = 7
     SELFTEST = 8
+    DECISION_TIME = 9
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -184,6 +184,35 @@ class Motion:
     min_singular_value: float = 0.02  # of the geometric Jacobian; below it the arm is stopped
 
 
+class DecisionCost(Enum):
+    """What a decision costs in simulated time, where no time is given for it."""
+
+    AS_DECLARED = "as declared"  # by the avoider; one that declares nothing costs nothing
+    WALL_CLOCK = "wall clock"  # what the answer took on this machine: such a run does not repeat
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """Of which avoider the times of a profile are, and where they were measured."""
+
+    avoider: str  # as a scenario names it
+    sha256: str  # of its file; empty for one without
+    machine: str
+    questions: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionTimes:
+    """What a decision costs in simulated time, drawn anew for each.
+
+    ``quantiles_s`` rise, and what lies between two neighbours is equally probable: one is always the
+    same time, two are a uniform distribution.
+    """
+
+    quantiles_s: tuple[float, ...]
+    measured: Measured | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Avoidance:
     """When and how the TCP gives way (sections 3.3 and 4.1 of the paper)."""
@@ -202,6 +231,7 @@ class Avoidance:
     table_clearance_m: float = 0.050  # the TCP is never sent lower than this above the table
     # An avoider that takes longer has not answered: the system's reaction time, in which all has to fit.
     decision_deadline_s: float = 0.1
+    decision_time: DecisionCost | DecisionTimes = DecisionCost.AS_DECLARED
     restart_delay_s: float = 0.5  # how long the hands must be away before a stop is released
 
 
@@ -229,10 +259,14 @@ class Braking:
 
 @dataclass(frozen=True, kw_only=True)
 class Clock:
-    """The UR10 takes a new speed at 125 Hz; physics sub-steps divide the control period."""
+    """The UR10 takes a new speed at 125 Hz; physics sub-steps divide the control period.
+
+    ``wall_limit_s`` ends a run whose avoider hangs; it changes no trajectory.
+    """
 
     control_period_s: float = 0.008
     physics_substeps: int = 4
+    wall_limit_s: float = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)

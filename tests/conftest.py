@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 import disagreement
+import pytest
 from browsing import started
 from examples import VISIT, run, scenario
 

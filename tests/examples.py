@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,11 +142,10 @@ class Displaced:
 
 
 @dataclass(frozen=True)
-class Sleeping:
-    """An avoider that takes its time, on the wall's clock."""
+class Raising:
+    """An avoider that has an answer to nothing."""
 
-    seconds: float
-    name: str = "sleeping"
+    name: str = "raising"
 
     def propose(
         self,
@@ -156,7 +154,23 @@ class Sleeping:
         tcp_position_in_base_m: NDArray[np.float64],
         seed: int,
     ) -> Proposal:
-        time.sleep(self.seconds)
+        raise ZeroDivisionError(f"at {hand_position_in_base_m[0]}")
+
+
+@dataclass(frozen=True)
+class Slow:
+    """An avoider that says how long it takes."""
+
+    decision_time_s: float
+    name: str = "slow"
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: NDArray[np.float64],
+        tcp_position_in_base_m: NDArray[np.float64],
+        seed: int,
+    ) -> Proposal:
         return Proposal(2.0 * tcp_position_in_base_m - hand_position_in_base_m)
 
 

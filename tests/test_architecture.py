@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from pathlib import Path
-
-import pytest
 
 import safety_harness
 
@@ -33,7 +32,6 @@ ORDER = [
     {"report"},
     {"certification"},
     {"selftest"},
-    {"reproduction"},
     {"cli"},
     {"testing"},
     {"pytest_plugin"},
@@ -60,13 +58,15 @@ def rooms_imported_by(file: Path) -> set[str]:
     return rooms
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
-def test_imports_point_leftwards(file: Path) -> None:
-    room = room_of(file)
-    if room in ("__init__", "__main__"):
-        return
-    for imported in rooms_imported_by(file):
-        assert RANK[imported] <= RANK[room], f"{file.name} in {room} imports {imported}"
+def test_imports_point_leftwards() -> None:
+    backward = [
+        f"{file.relative_to(PACKAGE)} imports {imported}"
+        for file in FILES
+        if (room := room_of(file)) not in ("__init__", "__main__")
+        for imported in rooms_imported_by(file)
+        if RANK[imported] > RANK[room]
+    ]
+    assert backward == []
 
 
 def test_the_import_test_sees_a_backward_arrow(tmp_path: Path) -> None:
@@ -107,15 +107,17 @@ def test_every_import_of_the_package_has_the_form_that_the_machine_code_cache_re
 
 def test_no_two_files_of_tests_have_one_name() -> None:
     """Folders of tests are no packages: of two modules with one name the second is the first."""
-    names = Counter(file.name for file in Path(__file__).parent.rglob("*.py") if file.name != "conftest.py")
+    folders = Path(__file__).parent, Path(__file__).parents[1] / "paper" / "tests"
+    files = [file for folder in folders for file in folder.rglob("*.py")]
+    names = Counter(file.name for file in files if file.name != "conftest.py")
     assert [name for name, count in names.items() if count > 1] == []
 
 
-def test_only_the_reproduction_and_the_command_line_import_learning() -> None:
+def test_only_the_command_line_imports_learning() -> None:
     importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
-    assert importers <= {"learning", "reproduction", "cli"}
+    assert importers <= {"learning", "cli"}
 
 
-def test_only_the_command_line_imports_the_reproduction() -> None:
-    importers = {room_of(file) for file in FILES if "reproduction" in rooms_imported_by(file)}
-    assert importers == {"reproduction", "cli"}
+def test_nothing_in_the_package_imports_the_paper() -> None:
+    for file in FILES:
+        assert not re.search(r"^\s*(from|import) safety_harness_paper", file.read_text(), re.M), file

@@ -91,6 +91,20 @@ def test_code_outside_the_package_depends_on_all_of_it(package: Path) -> None:
     assert folder_name(outside) != before
 
 
+def test_code_of_a_package_beside_depends_on_what_it_imports_of_both(package: Path) -> None:
+    beside = package.parent / "beside"
+    beside.mkdir()
+    for name, text in {
+        "__init__": "",
+        "one": "from beside.two import x\nfrom numpy.linalg import norm\n",
+        "two": "from safety_harness.a import x\n",
+        "three": "",
+    }.items():
+        (beside / f"{name}.py").write_text(text)
+    expected = {beside / "one.py", beside / "two.py", package / "a.py"}
+    assert module.sources_of(beside / "one.py") == expected
+
+
 def test_the_control_stack_depends_on_geometry_and_not_on_the_report() -> None:
     sources = {path.relative_to(module.PACKAGE).parts[0] for path in module.sources_of(Path(stack.__file__))}
     assert {"controller", "geometry", "perception", "servoing", "robot"} <= sources

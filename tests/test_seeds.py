@@ -60,4 +60,5 @@ def test_branches_keep_their_numbers() -> None:
         "CAMPAIGN": 6,
         "STATISTICS": 7,
         "SELFTEST": 8,
+        "DECISION_TIME": 9,
     }

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.avoiders import avoider_of, avoider_sha256
+from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusable
 from safety_harness.admission.checks import check_cameras, check_object, check_restart_delay, check_view
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.decision_time import check_decision_time
 from safety_harness.admission.faults import check_faults
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
@@ -23,70 +27,147 @@ from safety_harness.admission.poses import (
     start_joint_position,
 )
 from safety_harness.avoidance.asking import ask
-from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
+from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
 from safety_harness.controller.desired import view_of
-from safety_harness.exceptions import InadmissibleError, SettingsError
+from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import Robot, Scenario
 from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import Settings
+from safety_harness.settings import DecisionCost, Settings, Vector3
+from safety_harness.space.regions import Seen, seen_by
+from safety_harness.trace.trace import Trace
 
 FIRST_ANSWER_S = 300.0  # time to import, load and compile whatever an avoider needs
 
 
-@dataclass(frozen=True, eq=False)
-class Admitted:
-    """A scenario with everything resolved: ready to be run and judged."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Checked:
+    """A scenario that can be tried, as far as that can be said without making its avoider."""
 
     scenario: Scenario
     arm: ArmModel
     view: DesiredView
     joint_position_rad: NDArray[np.float64]  # (6,) where the arm starts
-    avoider: Avoider
     properties: tuple[Property, ...]  # in the order of the scenario's claims
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Admitted(Checked):
+    """A scenario with everything resolved: ready to be run and judged."""
+
+    avoider: Avoider
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
 
-    def controller(self, recorded_late: Sequence[str] = ()) -> AvoidingServo:
-        """A fresh controller for one run; ``recorded_late`` as in ``AvoidingServo``."""
-        settings = self.scenario.settings
+    def controller(self, recorded: Trace | None = None) -> AvoidingServo:
+        """A fresh controller for one run; ``recorded`` is an earlier one, whose times count again."""
+        scenario, settings = self.scenario, self.scenario.settings
         gate = Gate.of(settings, kinematics(self.arm.name))
+        cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
+        if recorded is not None and cost is DecisionCost.WALL_CLOCK:
+            times_s = recorded_times_s(recorded)
+        else:
+            times_s = decision_times_s(cost, declared_s, scenario.seed, scenario.ticks + 1)
         return AvoidingServo(
             settings,
             self.arm,
             self.view,
             self.avoider,
             gate,
-            self.scenario.seed,
-            recorded_late,
-            fault_table(self.scenario.faults),
+            scenario.seed,
+            () if recorded is None else recorded_late(recorded),
+            fault_table(scenario.faults),
+            times_s,
         )
 
 
-def admit(scenario: Scenario, *, avoider: Avoider | None = None, rehearsed: bool = False) -> Admitted:
-    """Resolve and check; InadmissibleError names the place, what was expected and what came.
+class Admitter:
+    """Admits one scenario after another; what becomes of one does not depend on those before it.
 
-    ``avoider`` takes the place of the one that the scenario names; ``rehearsed``: it has answered before.
+    The avoider of a Python file is made once, so that one with a memory of its own keeps it from run to run.
     """
+
+    def __init__(self) -> None:
+        self._avoiders = Avoiders()
+        self._answers = lru_cache(maxsize=16)(answers_at_first)
+        self._seen_by = lru_cache(maxsize=16)(seen_by)
+
+    def admit(self, scenario: Scenario) -> Admitted:
+        """Resolve and check; InadmissibleError names the place, what was expected and what came."""
+        checked = check(scenario)
+        with _placed(scenario):
+            avoider, sha256 = self._avoiders.of(scenario)
+        hand, tcp = first_question(scenario.settings)
+        return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
+
+    def seen_of(self, scenario: Scenario) -> Seen:
+        """What the scenario's avoider was trained on, as ``seen_by`` has it."""
+        return self._seen_by(scenario.avoider, folder=folder_of(scenario), settings=scenario.settings)
+
+
+def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
+    """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names."""
+    if avoider is None:
+        return Admitter().admit(scenario)
+    answers = answers_at_first(avoider, *first_question(scenario.settings))
+    return _admitted(check(scenario), avoider, "", answers)
+
+
+class Looker:
+    """What ``Admitter`` is to those who only look: everything is checked, nothing of a user's is executed."""
+
+    def __init__(self) -> None:
+        self._seen: set[tuple[str, Path | None, Settings]] = set()
+
+    def look(self, scenario: Scenario) -> Checked:
+        """As ``Admitter.admit``, but that an avoider can be made and answers is for the run to see."""
+        checked = check(scenario)
+        key = scenario.avoider, folder_of(scenario), scenario.settings
+        if key not in self._seen:
+            with _placed(scenario):
+                refuse_unusable(scenario.avoider, scenario, folder=folder_of(scenario))
+            self._seen.add(key)
+        return checked
+
+
+def refuse_no_answer(scenario: Scenario) -> None:
+    """As ``admit`` refuses, for the sake of the scenario's avoider alone, which is made and asked once."""
+    with _placed(scenario):
+        avoider, _ = Avoiders().of(scenario)
+    if not answers_at_first(avoider, *first_question(scenario.settings)):
+        raise _no_answer(scenario)
+
+
+def check(scenario: Scenario) -> Checked:
+    """All of admission but the avoider, of which nothing is read or executed; errors as of ``admit``."""
     arm = load_arm(scenario.robot.arm_name)
-    sha256 = ""
-    try:
+    with _placed(scenario):
         view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
         start = start_joint_position(scenario, arm)
         check_start(scenario, arm, start)
         check_hands(scenario, arm, start)
         check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
-        if avoider is None:
-            avoider, sha256 = avoider_of(scenario), avoider_sha256(scenario)
-    except SettingsError as error:
-        raise _placed(error, scenario) from error
-    if not rehearsed:
-        rehearse(scenario, avoider)
-    return Admitted(scenario, arm, view, start, avoider, properties, sha256)
+    return Checked(scenario=scenario, arm=arm, view=view, joint_position_rad=start, properties=properties)
+
+
+def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
+    if not answers:
+        raise _no_answer(checked.scenario)
+    check_decision_time(checked.scenario, avoider, sha256)
+    return Admitted(**vars(checked), avoider=avoider, avoider_sha256=sha256)
+
+
+def _no_answer(scenario: Scenario) -> InadmissibleError:
+    return InadmissibleError(
+        place=scenario.place("avoider"),
+        expected=f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s",
+        got="none until then",
+    )
 
 
 @dataclass(frozen=True)
@@ -111,33 +192,40 @@ def _view_of_cell(cell: _Cell) -> DesiredView:
     return view
 
 
-def _placed(error: SettingsError, scenario: Scenario) -> InadmissibleError:
-    """The same refusal, at the place in the file that asks for what is refused."""
-    field = error.place.field or "settings"
-    same = [path for path in scenario.places if path.endswith(f".{field}")]
-    return InadmissibleError(
-        place=scenario.place(field, *same, *VIEW, DESIRED),
-        expected=error.expected,
-        got=error.got,
-        hint=error.hint,
-    )
-
-
-def rehearse(scenario: Scenario, avoider: Avoider) -> None:
-    """Ask once before the run, so that no decision is late for what a first call loads or compiles.
-
-    Whatever comes is thrown away: a fault belongs to the run, which will meet it.
-    """
-    answer = ask(
-        avoider,
-        hand_position_in_base_m=np.array(scenario.settings.avoidance.nominal_hand_position_in_base_m),
-        tcp_position_in_base_m=np.array(scenario.settings.cell.desired_tcp_position_in_base_m),
-        seed=0,
-        deadline_s=FIRST_ANSWER_S,
-    )
-    if answer.late:
+@contextmanager
+def _placed(scenario: Scenario) -> Iterator[None]:
+    """A refusal of settings, at the place in the file that asks for what is refused."""
+    try:
+        yield
+    except SettingsError as error:
+        field = error.place.field or "settings"
+        same = [path for path in scenario.places if path.endswith(f".{field}")]
         raise InadmissibleError(
-            place=scenario.place("avoider"),
-            expected=f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s",
-            got="none until then",
+            place=scenario.place(field, *same, *VIEW, DESIRED),
+            expected=error.expected,
+            got=error.got,
+            hint=error.hint,
+        ) from error
+
+
+def first_question(settings: Settings) -> tuple[Vector3, Vector3]:
+    """What an avoider is asked before a run: the nominal hand, with the TCP where it is to be."""
+    return settings.avoidance.nominal_hand_position_in_base_m, settings.cell.desired_tcp_position_in_base_m
+
+
+def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: Vector3) -> bool:
+    """Ask once before the run, so that no answer is waited for while it loads or compiles.
+
+    Whatever comes is thrown away: a fault belongs to the run, which will meet it.  False if nothing does.
+    """
+    try:
+        ask(
+            avoider,
+            hand_position_in_base_m=np.array(hand_in_base_m),
+            tcp_position_in_base_m=np.array(tcp_in_base_m),
+            seed=0,
+            limit_s=FIRST_ANSWER_S,
         )
+    except NoAnswerError:
+        return False
+    return True

@@ -1,43 +1,78 @@
 """Which avoider a reference means: one of ours by name, a user's own Python file, or a model file.
 
-A Python file is the user's own program and is executed, with everything that it imports, because a
-reference names it and for no other reason, and in a process of its own; so is a function in ONNX, which is
-no program but may never end.  Any other model file is only read.
+A Python file is the user's own program and is executed, with everything that it imports, where a scenario
+that names it is run and for no other reason, and in a process of its own; so is a function in ONNX, which is
+no program but may never end.  Any other model file is only read.  ``refuse_unusable`` executes nothing.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
 from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
 from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.python_text import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import OffsetStart, Scenario
 from safety_harness.scenario.places import Replaced
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
+from safety_harness.space.regions import exported_seen
 
 if TYPE_CHECKING:
     from safety_harness.avoidance.learned import LearnedAvoider
 
-NAMES = (*SHIPPED, "opposite pose", "nearest candidate")
+OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
+NAMES = (*SHIPPED, OPPOSITE, NEAREST)
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONNX_SUFFIX}"
 
 
-def avoider_of(scenario: Scenario) -> Avoider:
-    """The avoider that ``scenario.avoider`` names, a file relative to the scenario's own folder."""
-    return resolve_avoider(scenario.avoider, scenario, folder=_folder_of(scenario))
+@dataclass(frozen=True)
+class _Wanted:
+    """What an avoider that is no program is made of; ``scenario`` has the places for messages."""
+
+    source: Path | str
+    settings: Settings
+    scenario: Scenario = field(compare=False)
+
+
+class Avoiders:
+    """The avoiders that scenarios name, each made as seldom as nobody can tell.
+
+    Of a Python file nothing depends on a scenario but the file and the name in it: it is made once, and
+    keeps its memory if it has one.  The others are functions of their questions, made from their settings.
+    """
+
+    def __init__(self) -> None:
+        self._programs: dict[tuple[Path, str], tuple[Avoider, str]] = {}
+        self._others = lru_cache(maxsize=16)(lambda wanted: _made(wanted.scenario))
+
+    def of(self, scenario: Scenario) -> tuple[Avoider, str]:
+        """The avoider that ``scenario.avoider`` names, and its file's hash; errors as ``resolve_avoider``."""
+        path, name = _file_of(scenario.avoider, folder_of(scenario)), file_and_name(scenario.avoider)[1]
+        if path is None or not name:
+            return self._others(_Wanted(path or scenario.avoider, scenario.settings, scenario))
+        if (path, name) not in self._programs:
+            self._programs[path, name] = _made(scenario)
+        return self._programs[path, name]
+
+
+def _made(scenario: Scenario) -> tuple[Avoider, str]:
+    avoider = resolve_avoider(scenario.avoider, scenario, folder=folder_of(scenario))
+    return avoider, avoider_sha256(scenario)
 
 
 def resolve_avoider(
@@ -50,10 +85,40 @@ def resolve_avoider(
     such avoider or it is none, ModelError if a model file cannot be used.
     """
     place = place or scenario.place("avoider")
-    if reference == "opposite pose":
-        return OppositePose(scenario.settings.avoidance.radius_m)
-    if reference == "nearest candidate":
-        return NearestCandidate.of(scenario.settings)
+    path = _found(reference, folder, place)
+    if path is None:
+        opposite = reference == OPPOSITE
+        settings = scenario.settings
+        return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.of(settings)
+    name = file_and_name(reference)[1]
+    if name:
+        return isolated_avoider(path, name, place)
+    if reference.endswith(ONNX_SUFFIX):
+        return _from_onnx_file(path, scenario.settings)
+    return _from_model_file(path, scenario.settings)
+
+
+def refuse_unusable(
+    reference: str, scenario: Scenario, *, folder: Path | None, place: Place | None = None
+) -> None:
+    """As ``resolve_avoider`` refuses, as far as can be seen without executing anything of a user's.
+
+    A Python file is parsed, of an ONNX file the metadata are read; anything else is resolved.
+    """
+    place = place or scenario.place("avoider")
+    path, name = _found(reference, folder, place), file_and_name(reference)[1]
+    if path is not None and name:
+        refuse_undefined(path, name, place)
+    elif path is not None and reference.endswith(ONNX_SUFFIX):
+        _refuse_foreign_onnx(path, scenario.settings)
+    else:
+        resolve_avoider(reference, scenario, folder=folder, place=place)
+
+
+def _found(reference: str, folder: Path | None, place: Place) -> Path | None:
+    """The file that a reference means, which is there; None for an avoider of ours without one."""
+    if reference in (OPPOSITE, NEAREST):
+        return None
     path = _file_of(reference, folder)
     if path is None:
         near = get_close_matches(reference, NAMES, n=1)
@@ -63,16 +128,12 @@ def resolve_avoider(
         raise InadmissibleError(place=place, expected=FORMS, got=repr(reference), hint=hint)
     if not path.is_file():
         raise InadmissibleError(place=place, expected="a file that can be read", got=f"no such file: {path}")
-    if path.suffix == MODEL_SUFFIX:
-        return _from_model_file(path, scenario.settings)
-    if path.suffix == ONNX_SUFFIX:
-        return _from_onnx_file(path, scenario.settings)
-    return isolated_avoider(path, file_and_name(reference)[1], place)
+    return path
 
 
 def avoider_sha256(scenario: Scenario) -> str:
     """The hash of the file that the scenario's avoider comes from; empty for one without a file."""
-    path = _file_of(scenario.avoider, _folder_of(scenario))
+    path = _file_of(scenario.avoider, folder_of(scenario))
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -81,7 +142,22 @@ def command_line_reference(scenario: Scenario) -> str:
     file, name = file_and_name(scenario.avoider)
     if not file:
         return scenario.avoider
-    return os.path.relpath((_folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+    return os.path.relpath((folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+
+
+def scenario_of_avoider(reference: str) -> Scenario:
+    """A scenario that has nothing but an avoider: for who makes one without a file that names it."""
+    return Scenario(
+        name="avoider",
+        title="an avoider that is to be made",
+        about="",
+        duration_s=1.0,
+        seed=0,
+        start=OffsetStart(offset_in_base_m=(0.0, 0.0, 0.0)),
+        hands=(),
+        avoider=reference,
+        claims=(),
+    )
 
 
 def is_a_program(reference: str) -> bool:
@@ -89,7 +165,13 @@ def is_a_program(reference: str) -> bool:
     return bool(file_and_name(reference)[1])
 
 
-def _folder_of(scenario: Scenario) -> Path | None:
+def is_executed(reference: str) -> bool:
+    """Does a run with it execute a file: a program, or a function in ONNX, which may never end?"""
+    return is_a_program(reference) or reference.endswith(ONNX_SUFFIX)
+
+
+def folder_of(scenario: Scenario) -> Path | None:
+    """Where the scenario's relative files are sought from; None: the working directory."""
     return scenario.file.parent if scenario.file is not None else None
 
 
@@ -112,7 +194,7 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     file, name = file_and_name(reference)
     if file:
         path = resolved(Path(os.path.expanduser(file)))
-        reference = os.path.relpath(path, resolved(_folder_of(scenario) or Path()))
+        reference = os.path.relpath(path, resolved(folder_of(scenario) or Path()))
         reference += f":{name}" if name else ""
     if not is_sentence(reference):
         raise InadmissibleError(
@@ -122,9 +204,6 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
-    """Imported only here: a run with another avoider need not wait for it."""
-    from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
-
     try:
         with path.open("rb") as file:
             digest = hashlib.sha256(file.read(LARGEST_BYTES + 1)).hexdigest()
@@ -144,11 +223,13 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 
 def _from_onnx_file(path: Path, settings: Settings) -> Avoider:
-    """Imported only here: a run with another avoider need not wait for it."""
-    from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
-    from safety_harness.avoidance.model_file import refuse_foreign_seen_space
+    avoider = isolated_onnx(path, settings)
+    _refuse_foreign_onnx(path, settings)
+    return avoider
 
-    avoider, seen = isolated_onnx(path, settings)
+
+def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
+    """ModelError for a file of ours that was trained for another workspace; of others nothing is known."""
+    seen = exported_seen(path)
     if seen is not None:
         refuse_foreign_seen_space(seen, settings, path)
-    return avoider

@@ -10,10 +10,11 @@ from safety_harness.avoidance.asking import Elsewhere
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.batches import takes_many
 from safety_harness.controller.controller import Controller
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.simulate import simulate
 from safety_harness.simulation.simulate_many import Episode, simulate_many
-from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
 TICKS_AT_ONCE = 32_768  # of all episodes under way together: some 24 MB of trace
@@ -31,9 +32,8 @@ def run_kinematic(
     ``recorded`` and ``on_tick`` are as in ``run_trial``.  InadmissibleError for a scenario with rendered
     images.
     """
-    late = recorded_late(recorded)
     world = KinematicWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad)
-    trace = simulate(world, controller or admitted.controller(late), admitted.scenario, on_tick=on_tick)
+    trace = simulate(world, controller or admitted.controller(recorded), admitted.scenario, on_tick=on_tick)
     return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))
 
 
@@ -42,12 +42,13 @@ def run_many(scenarios: Iterable[Admitted], *, ticks_at_once: int = TICKS_AT_ONC
 
     Episodes run in chunks of ``ticks_at_once`` ticks, one of them at least, which bounds the memory as
     long as the caller lets go of the traces.  Within a chunk all go to their next decision together; an
-    avoider with ``propose_many`` is then asked once for all, and is never late by the clock.  Others are
-    asked in turn, by the clock, as in the slower loop.
+    avoider with ``propose_many`` is then asked once for all, others in turn.  NoAnswerError for one that
+    hangs; InadmissibleError for a scenario by the wall's clock, which is for the slower loop.
     """
     chunk: list[Admitted] = []
     ticks = 0
     for admitted in scenarios:
+        refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
         if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
             yield from _run_chunk(chunk)
             chunk, ticks = [], 0
@@ -61,25 +62,6 @@ def slower_because(avoider: Avoider) -> str:
     if avoider.takes_many if isinstance(avoider, Elsewhere) else takes_many(avoider):
         return ""
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
-
-
-def late_by_the_clock(avoider: Avoider) -> bool:
-    """Can an answer come too late because of the clock?
-
-    Not of an avoider that ``run_many`` asks for all decisions at once: it is waited for in either world, so
-    that runs for searching and estimating repeat on however busy a machine.
-    """
-    return bool(slower_because(avoider))
-
-
-def recorded_late(recorded: Trace | None) -> list[str]:
-    """How the decisions of an earlier run that came too late were recorded; empty for those in time."""
-    if recorded is None:
-        return []
-    return [
-        str(decision["fault"]) or "late" if int(decision["proposed_failed"]) & Check.LATE else ""
-        for decision in recorded.decisions
-    ]
 
 
 def _run_chunk(chunk: list[Admitted]) -> Iterator[Trace]:

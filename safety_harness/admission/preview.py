@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.admit import Admitted
+from safety_harness.admission.admit import Checked
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.camera import principal_point_px, transform_camera_to_tcp
@@ -48,11 +48,11 @@ class Preview:
         return tcp
 
 
-def preview_of(admitted: Admitted) -> Preview:
-    """The scene of an admitted scenario."""
-    scenario, arm = admitted.scenario, admitted.arm
+def preview_of(checked: Checked) -> Preview:
+    """The scene of a scenario that can be tried."""
+    scenario, arm = checked.scenario, checked.arm
     transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, admitted.joint_position_rad, transforms)
+    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, checked.joint_position_rad, transforms)
     return Preview(
         scenario=scenario,
         links_in_base_m=transforms[:, :3, 3].copy(),

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.exceptions import InadmissibleError, InputError, ModelError
 from safety_harness.scenario.model import Scenario
@@ -51,12 +51,13 @@ def draw_admissible(
     Their distribution is the space's own, given that the scenario can be tried.  InadmissibleError with the
     most frequent reason when fewer than one draw in HOPELESS is admitted: at most HOPELESS * (count + 1)
     draws are made.  ``on_draw`` is told how many draws have been made.  ValueError for a count below 1.
+    Nothing of a user's is executed.
     """
     if count < 1:
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()
     scenarios: list[Scenario] = []
-    avoiders: dict[str, Avoider] = {}
+    looker = Looker()
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
@@ -65,9 +66,7 @@ def draw_admissible(
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
             scenario = space.draw(seed, drawn)
-            # An avoider is made once: that it answers, and what else admission asks of it, does not vary.
-            known = avoiders.get(scenario.avoider)
-            avoiders[scenario.avoider] = admit(scenario, avoider=known, rehearsed=known is not None).avoider
+            looker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
             if _is_a_mistake(error):
@@ -88,18 +87,16 @@ def admit_points(
     ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
     are drawn for all points at once.  A mistake in the text itself is raised.
     """
-    avoiders: dict[str, Avoider] = {}
+    admitter = Admitter()
     for k, (values, seed) in enumerate(zip(space.values_at(u), seeds, strict=True)):
         try:
             scenario = space.scenario(values, seed=seed, name=f"{space.name}#{k}")
-            known = avoiders.get(scenario.avoider)
-            one = admit(scenario, avoider=known or avoider, rehearsed=known is not None)
+            one = admitter.admit(scenario) if avoider is None else admit(scenario, avoider=avoider)
         except InputError as error:
             if _is_a_mistake(error):
                 raise
             yield error
         else:
-            avoiders[scenario.avoider] = one.avoider
             yield one
 
 

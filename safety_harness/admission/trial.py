@@ -8,7 +8,6 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import recorded_late
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.consistency import refuse_contradictions
@@ -22,23 +21,18 @@ def run_trial(
     *,
     detector: BoundingBoxDetector | None = None,
     recorded: Trace | None = None,
-    by_the_clock: bool = True,
     on_tick: Callable[[int], None] | None = None,
 ) -> Trace:
     """Simulate; the world is closed on every path.
 
     ``detector`` takes the place of our own in a scenario whose hand sensor has rendered images;
-    ``recorded`` is an earlier trace of the same scenario, whose late decisions are late again, and no
-    others; without ``by_the_clock`` the avoider's answers count however long they take, so that the run
-    repeats on however busy a machine; ``on_tick`` is told the number of ticks done.
+    ``recorded`` is an earlier trace of the same scenario, whose times by the wall's clock count again;
+    ``on_tick`` is told the number of ticks done.  NoAnswerError for an avoider that hangs.
     """
-    late = recorded_late(recorded)
-    if not by_the_clock and recorded is None:
-        late = [""] * (admitted.scenario.ticks + 1)  # there is at most one decision a tick
     with PyBulletWorld(
         admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
     ) as world:
-        trace = simulate(world, admitted.controller(late), admitted.scenario, on_tick=on_tick)
+        trace = simulate(world, admitted.controller(recorded), admitted.scenario, on_tick=on_tick)
     return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))
 
 

@@ -4,26 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
+from safety_harness.avoidance.around import AvoiderAround
+from safety_harness.avoidance.avoider import Proposal, Vector
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class Asked(AvoiderAround):
     """Answers the question that was asked earlier, whatever it is asked now."""
 
-    avoider: Avoider
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
-
-    @property
-    def name(self) -> str:
-        """The avoider's own."""
-        return self.avoider.name
-
-    @property
-    def spread_threshold_m(self) -> float | None:
-        """The avoider's own; AvoiderError as there."""
-        return spread_threshold_of(self.avoider)
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int

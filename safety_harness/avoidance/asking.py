@@ -1,8 +1,7 @@
-"""Asking an avoider: whatever it does, an answer or a fault in words comes back, and soon.
+"""Asking an avoider: whatever it does, an answer or a fault in words comes back.
 
-Simulated time stands still while an avoider thinks; a real arm would not wait.  An answer that takes
-longer than the deadline is thrown away, and the decision is a fault like any other.  Time on a clock
-does not repeat, so that *whether* an answer was late is recorded, and a replay takes that from the record.
+What a decision costs in simulated time is declared (``decision_times``); how long an answer takes on the
+wall's clock is measured and changes nothing, unless it never comes: that ends the run.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import FrameType
 from typing import NamedTuple
 
@@ -30,8 +29,10 @@ from safety_harness.avoidance.avoider import (
     printable,
     spread_threshold_of,
 )
-from safety_harness.exceptions import AvoiderError
+from safety_harness.exceptions import AvoiderError, NoAnswerError
+from safety_harness.settings import DEFAULTS
 
+WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
 NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 
@@ -39,7 +40,8 @@ NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 class Answer:
     """One avoider's proposal, the largest spread that it may have, or why there is none.
 
-    ``latency_s`` is the wall-clock time that it took; ``late`` says that it was thrown away for it.
+    ``latency_s`` is the wall-clock time that it took; ``late``: in simulated time it comes after the
+    decision deadline, and is not asked for.
     """
 
     proposal: Proposal = field(default=NOWHERE)
@@ -50,30 +52,29 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """One question; ``timed``: by the clock, with the deadline, else waited for."""
+    """One question, and how long its answer is waited for on the wall's clock."""
 
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
     seed: int
-    deadline_s: float
-    timed: bool
+    limit_s: float
 
 
 class Elsewhere(ABC):
-    """An avoider in another process, which keeps the deadlines itself."""
+    """An avoider in another process, which keeps the wall limit itself."""
 
     takes_many: bool  # in one call
 
     @abstractmethod
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """One for each; ``together``: in one call if the avoider takes many, and then without a deadline.
+        """One for each; ``together``: in one call if the avoider takes many.
 
-        SimulationError if there is no such process and none can be had.
+        NoAnswerError; SimulationError if there is no such process and none can be had.
         """
 
 
-class _TooLate(BaseException):
-    """Raised within an avoider at the deadline; not an Exception, which it might catch."""
+class _Hangs(BaseException):
+    """Raised within an avoider at the wall limit; not an Exception, which it might catch."""
 
 
 def ask(
@@ -82,31 +83,21 @@ def ask(
     hand_position_in_base_m: Vector,
     tcp_position_in_base_m: Vector,
     seed: int,
-    deadline_s: float,
-    late: bool | None = None,
+    limit_s: float = WALL_LIMIT_S,
 ) -> Answer:
     """One avoider's answer.
 
-    Whatever it raises becomes a fault in words; only the interpreter's own exits pass.  At
-    ``deadline_s`` it is interrupted where it runs Python on the main thread; anything else is waited
-    for, and then thrown away.  ``late`` is what a record says about it: True does not ask at all,
-    False waits for ever, None leaves it to the clock.
+    Whatever it raises becomes a fault in words; only the interpreter's own exits pass.  NoAnswerError if
+    it takes longer than ``limit_s`` on the wall's clock: where it runs Python on the main thread it is
+    interrupted then, anything else in this process is waited for.
     """
-    if late:
-        return Answer(fault=late_fault(deadline_s), late=True)
     one, hand, tcp = addressed(avoider, hand_position_in_base_m, tcp_position_in_base_m)
     if isinstance(one, Elsewhere):
-        return one.answers([Question(hand, tcp, seed, deadline_s, late is None)], together=False)[0]
+        return one.answers([Question(hand, tcp, seed, limit_s)], together=False)[0]
     begun_s = time.perf_counter()
-    try:
-        with _interrupted_after(np.inf if late is False else deadline_s):
-            answer = _ask(avoider, hand_position_in_base_m.copy(), tcp_position_in_base_m.copy(), seed)
-    except _TooLate:
-        answer = Answer()
-    latency_s = time.perf_counter() - begun_s
-    if late is None and latency_s > deadline_s:
-        return Answer(fault=late_fault(deadline_s), late=True, latency_s=latency_s)
-    return Answer(answer.proposal, answer.spread_threshold_m, answer.fault, latency_s=latency_s)
+    with interrupted_after(limit_s, avoider.name):
+        answer = _ask(avoider, hand_position_in_base_m.copy(), tcp_position_in_base_m.copy(), seed)
+    return replace(answer, latency_s=time.perf_counter() - begun_s)
 
 
 def addressed(avoider: Avoider, hand: Vector, tcp: Vector) -> tuple[Avoider, Vector, Vector]:
@@ -128,6 +119,8 @@ def _ask(avoider: Avoider, hand_in_base_m: Vector, tcp_in_base_m: Vector, seed: 
             hand_position_in_base_m=hand_in_base_m, tcp_position_in_base_m=tcp_in_base_m, seed=seed
         )
         return answer_of(proposal, threshold_m)
+    except NoAnswerError:  # of an avoider that it asks
+        raise
     except AvoiderError as error:
         return Answer(fault=printable(str(error)) or "AvoiderError")
     except Exception as error:  # a user's code may raise anything
@@ -144,20 +137,25 @@ def answer_of(proposal: object, threshold_m: float | None) -> Answer:
 
 
 @contextmanager
-def _interrupted_after(seconds: float) -> Iterator[None]:
-    """Raise _TooLate within after ``seconds``, where a timer signal can be had: there is one a process."""
+def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
+    """NoAnswerError if what is within takes longer: at once where a timer signal can be had, or after it."""
+    begun_s = time.perf_counter()
     free = threading.current_thread() is threading.main_thread() and hasattr(signal, "setitimer")
-    if not np.isfinite(seconds) or not free or signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
-        yield
-        return
+    timed = free and np.isfinite(limit_s) and signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        raise _TooLate
+        raise _Hangs
 
-    before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGALRM, interrupt) if timed else None
     try:
+        if timed:
+            signal.setitimer(signal.ITIMER_REAL, limit_s)
         yield
+    except _Hangs:
+        raise NoAnswerError(name, limit_s) from None
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        if timed:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+    if time.perf_counter() - begun_s > limit_s:
+        raise NoAnswerError(name, limit_s)

@@ -4,47 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from safety_harness.avoidance.asking import Answer, Elsewhere, Question, addressed, ask
+from safety_harness.avoidance.asking import Answer, Elsewhere, Question, addressed
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.batches import answers_together, takes_many
-from safety_harness.avoidance.gate import Query
+from safety_harness.avoidance.gate import Query, answer_to
 
 
-def ask_many(
-    avoiders: Sequence[Avoider], queries: Sequence[Query], deadlines_s: Sequence[float]
-) -> list[Answer]:
+def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
     """The answers, in order; those of ``ask`` bit for bit, but for their latency.
 
-    A question of a batch has no time of its own on the clock: its latency is NaN, not timed, and it is
-    never late, but where the query says so.  Questions that are asked in turn are timed.  An avoider in
-    another process gets all its questions in one message, and does either there.
+    A question of a batch has no time of its own on the clock: its latency is NaN, not timed.  Questions
+    that are asked in turn are timed.  An avoider in another process gets all its questions in one
+    message, and does either there.  NoAnswerError for one that hangs.
     """
     answers = [Answer()] * len(queries)
     together: dict[int, tuple[Avoider, list[tuple[int, Question]]]] = {}
-    for k, (avoider, query, deadline_s) in enumerate(zip(avoiders, queries, deadlines_s, strict=True)):
+    for k, (avoider, query) in enumerate(zip(avoiders, queries, strict=True)):
         one, hand, tcp = addressed(avoider, query.hand_position_in_base_m, query.tcp_position_in_base_m)
         if (takes_many(one) or isinstance(one, Elsewhere)) and not query.late:
-            question = Question(hand, tcp, query.seed, deadline_s, query.late is None)
+            question = Question(hand, tcp, query.seed, query.limit_s)
             together.setdefault(id(one), (one, []))[1].append((k, question))
         else:
-            answers[k] = ask_one(avoider, query, deadline_s)
+            answers[k] = answer_to(avoider, query)
     for one, numbered in together.values():
         found = _answers(one, [question for _, question in numbered])
         for row, (k, _) in enumerate(numbered):
-            answers[k] = found[row] if found else ask_one(avoiders[k], queries[k], deadlines_s[k])
+            answers[k] = found[row] if found else answer_to(avoiders[k], queries[k])
     return answers
-
-
-def ask_one(avoider: Avoider, query: Query, deadline_s: float) -> Answer:
-    """One answer, by the clock."""
-    return ask(
-        avoider,
-        hand_position_in_base_m=query.hand_position_in_base_m,
-        tcp_position_in_base_m=query.tcp_position_in_base_m,
-        seed=query.seed,
-        deadline_s=deadline_s,
-        late=query.late,
-    )
 
 
 def _answers(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:

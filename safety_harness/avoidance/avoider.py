@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import AvoiderError
+from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
 MOST_WORDS = 1_000
@@ -40,8 +41,9 @@ class Proposal:
 class Avoider(Protocol):
     """What a user's own avoider has to offer.
 
-    It may also have an attribute ``spread_threshold_m`` (a number, or None): the gate then refuses
-    a proposal whose spread is above it on any axis.
+    It may also have attributes ``spread_threshold_m`` (a number, or None): the gate then refuses
+    a proposal whose spread is above it on any axis; and ``decision_time_s`` (a number): what a decision
+    costs in simulated time, where the scenario's settings do not say otherwise.
     """
 
     @property
@@ -68,6 +70,22 @@ def spread_threshold_of(avoider: Avoider) -> float | None:
     if not number or isinstance(threshold, bool) or not 0.0 <= threshold < np.inf:
         raise AvoiderError(f"spread_threshold_m must be a length in metres, or None; got {threshold!r}")
     return float(threshold)
+
+
+def decision_time_of(avoider: Avoider) -> float:
+    """What the avoider declares that a decision costs [s]; 0 for nothing declared.
+
+    AvoiderError for what is no such time.
+    """
+    time_s = getattr(avoider, "decision_time_s", None)
+    if time_s is None:
+        return 0.0
+    number = isinstance(time_s, int | float | np.integer | np.floating)
+    if not number or isinstance(time_s, bool) or not 0.0 <= time_s <= LONGEST_S:
+        raise AvoiderError(
+            f"decision_time_s must be a time from 0 s to {LONGEST_S:g} s, or None; got {time_s!r}"
+        )
+    return float(time_s)
 
 
 def printable(text: str) -> str:

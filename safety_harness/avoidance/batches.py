@@ -9,10 +9,11 @@ from typing import Protocol, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asking import Answer, Question, answer_of
+from safety_harness.avoidance.asking import Answer, Question, answer_of, interrupted_after
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
 
 Vectors = NDArray[np.float64]  # (n, 3)
+EACH_S = 1.0
 
 
 class BatchAvoider(Protocol):
@@ -41,18 +42,25 @@ def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
     return callable(getattr(avoider, "propose_many", None))
 
 
+def limit_of(questions: Sequence[Question]) -> float:
+    """How long the answers to questions asked together are waited for; then they are asked in turn."""
+    return max(question.limit_s for question in questions) + EACH_S * len(questions)
+
+
 def answers_together(avoider: BatchAvoider, questions: Sequence[Question]) -> list[Answer]:
     """The answers to questions asked together; none where they have to be asked in turn.
 
-    That is where the avoider raises, or does not return two arrays (n, 3): whose fault it is shows then.
+    That is where the avoider raises, hangs, or does not return two arrays (n, 3): whose fault it is shows
+    then.
     """
     try:
         threshold_m = spread_threshold_of(avoider)
-        positions, spreads = avoider.propose_many(
-            np.array([question.hand_position_in_base_m for question in questions]),
-            np.array([question.tcp_position_in_base_m for question in questions]),
-            np.array([question.seed for question in questions], dtype=np.uint64),
-        )
+        with interrupted_after(limit_of(questions), avoider.name):
+            positions, spreads = avoider.propose_many(
+                np.array([question.hand_position_in_base_m for question in questions]),
+                np.array([question.tcp_position_in_base_m for question in questions]),
+                np.array([question.seed for question in questions], dtype=np.uint64),
+            )
         if np.shape(positions) != (len(questions), 3) or np.shape(spreads) != (len(questions), 3):
             return []
         return [

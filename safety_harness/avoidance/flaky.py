@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.asking import Answer, ask
-from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.avoider import Avoider, Vector
 from safety_harness.exceptions import FlakyAvoiderError
-from safety_harness.scenario.faults import AvoiderFault
+from safety_harness.scenario.faults import AvoiderNaN
 from safety_harness.trace.records import FAULT_CHARACTERS, Check
 from safety_harness.trace.trace import Trace
 
@@ -16,24 +16,35 @@ from safety_harness.trace.trace import Trace
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
     """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless the bits are the same.
 
-    Answers that came too late, and those that a simulated fault delayed or spoilt, are left out.
+    Answers that came too late, and those that a simulated fault spoilt, are left out.
     """
-    spoilt = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderFault))
+    spoilt = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderNaN))
     for number, decision in enumerate(trace.decisions):
         if int(decision["proposed_failed"]) & Check.LATE:
             continue
         if int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
             continue
+        hand_in_base_m, tcp_in_base_m = _question(trace, decision)
         answer = ask(
             avoider,
-            hand_position_in_base_m=decision["hand_position_in_base_m"],
-            tcp_position_in_base_m=decision["tcp_position_in_base_m"],
+            hand_position_in_base_m=hand_in_base_m,
+            tcp_position_in_base_m=tcp_in_base_m,
             seed=int(decision["seed"]),
-            deadline_s=np.inf,
-            late=False,
+            limit_s=trace.scenario.settings.clock.wall_limit_s,
         )
         if not _same(decision, answer):
             raise FlakyAvoiderError(_difference(trace, number, decision, answer))
+
+
+def _question(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
+    """The hand and the TCP (3,) that the avoider was asked about, which may have been some ticks before."""
+    if decision["asked_tick"] == decision["tick"]:
+        return decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
+    tick = trace.ticks[int(decision["asked_tick"])]
+    tcp_in_base_m = tick["transform_tcp_to_base"][:3, 3].copy()
+    hands_in_base_m = tick["predicted_hand_in_base_m"][tick["track_valid"]]
+    nearest = int(np.argmin(np.linalg.norm(hands_in_base_m - tcp_in_base_m, axis=1)))
+    return hands_in_base_m[nearest], tcp_in_base_m
 
 
 def _same(decision: np.void, answer: Answer) -> bool:

@@ -7,12 +7,12 @@ limits along the whole straight way, not a radius.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
 
-from safety_harness.avoidance.asking import NOWHERE, Answer, ask
+from safety_harness.avoidance.asking import NOWHERE, WALL_LIMIT_S, Answer, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
@@ -39,7 +39,8 @@ class Query:
     joint_position_rad: Vector  # (6,)
     hands_in_base_m: Vector  # (k, 3)
     seed: int
-    late: bool | None = None  # what a record says of the answer; None leaves it to the clock
+    late: str = ""  # why there is no answer in simulated time; empty if there is one
+    limit_s: float = WALL_LIMIT_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,6 @@ class Gate:
     fallback: OppositePose
     min_singular_value: float
     lowest_tcp_height_m: float
-    decision_deadline_s: float
     kind: GateKind = GateKind.FULL
     reach_margin_m: float = REACH_MARGIN_M
     own_clearance_m: float = OWN_CLEARANCE_M
@@ -83,18 +83,17 @@ class Gate:
             OppositePose(settings.avoidance.radius_m),
             settings.motion.min_singular_value,
             settings.cell.table_height_m + settings.avoidance.table_clearance_m,
-            settings.avoidance.decision_deadline_s,
             settings.avoidance.gate,
             capsules=load_capsules(kinematics.arm.name),
         )
 
     def rule(self, avoider: Avoider, query: Query) -> Ruling:
         """Ask the avoider, then ``rule_on`` its answer."""
-        return self.rule_on(self._ask(avoider, query, self.decision_deadline_s, query.late), query)
+        return self.rule_on(answer_to(avoider, query), query)
 
     def rule_on(self, proposed: Answer, query: Query) -> Ruling:
         """Check the avoider's answer, fall back to the opposite pose, else stop."""
-        opposite = self._ask(self.fallback, query, np.inf, None)
+        opposite = answer_to(self.fallback, replace(query, late=""))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:
             outcome, chosen = Outcome.PROPOSED, proposed.proposal
@@ -112,16 +111,6 @@ class Gate:
             proposed.spread_threshold_m,
             proposed.fault,
             proposed.latency_s,
-        )
-
-    def _ask(self, avoider: Avoider, query: Query, deadline_s: float, late: bool | None) -> Answer:
-        return ask(
-            avoider,
-            hand_position_in_base_m=query.hand_position_in_base_m,
-            tcp_position_in_base_m=query.tcp_position_in_base_m,
-            seed=query.seed,
-            deadline_s=deadline_s,
-            late=late,
         )
 
     def _failed(self, answer: Answer, query: Query) -> Check:
@@ -186,6 +175,19 @@ class Gate:
                 return True
             joints = following
         return False
+
+
+def answer_to(avoider: Avoider, query: Query) -> Answer:
+    """The avoider's answer, or the fault of one that comes too late in simulated time; NoAnswerError."""
+    if query.late:
+        return Answer(fault=query.late, late=True)
+    return ask(
+        avoider,
+        hand_position_in_base_m=query.hand_position_in_base_m,
+        tcp_position_in_base_m=query.tcp_position_in_base_m,
+        seed=query.seed,
+        limit_s=query.limit_s,
+    )
 
 
 def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) -> bool:

@@ -60,6 +60,14 @@ class Fields:
         text = repr(value)
         refuse(self._path, name, expected, text if len(text) <= 80 else text[:77] + "...")
 
+    def __contains__(self, name: str) -> bool:
+        value = self._root
+        for part in name.split("."):
+            if not isinstance(value, dict) or part not in value:
+                return False
+            value = value[part]
+        return True
+
     def get(self, name: str) -> Any:
         """The value of a field that has to be there."""
         value = self._root

@@ -21,6 +21,7 @@ from safetensors.numpy import save
 
 from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, Bounds, Fields, refuse
 from safety_harness.exceptions import ModelError, OutputError, Place
+from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
 from safety_harness.settings import Settings, Vector3
 from safety_harness.whole_file import replacing
@@ -32,6 +33,7 @@ LARGEST_BYTES = 64 * 2**20
 LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
+CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
 FARTHEST_M = 10.0  # a seen space beyond it is not in metres, or not around a robot's base
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
@@ -235,6 +237,7 @@ def _parse(data: bytes, path: Path) -> Model:
         card=fields.table("card"),
         tensors=_tensors(stored, members, path),
     )
+    card_time_of(fields)
     fields.no_others(None, metadata_of(model))
     return model
 
@@ -267,6 +270,12 @@ def calibration_of(fields: Fields) -> Calibration | None:
     )
     own = ("interval_multiplier", "spread_threshold_m", "residual_std_m", "samples")
     return replace(calibration, more={key: value for key, value in more.items() if key not in own})
+
+
+def card_time_of(fields: Fields) -> float:
+    """What the card in a model's metadata declares that a decision costs [s]; 0 where it does not."""
+    name = f"card.{CARD_TIME}"
+    return fields.number(name, Bounds(0.0, LONGEST_S)) if name in fields else 0.0
 
 
 def _tensors(

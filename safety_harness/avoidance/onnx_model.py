@@ -8,6 +8,7 @@ Outputs
     spread_m, if the file knows one: (1, 3), one standard deviation by axis, metres.
 Metadata
     spread_threshold_m, if there is to be one: the largest spread with which a proposal is used, as text.
+    decision_time_s, if there is to be one: what a decision costs in simulated time, as text.
 
 A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
 them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.json_fields import Bounds, Fields, refuse
 from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import (
+    CARD_TIME,
     KEY,
     LARGEST_DROPOUT,
     MOST_PASSES,
@@ -39,9 +41,11 @@ from safety_harness.avoidance.model_file import (
     Dropout,
     SeenSpace,
     calibration_of,
+    card_time_of,
     seen_of,
 )
 from safety_harness.exceptions import ModelError, Place
+from safety_harness.scenario.decision_times import LONGEST_S
 
 EXPORT_FORMAT = "safety-harness export 1"
 HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
@@ -60,6 +64,7 @@ class Exported:
     passes: int
     seen: SeenSpace
     spread_threshold_m: float | None
+    decision_time_s: float
 
     @classmethod
     def of(cls, path: Path, text: str) -> Exported:
@@ -75,6 +80,7 @@ class Exported:
             passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
             seen=seen_of(fields),
             spread_threshold_m=None if calibration is None else calibration.spread_threshold_m,
+            decision_time_s=card_time_of(fields),
         )
 
     @property
@@ -94,6 +100,7 @@ class OnnxAvoider:
 
     name: str
     spread_threshold_m: float | None
+    decision_time_s: float
     _session: Any
     _dtypes: Mapping[str, str]  # of the inputs
     _outputs: tuple[str, ...]
@@ -117,10 +124,12 @@ class OnnxAvoider:
         session = open_session(path, data)
         own = dict(session.get_modelmeta().custom_metadata_map)
         exported = Exported.of(path, own[KEY]) if KEY in own else None
-        threshold_m = _length(path, own.get(THRESHOLD)) if exported is None else exported.spread_threshold_m
+        threshold_m = _number(path, own, THRESHOLD) if exported is None else exported.spread_threshold_m
         outputs = _outputs(path, session, spread_wanted=exported is not None or threshold_m is not None)
         name = "".join(c if c.isprintable() else "?" for c in f"ONNX model {path.name}")
-        avoider = cls(name, threshold_m, session, _inputs(path, session, exported), outputs, exported)
+        plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
+        time_s = plain_s if exported is None else exported.decision_time_s
+        avoider = cls(name, threshold_m, time_s, session, _inputs(path, session, exported), outputs, exported)
         avoider._try(path, hand, tcp)
         return avoider
 
@@ -226,17 +235,19 @@ def _fits(shape: list[int | str | None], rest: tuple[int, ...]) -> bool:
     return shape[0] in (1, None) or isinstance(shape[0], str)
 
 
-def _length(path: Path, text: str | None) -> float | None:
-    """The plain spread threshold [m] of anybody's file."""
+def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
+    """The plain spread threshold [m] of anybody's file, or its decision time [s]."""
+    text = metadata.get(key)
     if text is None:
         return None
     try:
-        length_m = float(text)
+        number = float(text)
     except ValueError:
-        length_m = float("nan")
-    if not (isfinite(length_m) and length_m >= 0.0):
-        refuse(path, THRESHOLD, "a length in metres, at least 0", repr(text[:80]))
-    return length_m
+        number = float("nan")
+    if not (isfinite(number) and 0.0 <= number <= most):
+        kind = "a length in metres, at least 0" if key == THRESHOLD else f"a time from 0 s to {most:g} s"
+        refuse(path, key, kind, repr(text[:80]))
+    return number
 
 
 def _words(error: Exception) -> str:

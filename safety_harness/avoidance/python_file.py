@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
 
-from safety_harness.avoidance.avoider import Avoider, described, spread_threshold_of
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, described, spread_threshold_of
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 
@@ -73,12 +73,16 @@ class PythonFile:
         if not isinstance(called, str) or not is_sentence(called):
             self._refuse(f"{name} to have a name, {SENTENCE}", repr(called))
         avoider: Avoider = found  # type: ignore[assignment]  # as has just been looked at
-        try:
-            spread_threshold_of(avoider)
-        except AvoiderError as error:
-            self._refuse(f"{name} to have a spread_threshold_m that is a length, or none", str(error))
-        except Exception as error:  # a user's property
-            self._raised(f"{name} to have a spread_threshold_m that can be read", error)
+        for read, attribute, kind in (
+            (spread_threshold_of, "spread_threshold_m", "a length"),
+            (decision_time_of, "decision_time_s", "a time"),
+        ):
+            try:
+                read(avoider)
+            except AvoiderError as error:
+                self._refuse(f"{name} to have a {attribute} that is {kind}, or none", str(error))
+            except Exception as error:  # a user's property
+                self._raised(f"{name} to have a {attribute} that can be read", error)
         return avoider
 
     def _raised(self, expected: str, error: BaseException) -> NoReturn:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.statistics.paired import Comparison, compare
 
 
@@ -61,15 +60,7 @@ def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]
 
 def _refuse_other_spaces(first: Ledger, second: Ledger) -> None:
     """Common random numbers are common only where the spaces are."""
-    texts = [
-        sorted(
-            file.sha256
-            for file in ledger.files[1:]
-            if not file.name.endswith((".py", MODEL_SUFFIX, ONNX_SUFFIX))
-        )
-        for ledger in (first, second)
-    ]
-    if texts[0] != texts[1]:
+    if first.draws_sha256 != second.draws_sha256:
         raise LedgerError(
             place=Place(file=second.path),
             expected=f"a campaign over the same spaces as {first.path}",

@@ -1,8 +1,9 @@
-"""What a ledger says of its plan, as it was declared before the first episode."""
+"""What a ledger says of its plan, as it was when the ledger was begun."""
 
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from safety_harness.campaign.opening import explained
 from safety_harness.campaign.plan import Plan
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
+from safety_harness.scenario.references import portable
 
 
 @dataclass(frozen=True)
@@ -32,11 +34,11 @@ class Declared:
     targets: tuple[float | None, ...]
 
 
-def declare(connection: sqlite3.Connection, plan: Plan) -> None:
-    """Write the plan down, with all its files."""
+def declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
+    """Write the plan down, with all its files, in the ledger of that path."""
     about = {
         "title": plan.title,
-        "plan file": str(plan.file.resolve()),
+        "plan file": portable(os.path.relpath(plan.file.resolve(), ledger.resolve().parent), ledger.parent),
         "identity": plan.identity.as_json(),
         "plan": json.dumps(
             {
@@ -67,7 +69,7 @@ def read_declared(connection: sqlite3.Connection, path: Path) -> Declared:
         plan = json.loads(about["plan"])
         return Declared(
             title=about["title"],
-            plan_file=Path(about["plan file"]),
+            plan_file=path.parent / about["plan file"],
             identity=Identity.from_json(about["identity"]),
             seed=int(plan["seed"]),
             world=str(plan["world"]),

@@ -13,24 +13,23 @@ from typing import TypeVar
 
 import numpy as np
 
-from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import is_a_program
+from safety_harness.admission.admit import Admitted, Admitter
+from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import late_by_the_clock, run_many
+from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import HOPELESS, why_refused
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.avoider import Avoider, described
+from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.campaign.rows import Judgement, Row
 from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.coverage import cell_of
-from safety_harness.search.trials import WITHOUT_FILE, mishap_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.space.regions import Seen, seen_by
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import Check
@@ -76,8 +75,7 @@ class Bench:
     plan: Plan
     worker: str = ""
     programs: bool = True
-    _avoiders: dict[str, Avoider] = field(default_factory=dict)
-    _seen: dict[str, Seen] = field(default_factory=dict)
+    _admitter: Admitter = field(default_factory=Admitter, init=False)
     _random: dict[int, frozenset[int]] = field(default_factory=dict)
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
@@ -121,13 +119,9 @@ class Bench:
         return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=HOPELESS)
 
     def _admit(self, scenario: Scenario) -> Admitted:
-        if not self.programs and is_a_program(scenario.avoider):
+        if not self.programs and is_executed(scenario.avoider):
             raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
-        known = self._avoiders.get(scenario.avoider)
-        admitted = admit(scenario, avoider=known, rehearsed=known is not None)
-        if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
-            self._avoiders[scenario.avoider] = admitted.avoider
-        return admitted
+        return self._admitter.admit(scenario)
 
     def _together(self, stratum: int, episodes: Sequence[int], keep_violations: bool) -> Iterator[Row]:
         begun_s = time.perf_counter()
@@ -192,10 +186,10 @@ class Bench:
             proposed=int(np.count_nonzero(decided == Decided.PROPOSED)),
             opposite=int(np.count_nonzero(decided == Decided.OPPOSITE)),
             stopped=int(np.count_nonzero(decided == Decided.STOP)),
-            faults=int(np.count_nonzero(run.decisions["fault"] != "")),
+            faults=int(np.count_nonzero(unanswered(run))),
             late=int(np.count_nonzero(run.decisions["proposed_failed"] & Check.LATE)),
             cell=self._cell(run),
-            mishap=mishap_of(run),
+            mishap=fault_of(run),
             failure=broken,
             worker=self.worker,
         )
@@ -206,13 +200,7 @@ class Bench:
         return self._random[stratum]
 
     def _cell(self, run: Trace) -> str:
-        scenario = run.scenario
-        if scenario.avoider not in self._seen:
-            folder = scenario.file.parent if scenario.file else None
-            self._seen[scenario.avoider] = seen_by(
-                scenario.avoider, folder=folder, settings=scenario.settings
-            )
-        cell = cell_of(run, self._seen[scenario.avoider])
+        cell = cell_of(run, self._admitter.seen_of(run.scenario))
         return "" if cell is None else str(cell)
 
 
@@ -269,7 +257,7 @@ def _where(error: Exception) -> str:
 
 def _in_pybullet(admitted: Admitted) -> Trace | Exception:
     try:
-        return run_trial(admitted, by_the_clock=late_by_the_clock(admitted.avoider))
+        return run_trial(admitted)
     except Exception as error:  # one run's failure is a result
         return error
 

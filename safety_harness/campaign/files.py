@@ -16,7 +16,7 @@ from safety_harness.scenario.references import file_and_name
 from safety_harness.space.space import ScenarioSpace
 
 MOST_BYTES = 200_000_000  # of all files together
-_PROSE = ("scenario space", "about", "claims")
+REFERRING = ("avoider", "recording")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def files_of_plan(
         folder = space.file.parent if space.file else Path()
         found.update(dict.fromkeys(_named_in(space.tree, folder)))
     if avoider is not None:
-        found.update(dict.fromkeys(_existing([avoider], plan.parent)))
+        found.update(dict.fromkeys(_existing([file_and_name(avoider)[0]], plan.parent)))
     root = Path(os.path.commonpath([path.parent for path in found]))
     files, size = [], 0
     for path in found:
@@ -80,27 +80,31 @@ def unpacked(files: Iterable[PlanFile], folder: Path) -> Path:
     return first
 
 
-def references_in(node: Node) -> Iterator[str]:
-    """Every text of a space that may name an avoider or a file: plain values, and their alternatives."""
+def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
+    """What a space says below ``keys``: plain values, and their alternatives.
+
+    No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
+    """
     if isinstance(node, Scalar):
         text = node.text
-        yield from text[7:].split(", ") if text.startswith("one of ") else [text]
+        if within:
+            yield from text[7:].split(", ") if text.startswith("one of ") else [text]
     elif isinstance(node, Mapping):
         for key, value in node.entries:
-            if key.text not in _PROSE:
-                yield from references_in(value)
+            if key.text != "chances":
+                yield from references_in(value, keys, within=within or key.text in keys)
     else:
         for item in node.items:
-            yield from references_in(item)
+            yield from references_in(item, keys, within=within)
 
 
 def _named_in(tree: Node, folder: Path) -> Iterator[Path]:
-    return _existing(references_in(tree), folder)
+    avoiders = (file_and_name(text)[0] for text in references_in(tree, ("avoider",)))
+    return _existing((*avoiders, *references_in(tree, ("recording",))), folder)
 
 
 def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:
-    for reference in references:
-        file = file_and_name(reference)[0] or reference
+    for file in references:
         try:
             path = resolved(folder / os.path.expanduser(file))
             if file and path.is_file():

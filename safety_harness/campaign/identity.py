@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.files import PlanFile, references_in
@@ -50,6 +51,7 @@ def identity_of(
     named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
+    import_module("safety_harness.simulation.pybullet_world")  # the same libraries are loaded, whoever asks
     made_by = provenance(world, "")
     parts["the source of this package"] = made_by.source_hash
     parts["Python"] = made_by.python

@@ -6,9 +6,11 @@ before leaves no part of a batch.  Others may read while one process writes.
 
 from __future__ import annotations
 
+import hashlib
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -23,10 +25,16 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
 from safety_harness.campaign.schema import create as create_tables
 from safety_harness.exceptions import LedgerError, OutputError, Place
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
 from safety_harness.whole_file import replacing
 
 _EPISODE = f"INSERT INTO episode VALUES ({', '.join('?' * 15)})"
+_SAMPLE = (
+    "SELECT j.episode, j.outcome, e.seed, j.exercised, j.margin FROM judgement j JOIN episode e "
+    "ON e.stratum = j.stratum AND e.episode = j.episode WHERE j.stratum = ? AND j.claim = ? "
+    "AND j.episode < coalesce(?, j.episode + 1)"
+)
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
 
 
@@ -52,7 +60,7 @@ class Ledger:
                 try:
                     connection.execute("BEGIN")
                     create_tables(connection)
-                    declare(connection, plan)
+                    declare(connection, plan, path)
                     connection.execute("COMMIT")
                 finally:
                     connection.close()
@@ -105,6 +113,16 @@ class Ledger:
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
+
+    @cached_property
+    def draws_sha256(self) -> str:
+        """Of the files that draw the scenarios: all but the plan's own, programs and networks."""
+        drawing = [
+            file.sha256
+            for file in self.files[1:]
+            if not file.name.endswith((".py", MODEL_SUFFIX, ONNX_SUFFIX))
+        ]
+        return hashlib.sha256("".join(sorted(drawing)).encode()).hexdigest()
 
     def record(self, rows: Iterable[Row]) -> None:
         """Note episodes down, all of them or none; LedgerError if one of them is there already."""
@@ -213,20 +231,25 @@ class Ledger:
         Both are named as the plan names them; KeyError for others.
         """
         declared = self.declared
-        number = _place(declared.strata, stratum)
-        episodes, outcomes, margins = self.outcomes(number, _place(declared.claims, claim))
+        number, of = _place(declared.strata, stratum), _place(declared.claims, claim)
         after = self.stopped_after(number)
-        first = len(episodes) if after is None else int(np.searchsorted(episodes, after))
+        rows = list(self.all(_SAMPLE, number, of, after))
         declaration = Declaration(
             plan_sha256=declared.identity.sha256,
+            draws_sha256=self.draws_sha256,
             stratum=stratum,
             seed=declared.seed,
             planned=declared.planned[number],
             world=declared.world,
             stop_early=declared.stop_early,
         )
-        rows = episodes[:first], outcomes[:first], margins[:first]
-        return IndependentSample.of_stream(declaration, *rows, claim=claim)
+        episodes, outcomes, seeds, exercised = (
+            np.array([row[k] for row in rows], np.int64) for k in range(4)
+        )
+        margins = np.array([np.nan if row[4] is None else row[4] for row in rows], np.float64)
+        return IndependentSample.of_stream(
+            declaration, episodes, outcomes, margins, seeds=seeds, exercised=exercised, claim=claim
+        )
 
     def execute(self, statement: str) -> None:
         """One statement in SQL, within a transaction."""

@@ -68,7 +68,9 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
             if alone:
                 _refuse_other_tables(connection, path)
             if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
-                found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+                found = connection.execute(f"PRAGMA {'integrity' if alone else 'quick'}_check(1)").fetchone()[
+                    0
+                ]
                 if found != "ok":
                     raise _error(path, _WHOLE, f"damage: {' '.join(found.split())}")
             if write:
@@ -109,13 +111,17 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
         create(whole)
-        known = dict(whole.execute("SELECT name, type FROM sqlite_master"))
+        known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
-    found = dict(connection.execute("SELECT name, type FROM sqlite_master"))
+    found = dict(connection.execute(_KINDS))
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
     if other:
         raise _error(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
+
+
+# What a view or an index says hangs on its text; of tables the columns are compared.
+_KINDS = "SELECT name, CASE WHEN type IN ('view', 'index') THEN sql ELSE type END FROM sqlite_master"
 
 
 def _columns(connection: sqlite3.Connection, table: str) -> list[tuple[str, int]]:

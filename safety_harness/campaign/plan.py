@@ -1,18 +1,19 @@
 """A plan: what is claimed, in which spaces, how often each is run, and what is kept of it.
 
-It is declared before anything runs, and its text is part of what its results are known by.
+Its text is part of what its results are known by; that it came first only a hash lodged elsewhere shows.
 docs/campaigns.md is the reference of the file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 
-from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.campaign.files import PlanFile, files_of_plan
+from safety_harness.campaign.files import PlanFile, files_of_plan, references_in
 from safety_harness.campaign.identity import Identity, identity_of, stratum_number
 from safety_harness.exceptions import Place
 from safety_harness.properties.base import Unit
@@ -187,6 +188,19 @@ def read_plan(path: Path) -> Plan:
         identity=identity_of(files, [s.space for s in strata], reference, planned_world.value),
         avoider_place=place,
     )
+
+
+def scenarios_by_avoider(plan: Plan) -> Iterator[Scenario]:
+    """One scenario of the plan for each avoider that its runs may have."""
+    seen: set[str] = set()
+    for stratum in plan.strata:
+        simplest = plan.with_avoider(stratum.space.simplest)
+        others = [] if plan.avoider else references_in(stratum.space.tree, ("avoider",))
+        for reference in (simplest.avoider, *others):
+            one = replace(simplest, avoider=reference)
+            if command_line_reference(one) not in seen:
+                seen.add(command_line_reference(one))
+                yield one
 
 
 def _from(folder: Path, reference: str) -> str:

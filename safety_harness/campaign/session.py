@@ -10,11 +10,12 @@ from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from safety_harness.admission.admit import refuse_no_answer
 from safety_harness.campaign.crew import Crew
 from safety_harness.campaign.files import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
-from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
 from safety_harness.campaign.processes import LIMITS, Limits, Processes
 from safety_harness.campaign.runner import Progress, run_campaign
 from safety_harness.campaign.worker import PlanFromFile
@@ -40,20 +41,39 @@ def carry_on(
 ) -> bool:
     """Run what is missing in the ledger at ``path``, which is made if it is not there; is it complete now?
 
-    LedgerError if it is another plan's, or if another runner is at work on it; otherwise as ``run_campaign``.
+    A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
+    is one for an avoider that cannot be made.  LedgerError if it is another plan's, or if another runner is
+    at work on it; otherwise as ``run_campaign``.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
-        known = path.exists()
-        opened = Ledger.open(path, write=True) if known else Ledger.create(path, plan)
-        ledger = stack.enter_context(opened)
-        ledger.refuse_other(plan.identity)
-        if all(next(ledger.missing(k), None) is None for k in range(len(plan.strata))):
-            return True
+        known = _known(path, plan)
+        if known is not None:
+            ledger = stack.enter_context(known)
+            ledger.refuse_other(plan.identity)
+            if all(next(ledger.missing(k), None) is None for k in range(len(plan.strata))):
+                return True
+        for scenario in scenarios_by_avoider(plan):
+            refuse_no_answer(scenario)
+        if known is None:
+            ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
         return run_campaign(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
+
+
+def _known(path: Path, plan: Plan) -> Ledger | None:
+    """The ledger at ``path``, to be written; None for none, or another plan's in which nothing was run."""
+    if not path.exists():
+        return None
+    ledger = Ledger.open(path, write=True)
+    changed = ledger.declared.identity.changes(plan.identity)
+    if not changed or next(ledger.all("SELECT 1 FROM episode LIMIT 1"), None):
+        return ledger
+    ledger.close()
+    path.unlink()
+    return None
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import numpy as np
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
-from safety_harness.statistics.binomial import chance_of_each
+from safety_harness.statistics.binomial import chance_of_each, ends_of
 from safety_harness.statistics.sample import Outcome
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
@@ -28,7 +28,7 @@ class Stopping:
     def __init__(self, plan: Plan, ledger: Ledger) -> None:
         self._targets = [one.target for one in plan.claims]
         self._active = plan.stop_early and None not in self._targets
-        self._chance = chance_of_each(plan.confidence, len(plan.claims) * len(plan.strata))
+        self._chance = chance_of_each(plan.confidence, ends_of(len(plan.claims), len(plan.strata)))
         count = len(plan.strata)
         self._counts = np.zeros((count, len(plan.claims), len(Outcome)), np.int64)
         self._reached = [0] * count

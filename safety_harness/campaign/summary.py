@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
+from dataclasses import dataclass
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.tally import ClaimTally, StratumTally, Tally
+from safety_harness.properties.answered import fallback_words
 from safety_harness.statistics.sample import Outcome
 
 _COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
@@ -38,6 +40,32 @@ def tally_of(ledger: Ledger) -> Tally:
     for stratum, count in ledger.all(_FAILED):
         strata[stratum].failed = count
     return Tally(strata)
+
+
+@dataclass(frozen=True)
+class FallbackTally:
+    """In how many ``decisions`` the avoider gave no answer, in how many ``episodes``, and why most often."""
+
+    unanswered: int
+    decisions: int
+    episodes: int
+    reason: str
+
+    @property
+    def words(self) -> str:
+        """For headlines; empty if it always answered."""
+        return fallback_words(self.unanswered, self.decisions)
+
+
+def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
+    """Of one stratum, or of all that is there now."""
+    within = (stratum is None, stratum)
+    counts = "SELECT coalesce(sum(faults), 0), coalesce(sum(decisions), 0), count(mishap) FROM episode"
+    ((unanswered, decisions, episodes),) = ledger.all(f"{counts} WHERE ? OR stratum = ?", *within)
+    often = "SELECT mishap FROM episode WHERE (? OR stratum = ?) AND mishap IS NOT NULL"
+    words = ledger.all(f"{often} GROUP BY mishap ORDER BY count(*) DESC, mishap LIMIT 1", *within)
+    reason = next((why for (why,) in words), "")
+    return FallbackTally(int(unanswered), int(decisions), int(episodes), reason)
 
 
 def fingerprint_of(ledger: Ledger) -> str:

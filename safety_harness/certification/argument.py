@@ -84,7 +84,8 @@ def argument_of(evidence: Evidence) -> Element:
     make = _Maker()
     top = make(
         Kind.GOAL,
-        f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks",
+        f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
+        + (f"; {evidence.fallback}" if evidence.fallback else ""),
         "claims",
         STATE[evidence.standing],
         beside=(

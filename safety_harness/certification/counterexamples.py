@@ -154,8 +154,7 @@ def _evidence(
     scenario: str,
     lines: Sequence[str],
 ) -> CounterexampleEvidence:
-    sentences = [one.sentence for one in run.trace.scenario.claims]
-    place = sentences.index(sentence) if sentence in sentences else None
+    of = run.under(sentence).about
     return CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,
@@ -163,7 +162,7 @@ def _evidence(
         origin=origin,
         independent=independent,
         like_it=like_it,
-        margin="\u2013" if place is None else margin_words(run.evaluations[place]),
+        margin="\u2013" if of is None else margin_words(run.evaluations[of]),
         scenario_file=scenario,
         trace_file=trace,
         command=shlex.join(["safety-harness", "replay", trace]),

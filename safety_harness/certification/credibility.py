@@ -24,10 +24,17 @@ NO_CELL = "Nothing here was measured on a real cell."
 
 
 def credibility_of(
-    stored: Sequence[Stored], *, oracles: tuple[Oracle, ...] = (), oracles_with: str = ""
+    stored: Sequence[Stored],
+    *,
+    oracles: tuple[Oracle, ...] = (),
+    oracles_with: str = "",
+    reruns: tuple[Rerun, ...] | None = None,
 ) -> Credibility:
-    """What is known, and what is not and why."""
-    reruns, absent = reruns_of(stored)
+    """What is known, and what is not and why; ``reruns`` in place of runs that are made again."""
+    chosen = _spread_over([one.trace for one in stored])
+    absent = _no_reruns(chosen)
+    if reruns is None or absent:
+        reruns = () if absent else _reruns_of(chosen)
     try:
         agreement = agreement_of()
     except OSError:
@@ -62,13 +69,17 @@ def agreement_of() -> Agreement:
     )
 
 
-def reruns_of(stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], list[str]]:
-    """Declared random runs with smaller physics steps, and in the other world."""
-    chosen = _spread_over([one.trace for one in stored])
+def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
+    """Why no run is made again; empty if some are."""
     if not chosen:
-        return (), ["No declared random run was stored, so none was made again with other step sizes."]
+        return ["No declared random run was stored, so none was made again with other step sizes."]
     if any(is_a_program(trace.scenario.avoider) for trace in chosen):
-        return (), ["Runs of a program of the user's are not made again here: verify does, when told to."]
+        return ["Runs of a program of the user's are not made again here: verify does, when told to."]
+    return []
+
+
+def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
+    """Declared random runs with smaller physics steps, and in the other world."""
     found = []
     if chosen[0].provenance.world == PyBulletWorld.name:
         substeps = chosen[0].scenario.settings.clock.physics_substeps
@@ -103,7 +114,7 @@ def reruns_of(stored: Sequence[Stored]) -> tuple[tuple[Rerun, ...], list[str]]:
                 how="in PyBullet in place of the kinematic world",
             )
         )
-    return tuple(found), []
+    return tuple(found)
 
 
 def _spread_over(traces: list[Trace]) -> list[Trace]:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from safety_harness.certification.evidence import FORMAT, Evidence
-from safety_harness.certification.json_file import read_json
+from safety_harness.certification.json_file import read_object
 from safety_harness.exceptions import InputError, Place
 
 T = TypeVar("T")
@@ -29,10 +29,7 @@ def as_text(evidence: Evidence) -> str:
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
-    found = read_json(path, "an evidence report")
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        got = repr(found.get("format"))[:80] if isinstance(found, dict) else type(found).__name__
-        raise InputError(place=Place(file=path, field="format"), expected=repr(FORMAT), got=got)
+    found = read_object(path, FORMAT, words="an evidence report")
     evidence: Evidence = from_plain(Evidence, found, path, "")
     return evidence
 

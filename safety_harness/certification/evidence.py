@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from safety_harness.certification.tools import Coverage, Credibility, SelfTest
+from safety_harness.properties.answered import fallback_words
 
 FORMAT = "safety-harness evidence 1"
+UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
 class Standing(Enum):
     """The word on a claim.  Only the first one is ever shown in green."""
 
     SHOWN = "shown"
-    DOUBTED = "shown with doubt"  # although runs without a verdict count against it, or in the model only
+    DOUBTED = "shown with doubt"  # runs without a verdict count against it; model only; by the fallback
     NOT_SHOWN = "not shown"
     REFUTED = "refuted"
     ESTIMATED = "estimated only"  # the plan sets no target
@@ -28,17 +30,25 @@ class Standing(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """An exact interval of the probability of a violation, at ``confidence`` of its own."""
+    """An exact interval of the probability of a violation: it holds with ``confidence`` alone.
+
+    Each end is wrong with half of what is left at most.
+    """
 
     lower: float
     upper: float
     confidence: float
     method: str
 
+    @property
+    def of_one_end(self) -> float:
+        """The confidence with which either end holds alone."""
+        return 1.0 - (1.0 - self.confidence) / 2.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class Quantile:
-    """With the bound's confidence at least ``share`` of runs keep a margin of ``at_least_si``."""
+    """At least ``share`` of runs keep a margin of ``at_least_si``: with the interval's confidence, alone."""
 
     share: float
     at_least_si: float
@@ -123,7 +133,7 @@ class Stratum:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What was declared before anything was run."""
+    """The plan that the runs were made by."""
 
     name: str
     about: str
@@ -253,6 +263,19 @@ class Provenance:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Record:
+    """What the report can be held to by what is lodged elsewhere.
+
+    ``rows_sha256`` is the Merkle root over all episodes (RFC 6962).  ``declaration_sha256`` is what ``certify
+    declare`` printed for this very plan, seed and software; empty if nothing was declared.
+    """
+
+    rows_sha256: str
+    declaration_sha256: str
+    drawn_with: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """The whole report."""
 
@@ -274,8 +297,16 @@ class Evidence:
     selftest: SelfTest | None
     selftest_absent: str
     findings: tuple[Finding, ...]
+    record: Record
     provenance: Provenance
     files: tuple[StoredFile, ...]
+
+    @property
+    def fallback(self) -> str:
+        """For headlines: how often the fallback stood in for the avoider; empty if that always answered."""
+        decisions = [pair for stratum in self.strata for pair in stratum.decisions]
+        unanswered = sum(count for what, count in decisions if what == UNANSWERED)
+        return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
 
 
 GRAVITY = (

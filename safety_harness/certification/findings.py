@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.counterexamples import MOST, Example
 from safety_harness.certification.evidence import ClaimEvidence, Finding, Standing, Stratum
 from safety_harness.certification.searched import Searched
@@ -40,9 +41,9 @@ def of_strata(ledger: Ledger, strata: Sequence[Stratum]) -> Iterator[Finding]:
             most = next((f", most often: {reason}" for reason, _ in reasons), "")
             text = f"{stratum.name}: {stratum.failed} of {stratum.made} runs could not be carried on{most}"
             yield Finding(text=text, place="strata")
-        faults = dict(stratum.decisions).get("decision faults", 0)
-        if faults:
-            text = f"{stratum.name}: the avoider gave no usable answer to {faults} questions"
+        fallback = fallback_of(ledger, place)
+        if fallback.words:
+            text = f"{stratum.name}: {fallback.words}; most often: {fallback.reason}"
             yield Finding(text=text, place="strata")
 
 

@@ -15,7 +15,7 @@ from safety_harness.certification.counterexamples import write_traces
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence, StoredFile
 from safety_harness.certification.gather import Gathered
-from safety_harness.certification.json_file import part, read_json
+from safety_harness.certification.json_file import part, read_object
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
@@ -85,10 +85,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
     file = folder / MANIFEST
     place = Place(file=file)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
-    found = read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES)
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        got = found.get("format") if isinstance(found, dict) else found
-        raise InputError(place=Place(file=file, field="format"), expected=repr(FORMAT), got=repr(got)[:80])
+    found = read_object(file, FORMAT, most=LARGEST_MANIFEST_BYTES)
     hashes: dict[str, str] = part(file, found, "sha256", dict)
     root = resolved(folder)
     for name in hashes:

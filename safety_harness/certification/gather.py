@@ -6,7 +6,7 @@ import os
 import platform
 import shlex
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -31,6 +31,7 @@ from safety_harness.certification.findings import (
     of_strata,
     of_worlds,
 )
+from safety_harness.certification.record import of_record, record_of
 from safety_harness.certification.results import bounds, claims_of, strata_of
 from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -78,9 +79,18 @@ class Gathered:
 
 
 def gather(
-    plan: Plan, ledger: Ledger, folder: Path, *, command: str, trials: Trials | None = None
+    plan: Plan,
+    ledger: Ledger,
+    folder: Path,
+    *,
+    command: str,
+    trials: Trials | None = None,
+    declaration: str = "",
 ) -> Gathered:
-    """From the ledger, the searches below ``folder``, and some runs that are made again here."""
+    """From the ledger, the searches below ``folder``, and some runs that are made again here.
+
+    ``declaration`` is the hash of what was declared of this very plan.
+    """
     known = trials or Trials()
     return put_together(
         plan,
@@ -90,6 +100,7 @@ def gather(
             stored, oracles=known.oracles, oracles_with=known.oracles_with
         ),
         selftest=known.selftest,
+        declaration=declaration,
         origin=_origin(plan, ledger, folder, command),
     )
 
@@ -101,9 +112,11 @@ def put_together(
     *,
     credibility: Callable[[Sequence[Stored]], Credibility],
     selftest: SelfTest | None,
+    declaration: str,
     origin: Origin,
 ) -> Gathered:
-    """All that follows from the ledger and the searches, around what does not: the last three."""
+    """All that follows from the ledger and the searches, around what does not: the last four."""
+    record = record_of(ledger, declaration)
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
     stored, damaged = random_traces(plan, ledger)
     searches = searches_of(plan, folder)
@@ -128,7 +141,9 @@ def put_together(
         credibility=believed,
         selftest=selftest,
         selftest_absent="" if selftest else NO_SELFTEST,
+        record=record,
         findings=(
+            *of_record(record),
             *of_claims(claims),
             *of_strata(ledger, strata),
             *(Finding(text=text, place="strata") for text in damaged),
@@ -137,10 +152,16 @@ def put_together(
             *of_worlds(believed),
             *of_selftest(selftest),
         ),
-        provenance=origin,
+        provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
     )
     return Gathered(evidence=evidence, examples=examples)
+
+
+def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
+    """The compiled files that the stored runs were made with, and their hashes."""
+    files = dict.fromkeys(file for one in stored for file in one.trace.provenance.files)
+    return tuple((name, f"sha256 {sha256}") for name, sha256 in files)
 
 
 def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:

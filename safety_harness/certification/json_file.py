@@ -23,6 +23,15 @@ def read_json(path: Path, expected: str, *, most: int = LARGEST_BYTES) -> Any:
         raise InputError(place=Place(file=path), expected=f"{expected}, in JSON", got=str(error)) from error
 
 
+def read_object(path: Path, form: str, *, words: str = "", most: int = LARGEST_BYTES) -> dict[str, Any]:
+    """An object of the format ``form`` (for people ``words``); InputError for another, as ``read_json``."""
+    found = read_json(path, words or form, most=most)
+    if not isinstance(found, dict) or found.get("format") != form:
+        got = repr(found.get("format"))[:80] if isinstance(found, dict) else type(found).__name__
+        raise InputError(place=Place(file=path, field="format"), expected=repr(form), got=got)
+    return found
+
+
 def part(path: Path, found: Any, name: str, kind: type, where: str = "") -> Any:
     """A field of an object, which has to be of a kind; InputError naming it if it is not."""
     value = found.get(name) if isinstance(found, dict) else None

@@ -16,7 +16,8 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 def junit_xml(evidence: Evidence) -> str:
     """The whole document."""
-    root = ElementTree.Element("testsuites", name=_text(evidence.plan.name))
+    name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
+    root = ElementTree.Element("testsuites", name=_text(name))
     for stratum in evidence.strata:
         suite = ElementTree.SubElement(root, "testsuite", name=_text(stratum.name))
         pairs = [

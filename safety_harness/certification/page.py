@@ -43,7 +43,8 @@ from safety_harness.whole_file import write_whole
 
 MEANINGS = {
     Standing.SHOWN: "the upper bound of the violation probability is at or below the target in every stratum",
-    Standing.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model only",
+    Standing.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model only, "
+    "or about the fallback in the avoider's place",
     Standing.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
     Standing.REFUTED: "even the lower bound is above the target",
     Standing.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
@@ -76,6 +77,7 @@ class CounterexampleView:
     last_s: float
     from_s: float
     moment: str
+    moment_name: str
 
 
 def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
@@ -147,7 +149,9 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> Count
             last_s=0.0,
             from_s=0.0,
             moment="",
+            moment_name="",
         )
+    run = run.under(one.sentence)
     prefix = f"counterexample-{one.number}-"
     views = path_views(run, prefix=prefix)
     first_s, last_s = seconds(run.trace)
@@ -162,6 +166,7 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> Count
         last_s=last_s,
         from_s=start_s(run),
         moment="" if moment is None else f"{moment.time_s:.3f}",
+        moment_name="Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     )
 
 

@@ -91,7 +91,7 @@ def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
 
 
 def start_s(run: JudgedRun) -> float:
-    """Where the replay stands at first: a little before the moment that matters."""
+    """Where the replay stands at first: at the moment that the drawings show."""
     moment = shown_moment(run)
     return float(run.trace.time_s[0]) if moment is None else moment.time_s
 

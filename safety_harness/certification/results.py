@@ -1,8 +1,8 @@
 """From a ledger to the results of a report: claims with their bounds, strata with their counts.
 
-Every bound holds with 1 - (1 - confidence) / m alone, m the number of claims times strata.  A verdict can be
-wrong in one way only, for a target is either met in truth, or not: so all verdicts are right together with
-the plan's confidence, *shown* by upper bounds and *refuted* by lower ones.
+Both ends are shown for each claim in each stratum, and all of them hold together with the plan's confidence:
+``ends_of`` of them share the error.  *Shown* rests on upper ends, *refuted* on lower ones.  Margins by order
+statistics are no part of it: each holds with the confidence of one interval alone.
 """
 
 from __future__ import annotations
@@ -15,11 +15,20 @@ from safety_harness.admission.claims import property_of
 from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedClaim
-from safety_harness.certification.evidence import Bound, ClaimEvidence, Outcome, Quantile, Stratum
+from safety_harness.campaign.summary import fallback_of
+from safety_harness.certification.evidence import (
+    UNANSWERED,
+    Bound,
+    ClaimEvidence,
+    Outcome,
+    Quantile,
+    Stratum,
+)
 from safety_harness.certification.standards import entry_of, traced
 from safety_harness.certification.verdicts import overall, standing_of
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.binomial import Sides, bounds_of
+from safety_harness.properties.answered import is_claimed
+from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
 from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.planning import Aim, refuse_if_impossible
 from safety_harness.statistics.sample import Floats, IndependentSample
@@ -44,8 +53,8 @@ def refuse_hopeless(plan: Plan) -> None:
 
 
 def bounds(plan: Plan) -> int:
-    """How many upper bounds the plan asks for."""
-    return len(plan.claims) * len(plan.strata)
+    """How many bounds the report of a plan shows."""
+    return ends_of(len(plan.claims), len(plan.strata))
 
 
 def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
@@ -55,7 +64,7 @@ def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
         for claim in plan.claims
         for stratum in plan.strata
     }
-    known = [sample for sample in samples.values() if sample is not None]
+    known = [sample for sample in samples.values() if isinstance(sample, IndependentSample)]
     bounded = dict(zip(map(id, known), _bounds(known, plan), strict=True))
     return tuple(
         _claim(plan, ledger, number, claim, [samples[claim.sentence, s.name] for s in plan.strata], bounded)
@@ -63,16 +72,16 @@ def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
     )
 
 
-def _sample(ledger: Ledger, stratum: str, claim: str) -> IndependentSample | None:
-    """None while episodes are missing."""
+def _sample(ledger: Ledger, stratum: str, claim: str) -> IndependentSample | StatisticsError:
+    """Or why there is none: episodes are missing yet, or rows contradict themselves."""
     try:
         return ledger.sample(stratum, claim)
-    except StatisticsError:
-        return None
+    except StatisticsError as error:
+        return error
 
 
 def _bounds(samples: Sequence[IndependentSample], plan: Plan) -> list[Bound | None]:
-    """Each end at 1 - (1 - confidence) / m, even where samples are missing yet; None without a trial."""
+    """With the error shared among all bounds, even where samples are missing yet; None without a trial."""
     if not samples:
         return []
     return [
@@ -88,7 +97,7 @@ def _claim(
     ledger: Ledger,
     number: int,
     claim: PlannedClaim,
-    samples: Sequence[IndependentSample | None],
+    samples: Sequence[IndependentSample | StatisticsError],
     bounded: dict[int, Bound | None],
 ) -> ClaimEvidence:
     entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
@@ -120,14 +129,21 @@ def _sentence(text: str) -> str:
 
 
 def _outcome(
-    plan: Plan, ledger: Ledger, place: int, claim: int, sample: IndependentSample | None, bound: Bound | None
+    plan: Plan,
+    ledger: Ledger,
+    place: int,
+    claim: int,
+    sample: IndependentSample | StatisticsError,
+    bound: Bound | None,
 ) -> Outcome:
     stratum = plan.strata[place]
     _, codes, margins = ledger.outcomes(place, claim)
-    if sample is not None:
+    problem = str(sample) if isinstance(sample, StatisticsError) else ""
+    if isinstance(sample, IndependentSample):
         codes, margins = sample.outcomes, sample.margins
     counts = {code: int(np.count_nonzero(codes == code)) for code in Code}
     without = counts[Code.INCONCLUSIVE] + counts[Code.FAILED]
+    fallback, claimed = fallback_of(ledger, place), is_claimed(one.claim for one in plan.claims)
     standing, why = standing_of(
         target=plan.claims[claim].target,
         bound=bound,
@@ -136,8 +152,11 @@ def _outcome(
         tested=len(codes) - counts[Code.UNTESTED],
         violated=counts[Code.VIOLATED],
         without_verdict=without,
-        may_stop_early=plan.stop_early and sample is not None,
+        may_stop_early=plan.stop_early and not problem,
+        problem=problem,
         model_only=plan.world.value != "PyBullet",
+        fallback=fallback.words,
+        stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
@@ -156,7 +175,9 @@ def _outcome(
         least_margin_si=float(margins[sure].min()) if sure.any() else None,
         margins_si=shown,
         shares=shares,
-        quantiles=() if sample is None or bound is None else _quantiles(sample, bound.confidence),
+        quantiles=_quantiles(sample, bound.confidence)
+        if isinstance(sample, IndependentSample) and bound
+        else (),
     )
 
 
@@ -205,7 +226,7 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         ("proposed positions", int(proposed)),
         ("opposite poses", int(opposite)),
         ("protective stops", int(stopped)),
-        ("decision faults", int(faults)),
+        (UNANSWERED, int(faults)),
     )
     return Stratum(
         name=stratum.name,

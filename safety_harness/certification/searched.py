@@ -99,7 +99,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchEvidence | None:
         return None
     lines = [
         f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
-        f"{count_words(found.distinct, 'distinct violation', 'distinct violations')}; "
+        f"{count_words(found.distinct, 'group of violations', 'groups of violations')}; "
         f"{len(found.counterexamples)} were shrunk and confirmed in PyBullet, "
         f"{found.unconfirmed} were not confirmed"
         for stratum, found in known

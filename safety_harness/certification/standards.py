@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from safety_harness.certification.evidence import Term
 from safety_harness.properties.accelerations import JOINT_ACCELERATIONS, TCP_ACCELERATION
 from safety_harness.properties.alternation import GIVES_WAY_AT_MOST
+from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.decision_time import DECISION_TIME
@@ -78,6 +79,10 @@ LEARNED = _traced(
     "a learned proposal is followed where it should not be trusted",
     (CELL, "no term for learned parts: a fall-back within the safety function's own reach"),
 )
+LEARNED_ABSENT = _traced(
+    "what was assessed is not what answers: the fallback stood in for the avoider",
+    (CELL, "no term for learned parts: a fall-back within the safety function's own reach"),
+)
 AWAY = _traced("the avoiding motion itself leads towards a person", MONITORING)
 SPACE = _traced(
     "the arm is sent where it cannot go, and stops or moves in an unforeseen way",
@@ -119,6 +124,7 @@ TRACED: dict[Entry, Tracing] = {
     GIVES_WAY: REACTION,
     GIVES_WAY_TO_TRUE_HAND: UNNOTICED,
     DECISION_TIME: REACTION,
+    ANSWERED: LEARNED_ABSENT,
     FALSE_ALARMS: AVAILABILITY,
     FALSE_ALARMS_WITHIN: AVAILABILITY,
     GIVES_WAY_AT_MOST: AVAILABILITY,

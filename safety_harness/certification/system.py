@@ -9,17 +9,19 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from safety_harness.admission.avoiders import avoider_sha256
-from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.admission.avoiders import NAMES, avoider_sha256
+from safety_harness.avoidance.model_file import CARD_TIME, Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import System
+from safety_harness.properties.decision_time import NOT_MODELLED
+from safety_harness.report.computing_time import cost_words
 from safety_harness.report.words import changed_settings, setting_words
 from safety_harness.robot.description import urdf_file
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
-from safety_harness.settings import Settings
+from safety_harness.settings import DecisionCost, Settings
 
 
 def system_of(plan: Plan) -> System:
@@ -37,7 +39,7 @@ def system_of(plan: Plan) -> System:
         robot_sha256=hashlib.sha256(urdf_file(first.robot.arm_name).read_bytes()).hexdigest(),
         card=() if model is None else tuple(card_of(model)),
         limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
-        gate=tuple(_gate(first.settings, model)),
+        gate=tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=tuple(_settings("", first.settings)),
         changed=tuple(changed),
     )
@@ -89,7 +91,7 @@ def _plain(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _gate(settings: Settings, model: Model | None) -> Iterator[tuple[str, str]]:
+def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[tuple[str, str]]:
     avoidance = settings.avoidance
     yield (
         "Asks",
@@ -106,6 +108,10 @@ def _gate(settings: Settings, model: Model | None) -> Iterator[tuple[str, str]]:
     for name in ("critical_distance_m", "decision_deadline_s", "table_clearance_m", "restart_delay_s"):
         label = name.rpartition("_")[0].replace("_", " ").capitalize()
         yield label, setting_words(name, getattr(avoidance, name))
+    declared_s = 0.0 if model is None else float(model.card.get(CARD_TIME, 0.0))
+    known = model is not None or named or avoidance.decision_time is not DecisionCost.AS_DECLARED
+    words = cost_words(avoidance.decision_time, declared_s)
+    yield "Computing time", words if known else f"as the avoider declares, and if it does not: {NOT_MODELLED}"
 
 
 def _settings(prefix: str, part: Any) -> Iterator[tuple[str, str]]:

@@ -6,7 +6,7 @@ import math
 
 from safety_harness.certification.cells import DASH, Cell, Table, count, number, standing, words
 from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome
-from safety_harness.certification.verdicts import at_least, at_most, percent
+from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
 from safety_harness.report.words import with_minus
 from safety_harness.search.coverage import AXES
@@ -65,7 +65,8 @@ def outcomes(claim: ClaimEvidence) -> Table:
     """One claim by stratum."""
     return Table(
         caption="Trials are the runs that put the claim to the test. The upper bound counts runs without a "
-        "verdict and runs that could not be carried on as violations, the lower bound counts none of them.",
+        "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
+        + _alone(claim),
         head=(
             "Stratum",
             "Verdict",
@@ -96,6 +97,15 @@ def outcomes(claim: ClaimEvidence) -> Table:
     )
 
 
+def _confidence(claim: ClaimEvidence) -> str:
+    """Of each interval of the claim alone: the error is shared equally."""
+    return next((confidence_words(one.bound.confidence) for one in claim.outcomes if one.bound), "")
+
+
+def _alone(claim: ClaimEvidence) -> str:
+    return f" Each interval holds with {known} confidence alone." if (known := _confidence(claim)) else ""
+
+
 def _bounds(outcome: Outcome) -> Cell:
     if outcome.bound is None:
         return number("none")
@@ -116,8 +126,9 @@ def quantiles(claim: ClaimEvidence) -> Table | None:
     if not rows:
         return None
     return Table(
-        caption="With the confidence of one bound at least this share of the runs with a margin keeps at "
-        "least this margin (order statistics, whatever the distribution).",
+        caption="At least this share of the runs that test the claim keeps at least this margin (order "
+        f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
+        "alone; none is among the bounds that hold together.",
         head=("Stratum", "Share of runs", "Margin of at least"),
         rows=rows,
     )
@@ -205,7 +216,8 @@ def calibration(evidence: Evidence) -> Table:
     """How often the avoider's intervals held what they promise, by stratum."""
     return Table(
         caption="The first answered decision of each declared random run whose trace is stored; a verdict "
-        "takes a hundred of them.",
+        "takes a hundred of them. Each interval holds with 95 % confidence alone, and is none of the "
+        "bounds that hold together.",
         head=("Stratum", "Verdict", "Decisions", "Claim", "Why"),
         rows=tuple(
             (

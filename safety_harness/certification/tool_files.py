@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from safety_harness.certification.json_file import part, read_json
+from safety_harness.certification.json_file import part, read_json, read_object
 from safety_harness.certification.tools import Fault, Oracle, SelfTest
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
@@ -18,10 +18,7 @@ STATES = (*ON_TRIAL, "does not apply", "quiet", "false alarm", "true alarm")  # 
 
 def read_selftest(path: Path) -> SelfTest:
     """InputError, naming the field, for what is no such file, or for one of a trial without any fault."""
-    found = read_json(path, "a selftest.json")
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        got = found.get("format") if isinstance(found, dict) else found
-        raise _error(path, "format", repr(FORMAT), repr(got)[:60])
+    found = read_object(path, FORMAT, words="a selftest.json")
     about = part(path, found, "about", dict)
     tried = part(path, found, "faults", list)
     for k, one in enumerate(tried):
@@ -49,7 +46,7 @@ def read_oracles(path: Path) -> tuple[Oracle, ...]:
     """The table that ``make oracles`` writes; InputError for what is none."""
     found = read_json(path, "a table of oracles")
     if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
-        raise _error(path, "", "a list of objects", repr(found)[:60])
+        raise _error(path, "", "a list of objects", f"another {type(found).__name__}")
     return tuple(_oracle(path, k, one) for k, one in enumerate(found))
 
 

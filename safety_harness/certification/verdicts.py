@@ -3,7 +3,8 @@
 For each stratum: *refuted* if even the lower bound is above the target; *shown* if the upper bound is at or
 below it.  Runs without a verdict, or that could not be carried on, count as violations in the upper bound,
 and a claim that has any is *shown with doubt* at best; so is one whose runs were made in the kinematic world
-only.  The claim gets the gravest of its strata.
+only, and one in whose runs the fallback stood in for the avoider: throughout, or without a claim of the plan
+about that.  The claim gets the gravest of its strata.
 """
 
 from __future__ import annotations
@@ -25,22 +26,33 @@ def standing_of(
     without_verdict: int,
     may_stop_early: bool,
     model_only: bool,
+    problem: str = "",
+    fallback: str = "",
+    stood_in: bool = False,
 ) -> tuple[Standing, str]:
-    """The standing of one claim in one stratum, and why in a sentence."""
+    """The standing of one claim in one stratum, and why in a sentence.
+
+    ``problem`` says why there is no bound.  ``fallback`` says how often the avoider did not answer, if it did
+    not always; ``stood_in``: so often that nothing was shown of the avoider, or more often than the plan says
+    anything of.
+    """
     if runs < planned and not may_stop_early:
         return Standing.INCOMPLETE, f"{runs} of {planned} declared runs were made, so there is no bound yet"
     if tested == 0:
         return Standing.UNTESTED, f"none of {runs} runs put it to the test"
     if bound is None:
-        return Standing.INCOMPLETE, "there is no bound"
+        return Standing.INCOMPLETE, f"there is no bound: {problem}"
     counted = f"{violated} of {tested} tested runs violate it"
     if without_verdict:
         counted += f", {without_verdict} had no verdict"
+    if fallback:
+        counted += f" ({fallback})"
     if target is None:
         return Standing.ESTIMATED, f"{counted}; the plan sets no target"
     limit = percent(target)
     if bound.lower > target:
-        return Standing.REFUTED, f"{counted}: more often than {limit} beyond doubt"
+        sure = confidence_words(bound.of_one_end)
+        return Standing.REFUTED, f"{counted}: with {sure} confidence more than {limit} of them do"
     if bound.upper > target:
         return (
             Standing.NOT_SHOWN,
@@ -50,6 +62,8 @@ def standing_of(
         return Standing.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if model_only:
         return Standing.DOUBTED, f"{counted}: model only, the kinematic world"
+    if stood_in:
+        return Standing.DOUBTED, f"{counted}: the target is met by the fallback"
     return Standing.SHOWN, f"{counted}: at most {at_most(bound.upper)} of them do, and {limit} was the target"
 
 

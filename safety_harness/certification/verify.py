@@ -9,38 +9,51 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.campaign.files import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.altered import turns_of
 from safety_harness.certification.check import Check
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, read_manifest
 from safety_harness.certification.verify_files import check_files, check_plan, check_rows, same_software
-from safety_harness.certification.verify_report import check_numbers, check_pages
-from safety_harness.certification.verify_runs import check_runs, check_traces, programs_in
+from safety_harness.certification.verify_lodged import check_lodged, lodged_hash
+from safety_harness.certification.verify_pages import check_pages
+from safety_harness.certification.verify_report import check_numbers
+from safety_harness.certification.verify_runs import (
+    Drawing,
+    check_runs,
+    check_searched,
+    check_traces,
+    programs_in,
+)
 from safety_harness.exceptions import InputError, OutputError, Place
 
-SAMPLE = 20
+MISS = 0.01
 
 
 def verify(
     folder: Path,
     *,
-    runs: int = SAMPLE,
+    runs: int | None = None,
+    miss: float = MISS,
     seed: int = 0,
     execute_avoider: bool = False,
+    seal: str | None = None,
+    declared: str | None = None,
     on_progress: Callable[[str], None] = lambda words: None,
 ) -> Iterator[Check]:
     """Check by check; InputError for what is no report, or whose avoider may not be executed.
 
-    ``runs`` episodes are made again, drawn at random with ``seed``.  A file of a report that cannot be read
-    is a fault of the report, and ends what can be checked.
+    ``runs`` episodes are made again, drawn at random with ``seed``, or as many as overlook rows that turn a
+    verdict with the chance ``miss``.  ``seal`` and ``declared`` are hashes (or their files) that were lodged
+    elsewhere.  A file of a report that cannot be read is a fault of the report, and ends what can be checked.
     """
+    sealed, before = lodged_hash(seal, "--seal"), lodged_hash(declared, "--declared")
     hashes = read_manifest(folder)
     on_progress("files")
     yield check_files(folder, hashes)
@@ -60,59 +73,58 @@ def verify(
         if plan is None:
             return
         _refuse_to_execute(plan, runs, execute_avoider)
-        declared = check_plan(folder, plan, ledger)
-        yield declared
-        if not declared.stands:
+        own = check_plan(folder, plan, ledger)
+        yield own
+        if not own.stands:
             yield Check("rest", "nothing that follows from the plan", unchecked=(_REST,))
             return
-        asked = Asked(runs, seed, execute_avoider, on_progress)
+        drawing = Drawing(runs=runs, miss=miss, seed=seed, on_progress=on_progress)
         try:
-            yield from _of_the_plan(plan, ledger, folder, recorded, hashes, asked)
+            yield from _of_the_plan(plan, ledger, folder, recorded, hashes, drawing, execute_avoider)
+            yield check_lodged(folder, plan, ledger, recorded, seal=sealed, declared=before)
         except OutputError:
             raise
         except InputError as error:
             yield Check("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
 
 
-@dataclass(frozen=True)
-class Asked:
-    """How many runs are made again, drawn with which seed, also programs; who is told of the progress."""
-
-    runs: int
-    seed: int
-    programs: bool
-    on_progress: Callable[[str], None]
-
-
 def _of_the_plan(
-    plan: Plan, ledger: Ledger, folder: Path, recorded: Evidence, hashes: dict[str, str], asked: Asked
+    plan: Plan,
+    ledger: Ledger,
+    folder: Path,
+    recorded: Evidence,
+    hashes: dict[str, str],
+    drawing: Drawing,
+    execute: bool,
 ) -> Iterator[Check]:
     """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
     same = same_software(plan, ledger)
     programs = bool(programs_in(plan))
-    asked.on_progress("stored traces, judged with the present code")
+    drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
     yield stored
-    asked.on_progress("the report from the ledger")
-    again = asked.runs > 0 and stored.stands
+    drawing.on_progress("the report from the ledger")
+    again = drawing.runs != 0 and stored.stands
     numbers, gathered = check_numbers(plan, ledger, folder, recorded, hashes, same=same, again=again)
     yield numbers
     if numbers.stands:
-        asked.on_progress("the page")
+        drawing.on_progress("the page")
         yield check_pages(folder, recorded, gathered, same=same)
-    asked.on_progress(f"{asked.runs} runs again")
-    yield check_runs(
-        plan, ledger, asked.runs, asked.seed, same=same and not programs, programs=asked.programs
-    )
+    if again and any(one.shown and not one.shown.independent for one in gathered.examples):
+        drawing.on_progress("counterexamples of the search")
+        yield check_searched(gathered, same=same and not programs, programs=execute)
+    turns = turns_of(gathered.evidence.claims, early=plan.stop_early)
+    drawing.on_progress("runs again")
+    yield check_runs(plan, ledger, turns, drawing, same=same and not programs, programs=execute)
 
 
 _REST = "the rest, which cannot be checked without it"
 
 
-def _refuse_to_execute(plan: Plan, runs: int, execute_avoider: bool) -> None:
+def _refuse_to_execute(plan: Plan, runs: int | None, execute_avoider: bool) -> None:
     """A report may come from anybody: a program in it is executed only when the user says so."""
     programs = programs_in(plan)
-    if programs and runs > 0 and not execute_avoider:
+    if programs and runs != 0 and not execute_avoider:
         raise InputError(
             place=Place(file=plan.file, field="avoider"),
             expected="--execute-avoider, since making runs again executes the program in the report",

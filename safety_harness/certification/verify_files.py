@@ -7,7 +7,6 @@ from datetime import datetime
 from pathlib import Path
 
 from safety_harness.admission.spaces import HOPELESS
-from safety_harness.campaign.declared import Declared
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -65,7 +64,7 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Check:
             faults.append(f"{name} is not the ledger's")
     there = {name for name in names_in(folder) if name.startswith(f"{PLAN}/")}
     faults += [f"{name} is no file of the ledger's plan" for name in sorted(there - files.keys())]
-    faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger.declared)]
+    faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
     return Check("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
@@ -77,7 +76,12 @@ def same_software(known: Plan, ledger: Ledger) -> bool:
     return all(change.startswith("the file ") for change in changes)
 
 
-def _other(known: Plan, declared: Declared) -> Iterator[str]:
+def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
+    declared = ledger.declared
+    hazards, spaces = (
+        tuple(text for (text,) in ledger.all(f"SELECT {column} FROM {table} ORDER BY id"))
+        for column, table in (("hazard", "claim"), ("space", "stratum"))
+    )
     pairs = {
         "title": (known.title, declared.title),
         "seed": (known.seed, declared.seed),
@@ -89,6 +93,8 @@ def _other(known: Plan, declared: Declared) -> Iterator[str]:
         "claims": (tuple(one.sentence for one in known.claims), declared.claims),
         "units": (tuple(one.unit for one in known.claims), declared.units),
         "targets": (tuple(one.target for one in known.claims), declared.targets),
+        "hazards": (tuple(one.hazard for one in known.claims), hazards),
+        "spaces": (tuple(one.space.name for one in known.strata), spaces),
     }
     yield from (name for name, (one, other) in pairs.items() if one != other)
 

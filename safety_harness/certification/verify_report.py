@@ -1,4 +1,4 @@
-"""Does what the report says follow from its ledger, and do its page and its JUnit XML say the same?
+"""Does what the report says follow from its ledger?
 
 What depends on the words of the catalogue, or on the last bits of a trace, may come out otherwise with other
 software than the report's: it is named then.  With the same software all of it has to come out the same.
@@ -11,32 +11,31 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.check import Check, few
-from safety_harness.certification.credibility import agreement_of, reruns_of
+from safety_harness.certification.credibility import credibility_of
+from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text, plain
 from safety_harness.certification.evidence import Evidence, Provenance
-from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF
+from safety_harness.certification.folder import JSON, MADE, PLAN
 from safety_harness.certification.gather import Gathered, put_together, sessions_of
-from safety_harness.certification.junit import junit_xml
-from safety_harness.certification.page import render
+from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility
-from safety_harness.exceptions import InputError, Place
-from safety_harness.scenario.files import read_bytes
+from safety_harness.certification.verify_pages import bytes_of, written
+from safety_harness.trace.provenance import provenance
 
 WORDS = {
     *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
 }
-LARGEST_PAGE_BYTES = 2**28
 CLOSE = 1e-9  # relative: another scipy's last digits
-_NUMBER = re.compile(rb"\d+(\.\d+)?")
-_DRAWING = re.compile(rb"<svg.*?</svg>", re.DOTALL)
 
 
 def check_numbers(
@@ -55,8 +54,11 @@ def check_numbers(
     """
 
     def credibility(stored: Sequence[Stored]) -> Credibility:
-        known = replace(recorded.credibility, agreement=agreement_of()) if same else recorded.credibility
-        return replace(known, reruns=reruns_of(stored)[0]) if again else known
+        then = recorded.credibility
+        oracles_with = then.oracles_measured_with if then.oracles else ""
+        reruns = None if again else then.reruns
+        now = credibility_of(stored, oracles=then.oracles, oracles_with=oracles_with, reruns=reruns)
+        return now if same else replace(now, agreement=then.agreement)
 
     gathered = put_together(
         plan,
@@ -64,16 +66,19 @@ def check_numbers(
         folder,
         credibility=credibility,
         selftest=recorded.selftest,
-        origin=_origin(recorded.provenance, ledger),
+        declaration=_declaration(recorded, plan, ledger),
+        origin=_origin(recorded.provenance, ledger, same=same),
     )
-    now = replace(gathered.evidence, files=recorded.files)
+    drawn = replace(gathered.evidence.record, drawn_with=recorded.record.drawn_with)
+    now = replace(gathered.evidence, files=recorded.files, record=drawn)
     faults: list[str] = []
     notes: list[str] = []
     for place, then, new in _differences(plain(recorded), plain(now), ""):
         names = set(re.split(r"[.\[\]\d]+", place))
-        words = "largest" in names or (not same and WORDS & names)
+        words = (not same and WORDS & names) or ("largest" in names and _near(then, new))
         (notes if words else faults).append(f"{place}: {_short(then)} in the report, {_short(new)} comes out")
     faults += _files(folder, recorded, hashes)
+    faults += _told(recorded.provenance)
     text = (
         f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
     )
@@ -82,16 +87,24 @@ def check_numbers(
     unchecked = [] if again else ["the runs by which the simulator is doubted were not made again"]
     if recorded.selftest or recorded.credibility.oracles:
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
-    return Check("numbers", text, few(faults), few(notes), tuple(unchecked)), gathered
+    unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, hashes)]
+    return Check("numbers", text, few(faults), few(notes), few(unchecked)), gathered
 
 
-def _origin(recorded: Provenance, ledger: Ledger) -> Provenance:
+def _declaration(recorded: Evidence, plan: Plan, ledger: Ledger) -> str:
+    """What was declared, if anything was, is this very plan with the ledger's software."""
+    declared = recorded.record.declaration_sha256
+    return declared and declaration_of(plan, ledger.declared.identity).sha256
+
+
+def _origin(recorded: Provenance, ledger: Ledger, *, same: bool) -> Provenance:
     """As the ledger has it; when and by which command the report was made, nothing else says."""
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
     libraries = ((name.removeprefix("the library "), version) for name, version in parts.items())
     return replace(
         recorded,
+        package_version=provenance("", "").package_version if same else recorded.package_version,
         source_hash=parts.get("the source of this package", ""),
         python=parts.get("Python", ""),
         platform=parts.get("the platform", ""),
@@ -117,6 +130,15 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
         yield place, then, now
 
 
+def _near(then: str, now: str) -> bool:
+    """Two differences with their unit, within what another processor's last bits may come to in a run."""
+    (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
+    try:
+        return unit == own_unit and math.isclose(float(value), float(own), rel_tol=0.01, abs_tol=0.1)
+    except ValueError:
+        return False
+
+
 def _short(value: Any) -> str:
     if isinstance(value, list):
         return f"{len(value)} of them"
@@ -127,13 +149,41 @@ def _short(value: Any) -> str:
 def _files(folder: Path, recorded: Evidence, hashes: dict[str, str]) -> Iterator[str]:
     """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
     listed = {one.path: one.sha256 for one in recorded.files}
+    sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
+    if any(one.bytes != sizes.get(one.path) for one in recorded.files):
+        yield f"files: {JSON} lists other sizes than there are"
     if listed != {name: digest for name, digest in hashes.items() if name not in MADE}:
         yield f"files: {JSON} lists others than the manifest"
-    if _bytes_of(folder / JSON) != _written(as_text(recorded)):
+    if bytes_of(folder / JSON) != written(as_text(recorded)):
         yield f"{JSON} has been edited: the same content is written otherwise"
-    for command in (recorded.provenance.command, *recorded.provenance.commands):
+
+
+def _told(origin: Provenance) -> Iterator[str]:
+    """What only the maker can say has at least to be what certify writes."""
+    for command in (origin.command, *origin.commands):
         if not _is_ours(command):
             yield f"provenance: a command to be copied that certify does not write: {command[:80]}"
+            return
+    again, *others = [shlex.split(command)[1:] for command in origin.commands] or [[]]
+    name = others[0][-1] if others else ""
+    expected = [["verify", name], ["campaign", "status", f"{name}/{LEDGER}"]]
+    if origin.commands[:1] != (origin.command,) or again[:1] != ["certify"] or others != expected:
+        yield f"provenance: commands that certify does not write: {'; '.join(origin.commands)[:200]}"
+    try:
+        ended = datetime.strptime(origin.ended_at, "%d %B %Y, %H:%M UTC")
+        early = origin.began_at and ended < datetime.strptime(origin.began_at, "%d %B %Y, %H:%M UTC")
+    except ValueError:
+        early = True
+    if early:
+        yield f"provenance: it ended on {origin.ended_at[:40]!r}, and began on {origin.began_at!r}"
+
+
+def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
+    """Files that nothing here has looked into."""
+    shown = {one.trace_file for one in evidence.counterexamples}
+    for name in hashes:
+        if name not in (*MADE, LEDGER, *shown) and Path(name).parts[0] not in (PLAN, SEARCH):
+            yield name
 
 
 def _is_ours(command: str) -> bool:
@@ -143,36 +193,3 @@ def _is_ours(command: str) -> bool:
     except ValueError:
         return False
     return words[:1] == ["safety-harness"] and shlex.join(words) == command and command.isprintable()
-
-
-def check_pages(folder: Path, recorded: Evidence, gathered: Gathered, *, same: bool) -> Check:
-    """The page and the JUnit XML, made again from the evidence."""
-    faults, notes, unchecked = [], [], []
-    if _bytes_of(folder / JUNIT) != _written(junit_xml(recorded)):
-        faults.append(f"{JUNIT} does not say what {JSON} says")
-    if not same:
-        unchecked.append(f"{PAGE} was made by other software, whose page cannot be made here")
-    else:
-        there, made = _bytes_of(folder / PAGE), _written(render(recorded, gathered.runs))
-        if there != made and _without_numbers(there) == _without_numbers(made):
-            notes.append(f"{PAGE}: its drawings have other numbers than they would have here")
-        elif there != made:
-            faults.append(f"{PAGE} does not say what {JSON} says")
-    if (folder / PDF).exists():
-        unchecked.append(f"{PDF} is not compared with the page: print it anew")
-    text = f"{PAGE} and {JUNIT}, made again from {JSON}"
-    return Check("pages", text, tuple(faults), tuple(notes), tuple(unchecked))
-
-
-def _bytes_of(path: Path) -> bytes:
-    return read_bytes(path, most=LARGEST_PAGE_BYTES, place=Place(file=path), error=InputError)
-
-
-def _written(text: str) -> bytes:
-    """As ``write_whole`` writes it."""
-    return text.encode("utf-8", "backslashreplace")
-
-
-def _without_numbers(page: bytes) -> bytes:
-    """Numbers of drawings left out: another version of what draws them moves a line by a hair."""
-    return _DRAWING.sub(lambda drawing: _NUMBER.sub(b"0", drawing[0]), page)

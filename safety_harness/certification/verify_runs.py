@@ -3,35 +3,109 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 
-from safety_harness.admission.avoiders import is_a_program
+from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.files import references_in
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.certification.altered import Turn, chance_to_miss, runs_to_see
 from safety_harness.certification.check import Check, few
+from safety_harness.certification.gather import Gathered
 from safety_harness.certification.stored import trace_of
+from safety_harness.certification.verdicts import percent
 from safety_harness.certification.verify_files import kept
-from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.exceptions import (
+    CampaignError,
+    InputError,
+    SafetyHarnessError,
+)
 from safety_harness.properties.consistency import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
+from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.statistics.sample import Outcome
+from safety_harness.trace.compare import first_difference
 from safety_harness.trace.trace import Trace
 
+MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
+KINEMATIC_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults")
 
 
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """How many runs are made again: ``runs``, or as many as miss the weakest verdict with chance ``miss``.
+
+    ``seed`` draws them: nobody who made the report can know it.
+    """
+
+    runs: int | None
+    miss: float
+    seed: int
+    on_progress: Callable[[str], None] = lambda words: None
+
+    def number(self, there: int, turns: Sequence[Turn]) -> int:
+        """Of the runs that there are; not more than ``MOST_AGAIN`` unless they are asked for."""
+        if self.runs is not None:
+            return min(self.runs, there)
+        return min(_needed(there, turns, self.miss), MOST_AGAIN)
+
+    def told(
+        self, there: int, again: int, turns: Sequence[Turn], each_s: float
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """How few altered rows turn each verdict, how likely they are missed, and what that leaves open."""
+        lines = [
+            f"{turn.claim}, {turn.stratum}: {_rows(turn.rows)} would turn {turn.standing.value!r}, and "
+            f"{again} of {there} runs miss all of them with a chance of "
+            f"{percent(chance_to_miss(there, turn.rows, again))}"
+            for turn in turns
+        ]
+        missed = chance_to_miss(there, turns[0].rows, again) if turns else 0.0
+        if missed <= self.miss:
+            return few(lines), ()
+        needed = _needed(there, turns, self.miss)
+        return few(lines), (
+            f"altered rows that turn a verdict are missed with a chance of up to {percent(missed)}; for "
+            f"{percent(self.miss)} it takes --runs {needed}, some {_span(needed * each_s)}",
+        )
+
+
+def drawn(there: int, again: int, seed: int) -> list[int]:
+    """Which of the runs are made again: each set of so many is as likely."""
+    rng = generator(seed, Branch.CAMPAIGN, 1)
+    return sorted(rng.choice(there, again, replace=False).tolist())
+
+
+def _needed(there: int, turns: Sequence[Turn], miss: float) -> int:
+    """All of them where there is no verdict to be turned."""
+    return runs_to_see(there, turns[0].rows, miss) if turns else there
+
+
+def _rows(count: int) -> str:
+    return "one altered row" if count == 1 else f"{count} altered rows"
+
+
+def _span(time_s: float) -> str:
+    return f"{time_s:.0f} s" if time_s < 100.0 else f"{time_s / 60.0:.0f} min"
+
+
 def programs_in(plan: Plan) -> list[str]:
-    """Python files that a run of the plan may execute, wherever its spaces name them."""
+    """Files that a run of the plan may execute, wherever its spaces name them: Python, and ONNX."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
         texts += [stratum.space.simplest.avoider, *references_in(stratum.space.tree)]
-    return sorted({text for text in texts if is_a_program(text)})
+    return sorted({text for text in texts if is_executed(text)})
 
 
 class Compared:
@@ -163,18 +237,57 @@ def _world(trace: Trace) -> PlannedWorld:
     return PlannedWorld.PYBULLET if pybullet else PlannedWorld.KINEMATIC
 
 
-def check_runs(plan: Plan, ledger: Ledger, count: int, seed: int, *, same: bool, programs: bool) -> Check:
-    """Some of the runs that verdicts rest on, drawn by whoever verifies."""
+def check_searched(gathered: Gathered, *, same: bool, programs: bool) -> Check:
+    """The runs of what a search found, made again: nothing else is known of them than their traces."""
+    faults: list[str] = []
+    notes: list[str] = []
+    unchecked: list[str] = []
+    count = 0
+    for one in gathered.examples:
+        if one.shown is None or one.run is None or one.shown.independent:
+            continue
+        trace, count = one.run.trace, count + 1
+        if is_executed(trace.scenario.avoider) and not programs:
+            unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
+            continue
+        try:
+            kinematic = trace.provenance.world == KinematicWorld.name
+            run = run_kinematic if kinematic else run_trial
+            difference = first_difference(trace, run(admit(trace.scenario), recorded=trace))
+        except SafetyHarnessError as error:
+            unchecked.append(f"{one.shown.trace_file} cannot be made again: {described(error)}")
+            continue
+        if difference is not None:
+            (faults if same else notes).append(f"{one.shown.trace_file}: {difference}")
+    text = f"{count} counterexamples of the search, made again"
+    return Check("search", text, few(faults), few(notes), few(unchecked))
+
+
+def check_runs(
+    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool, programs: bool
+) -> Check:
+    """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
+    count = drawing.number(len(made), turns)
     if count < 1:
         return Check("runs", "no run was made again", unchecked=("whether runs give their outcomes again",))
-    rng = generator(seed, Branch.CAMPAIGN, 1)
-    chosen = sorted(rng.choice(len(made), min(count, len(made)), replace=False).tolist())
+    chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
     bench, compared = Bench(plan, programs=programs), Compared(plan, ledger, same=same)
-    for stratum, episode in (made[k] for k in chosen):
-        try:
-            compared.add(next(iter(bench.run(stratum, [episode], keep_violations=False))))
-        except CampaignError as error:
-            compared.faults.append(f"{compared.where(stratum, episode)}: {error}")
-    text = f"{len(chosen)} of {len(made)} runs made again, drawn with seed {seed}"
-    return Check("runs", text, few(compared.faults), compared.notes)
+    together = KINEMATIC_TOGETHER if plan.world is PlannedWorld.KINEMATIC else 1
+    begun_s, told = time.perf_counter(), 0
+    for stratum, group in groupby(chosen, lambda one: one[0]):
+        episodes = [episode for _, episode in group]
+        for first in range(0, len(episodes), together):
+            some = episodes[first : first + together]
+            try:
+                for row in bench.run(stratum, some, keep_violations=False):
+                    compared.add(row)
+            except CampaignError as error:
+                compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
+            told += len(some)
+            if told * 10 // count > (told - len(some)) * 10 // count:
+                drawing.on_progress(f"{told} of {count} runs made again")
+    each_s = (time.perf_counter() - begun_s) / count
+    notes, unchecked = drawing.told(len(made), count, turns, each_s)
+    text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
+    return Check("runs", text, few(compared.faults), (*compared.notes, *notes), unchecked)

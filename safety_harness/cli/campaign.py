@@ -16,13 +16,14 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import merge as merge_ledgers
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER, MakesCrew, carry_on, plan_of, processes
-from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.campaign.summary import fallback_of, fingerprint_of, tally_of
 from safety_harness.cli.campaign_lines import (
     CampaignProgress,
     bound_lines,
     claim_lines,
-    difference_line,
+    difference_lines,
     failure_lines,
+    fallback_lines,
     summary,
 )
 from safety_harness.cli.console import (
@@ -34,8 +35,10 @@ from safety_harness.cli.console import (
     one_more_ctrl_c,
     result,
     say,
+    say_shared_modules,
 )
 from safety_harness.exceptions import InputError, LedgerError, Place, SafetyHarnessError, ScenarioError
+from safety_harness.properties.answered import is_claimed
 
 
 def run(
@@ -134,14 +137,16 @@ def compare(first: Path, second: Path) -> int:
 
     def tell() -> int:
         with Ledger.open(first) as before, Ledger.open(second) as after:
-            worse = False
-            for one in compare_ledgers(before, after):
-                worse = worse or one.low > 0.0
-                result(difference_line(one, before.declared.confidence))
+            for one_of in (before, after):
+                if words := fallback_of(one_of).words:
+                    result(f"{one_of.path}: {words}")
+            compared = compare_ledgers(before, after)
+            for line in difference_lines(compared, before.declared.confidence):
+                result(line)
             for found in worse_episodes(before, after):
                 was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
                 result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
-        return DIFFERS if worse else AS_EXPECTED
+        return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
 
     return _explained(tell)
 
@@ -159,6 +164,7 @@ def merge(into: Path, ledgers: Sequence[Path]) -> int:
 
 
 def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int]) -> int:
+    say_shared_modules()
     progress = CampaignProgress(plan)
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
     with one_more_ctrl_c(remark) as interrupted, progress.running():
@@ -167,17 +173,18 @@ def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
         _tell(ledger)
+        unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
-    return DIFFERS if tally.failed else AS_EXPECTED
+    return DIFFERS if tally.failed or unanswered else AS_EXPECTED
 
 
 def _tell(ledger: Ledger) -> None:
     tally = tally_of(ledger)
     result(f"{ledger.path}: {ledger.declared.title}")
     result(summary(ledger.declared, tally))
-    for line in failure_lines(ledger) + claim_lines(ledger.declared, tally):
+    for line in failure_lines(ledger) + fallback_lines(ledger) + claim_lines(ledger.declared, tally):
         result(line)
     if tally.complete:
         for line in bound_lines(ledger):

@@ -37,8 +37,9 @@ def campaign_run(
     """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
 
     Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
-    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, or no worker is left;
-    2: bad input, another plan's ledger, or a disk that takes no more; 130: interrupted.
+    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, the avoider did not
+    always answer and the plan claims nothing of that, or no worker is left; 2: bad input, another plan's
+    ledger, or a disk that takes no more; 130: interrupted.
     """
     from safety_harness.cli.campaign import run as run_plan
 

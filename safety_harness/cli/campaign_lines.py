@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,11 +16,13 @@ from safety_harness.campaign.declared import Declared
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Progress
+from safety_harness.campaign.summary import fallback_of
 from safety_harness.campaign.tally import Tally
+from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.cli.console import say
 from safety_harness.properties.base import Unit
-from safety_harness.report.words import rounded_up
-from safety_harness.statistics.binomial import bounds_of
+from safety_harness.report.words import rounded_down, rounded_up
+from safety_harness.statistics.binomial import Sides, bounds_of
 from safety_harness.statistics.paired import Comparison
 from safety_harness.statistics.sample import Outcome
 
@@ -74,29 +76,53 @@ def failure_lines(ledger: Ledger) -> list[str]:
     return lines + ([f"  {more} times: another of {len(found) - _MOST_REASONS} reasons"] if more else [])
 
 
+def fallback_lines(ledger: Ledger) -> list[str]:
+    """That the fallback stood in for the avoider, how often and why; nothing if it always answered."""
+    found = fallback_of(ledger)
+    episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
+    where = f"in {found.episodes} of {episodes} episodes; most often: {found.reason}"
+    return [f"  {found.words}, {where}"] if found.words else []
+
+
 def bound_lines(ledger: Ledger) -> list[str]:
-    """Upper bounds of the chance of a violation, all of them together at the plan's confidence."""
+    """The chance of a violation between its bounds, as a report has them: all hold together."""
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
-    bounds = bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence)
+    bounds = bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
     targets = dict(zip(declared.claims, declared.targets, strict=True))
-    lines = [f"violated in at most (all together at {declared.confidence:g}):"]
+    each = confidence_words(bounds[0].confidence)
+    fallback = fallback_of(ledger).words
+    lines = [
+        f"how often a run that tests the claim violates it{f' ({fallback})' if fallback else ''}: all "
+        f"{bounds[0].family} bounds, two a line, "
+        f"hold together with {percent(declared.confidence)} confidence, each line alone with {each}"
+    ]
     for one in bounds:
         target = targets[one.claim]
-        asked = (
-            "" if target is None else f", asked {target:.4g}: {'shown' if one.shows(target) else 'NOT shown'}"
-        )
+        shown = target is not None and one.shows(target)
+        asked = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
         model = ", model only" if one.model_only else ""
-        known = f"{rounded_up(one.high)} of runs that test it ({one.trials} did{asked}{model})"
+        known = (
+            f"{rounded_down(one.low)} to {rounded_up(one.high)} ({one.trials} runs tested it{asked}{model})"
+        )
         lines.append(
             f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
         )
     return lines
 
 
-def difference_line(one: Comparison, confidence: float) -> str:
-    """One claim in one stratum: second campaign minus first."""
-    how = f"from {one.low:+.3%} to {one.high:+.3%}, all together at {confidence:g}; p {one.p_value:.3g}"
+def difference_lines(found: Sequence[Comparison], confidence: float) -> list[str]:
+    """Second campaign minus first, a line for each claim in each stratum, and how surely."""
+    each = confidence_words(found[0].confidence)
+    head = (
+        f"the {len(found)} intervals hold together with {percent(confidence)} confidence, each alone with "
+        f"{each}; p (McNemar) is of its own line alone"
+    )
+    return [head, *map(_difference_line, found)]
+
+
+def _difference_line(one: Comparison) -> str:
+    how = f"from {one.low:+.3%} to {one.high:+.3%}; p {one.p_value:.3g}"
     counts = (
         f"both {one.both}, only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -16,7 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from safety_harness.admission.avoiders import command_line_reference, is_a_program
 from safety_harness.exceptions import InputError
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import file_and_name
+from safety_harness.trace.provenance import shared_modules
 
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -30,6 +34,12 @@ def say(text: str) -> None:
     """A remark on standard error."""
     sys.stderr.write(tame(text) + "\n")
     sys.stderr.flush()
+
+
+def say_shared_modules() -> None:
+    """Warn of packages that own the same module: one lies over the other, and nobody knows which runs."""
+    for module, packages in shared_modules().items():
+        say(f"warning: {' and '.join(packages)} own the module {module}; uninstall all, install one")
 
 
 def result(text: str) -> None:
@@ -57,10 +67,16 @@ def without_repetition(errors: Sequence[InputError]) -> list[InputError]:
 
 def replay_command(scenario: Scenario, trace: Path) -> list[str]:
     """The command that repeats a run; a program of the user's has to be named anew to be executed."""
-    command = ["safety-harness", "replay", str(trace)]
+    command = ["safety-harness", "replay", str(told(trace))]
     if is_a_program(scenario.avoider):
-        command += ["--avoider", command_line_reference(scenario)]
+        command += ["--avoider", told_avoider(os.path.abspath(command_line_reference(scenario)))]
     return command
+
+
+def told_avoider(reference: str) -> str:
+    """An avoider as a result names it: its file is ``told``."""
+    file, name = file_and_name(reference)
+    return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
 
 
 @contextmanager
@@ -85,7 +101,7 @@ def one_more_ctrl_c(remark: str) -> Iterator[Callable[[], bool]]:
 def result_lines(run: JudgedRun) -> list[str]:
     """One line for each claim of a run."""
     lines = []
-    for claim, evaluation in zip(run.trace.scenario.claims, run.evaluations, strict=True):
+    for claim, evaluation in run.judged_claims():
         same = evaluation.verdict is claim.expected
         mark = "ok  " if same else "DIFF"
         when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, explain, result
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
-from safety_harness.scenario.compose import MAX_BYTES
+from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, files_of, read_bytes
 from safety_harness.scenario.layout import laid_out
 from safety_harness.whole_file import write_whole
@@ -31,7 +31,9 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
 def _format(file: Path, *, check: bool) -> bool:
     """Whether the layout of ``file`` was, or would be, another one."""
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
-    text = laid_out(decode(data, most=MAX_BYTES, file=file, error=ScenarioError), file)
+    before = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
+    tree_of(before, file)  # refuses what is not ours
+    text = laid_out(before, file)
     if text.encode() == data:
         return False
     result(f"{'would change' if check else 'changed'} {file}")

@@ -18,12 +18,14 @@ from safety_harness.cli.console import (
     one_more_ctrl_c,
     result,
     say,
+    say_shared_modules,
 )
 from safety_harness.cli.fuzz_json import complaint_of
 from safety_harness.cli.fuzz_page import FINDINGS, PAGE, Written, evidence_of, write_all
 from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, remarks, summary
 from safety_harness.cli.show import write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.properties.answered import fallback_words
 from safety_harness.report.search_page import MOST_DRAWN
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
@@ -64,6 +66,7 @@ def fuzz(
     ``baseline`` samples the space uniformly as well, with the same budget, to compare with.
     """
     try:
+        say_shared_modules()
         if budget < 1:
             raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
         make = searcher_named(searcher)
@@ -110,7 +113,7 @@ class _Session:
         """The baseline, with counts of its own; unless the search was interrupted."""
         if not self.findings.interrupted and self.unwritable is None:
             say("the baseline: uniform sampling with the same budget")
-            anew = replace(self.trials, coverage=Coverage(), violations=Coverage(), _avoiders={})
+            anew = replace(self.trials, coverage=Coverage(), violations=Coverage())
             self.baseline = self._search(Uniform, anew, folder="baseline")
             self.findings.interrupted = self.baseline.interrupted
 
@@ -142,7 +145,9 @@ class _Session:
     def conclude(self) -> None:
         """Shrink and report, unless the search was interrupted."""
         findings = self.findings
-        for line in (*self.trials.space.notes, summary(findings, self.budget), *nearest_lines(findings)):
+        fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
+        whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
+        for line in (*self.trials.space.notes, whole, *nearest_lines(findings)):
             say(line)
         if self.baseline is not None:
             for line in (f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)):
@@ -166,17 +171,30 @@ class _Session:
         """Of the search; what only the baseline met is worth as much."""
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
         findings = next((one for one in searches if one.of_claim(claim)), self.findings)
-        kept: list[Counterexample] = []
-        shrunk = 0
-        for group in _one_of_each_kind_first(findings.of_claim(claim)):
-            if len(kept) == _MOST_SHRUNK or shrunk == 2 * _MOST_SHRUNK or self.findings.interrupted:
-                return
-            one = self._counterexample(group, len(kept) + 1)
-            shrunk += one is not None
-            if one is None or any(one.is_same_as(other) for other in kept):
+        groups = _one_of_each_kind_first(findings.of_claim(claim))
+        told: list[Written] = []
+        tried = shrunk = 0
+        for group in groups:
+            if len(told) == _MOST_SHRUNK or shrunk == 2 * _MOST_SHRUNK or self.findings.interrupted:
+                break
+            one = self._counterexample(group, len(told) + 1)
+            tried, shrunk = tried + 1, shrunk + (one is not None)
+            if one is None:
                 continue
-            kept.append(one)
-            self._save(one, group, findings)
+            same = next((other for other in told if one.is_same_as(other.one)), None)
+            if same is None:
+                told.append(self._save(one, group, findings))
+            else:
+                same.groups.append(group)
+        for written in told:
+            _tell(written)
+        left = groups[tried:]
+        if left and not self.findings.interrupted:
+            runs = sum(group.count for group in left)
+            say(
+                f"{findings.sentence_of(left[0])}: {len(left)} more groups of violations ({runs} runs) were "
+                f"not shrunk; they may be the same or others ({FINDINGS}, {AS_FOUND})"
+            )
 
     def _counterexample(self, group: Group, number: int) -> Counterexample | None:
         complaint = complaint_of(self.trials, group)
@@ -207,7 +225,7 @@ class _Session:
         trials = self.trials
         return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
 
-    def _save(self, one: Counterexample, group: Group, findings: Findings) -> None:
+    def _save(self, one: Counterexample, group: Group, findings: Findings) -> Written:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
@@ -217,12 +235,8 @@ class _Session:
                 save_trace(one.run, trace_file)
             except OSError as error:
                 self.unwritable = OutputError.of(trace_file, error)
-        self.written.append(Written(one, group, findings.searcher, path, trace_file, text))
-        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
-        result(f"violated {margin:>13}  {one.complaint.sentence}")
-        result(f"  {path}: {group.count} runs near it; shrunk in {one.shrunk.used} runs")
-        for line in one.explanation:
-            result(f"  {line}")
+        self.written.append(Written(one, [group], findings.searcher, path, trace_file, text))
+        return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
         """At once, so that nothing that happens later loses it."""
@@ -281,6 +295,17 @@ class _Session:
         if self.findings.interrupted:
             return INTERRUPTED
         return DIFFERS if self.written else AS_EXPECTED
+
+
+def _tell(written: Written) -> None:
+    """What was found, once: however many groups of runs shrank to it."""
+    one, runs = written.one, written.shown.runs
+    margin = "-" if one.evaluation is None else one.evaluation.margin_text()
+    apart = f" in {len(written.groups)} groups that lie apart" if len(written.groups) > 1 else ""
+    result(f"violated {margin:>13}  {one.complaint.words}")
+    result(f"  {written.path}: {runs} runs led to it{apart}; shrunk in {one.shrunk.used} runs")
+    for line in one.explanation:
+        result(f"  {line}")
 
 
 def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:

@@ -10,13 +10,16 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.agreement import measured_agreement
-from safety_harness.cli.console import replay_command
+from safety_harness.cli.console import replay_command, told_avoider
 from safety_harness.cli.fuzz_json import as_json
 from safety_harness.cli.show import write_text
+from safety_harness.properties.answered import fallback_words
+from safety_harness.report.computing_time import cost_words
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
 from safety_harness.report.svg import standalone
+from safety_harness.scenario.files import told
 from safety_harness.search.counterexample import Counterexample
 from safety_harness.search.disagreement import Disagreement
 from safety_harness.search.findings import Findings, Group
@@ -28,10 +31,10 @@ FINDINGS, PAGE, COVERAGE = "findings.json", "fuzz.html", "coverage.svg"
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A counterexample and its files."""
+    """A counterexample, the groups of runs that shrank to it, that of its own first, and its files."""
 
     one: Counterexample
-    group: Group
+    groups: list[Group]
     searcher: str
     path: Path
     trace_file: Path | None
@@ -45,11 +48,11 @@ class Written:
             replay = shlex.join(replay_command(self.one.shrunk.scenario, self.trace_file))
         return ShownCounterexample(
             one=self.one,
-            group=self.group,
+            groups=tuple(self.groups),
             searcher=self.searcher,
             file=self.path.name,
             trace_file="" if self.trace_file is None else self.trace_file.name,
-            run_command=shlex.join(["safety-harness", "run", str(self.path)]),
+            run_command=shlex.join(["safety-harness", "run", str(told(self.path))]),
             replay_command=replay,
             text=self.text,
         )
@@ -73,11 +76,13 @@ def evidence_of(
         title=trials.space.title,
         space=trials.space.name,
         avoider=avoider,
+        computing_time=cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s),
         seed=trials.seed,
         budget=budget,
         command=shlex.join(_command(trials, findings.searcher, budget, out, baseline is not None)),
         generated_at=datetime.now(UTC),
         findings=findings,
+        fallback=fallback_words(trials.unanswered, trials.decisions),
         baseline=baseline,
         coverage=trials.coverage,
         violations=trials.violations,
@@ -93,15 +98,17 @@ def evidence_of(
             ("Python", made.python),
             ("Platform", made.platform),
             ("Libraries", ", ".join(f"{name} {version}" for name, version in made.libraries)),
+            *((name, f"sha256 {sha256}") for name, sha256 in made.files),
         ),
     )
 
 
 def _command(trials: Trials, searcher: str, budget: int, out: Path, baseline: bool) -> list[str]:
     """The command line that makes all of this again."""
-    command = ["safety-harness", "fuzz", str(trials.space.file), "--searcher", searcher]
-    command += ["--budget", str(budget), "--seed", str(trials.seed), "--out", str(out)]
-    command += [] if trials.avoider is None else ["--avoider", trials.avoider]
+    assert trials.space.file is not None
+    command = ["safety-harness", "fuzz", str(told(trials.space.file)), "--searcher", searcher]
+    command += ["--budget", str(budget), "--seed", str(trials.seed), "--out", str(told(out))]
+    command += [] if trials.avoider is None else ["--avoider", told_avoider(trials.avoider)]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
     return command + ["--baseline"] * baseline
 

@@ -1,4 +1,4 @@
-"""Commands about networks, and about the paper that they come from."""
+"""Commands about networks."""
 
 from __future__ import annotations
 
@@ -80,6 +80,32 @@ def evaluate(
     end(evaluate_models(models, samples=samples, seed=seed, out=out))
 
 
+@commands.command(name="time")
+def time_command(
+    avoider: Annotated[
+        str,
+        typer.Argument(
+            help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            metavar="AVOIDER",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Also a profile for scenarios, to this file *.json.")
+    ] = None,
+    questions: Annotated[int, typer.Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
+    seed: Seed = 0,
+) -> None:
+    """Measure how long an avoider takes to answer on this machine: p50, p99, max.
+
+    A scenario that names the profile (settings: {avoidance: {decision time: FILE.json}}) draws what each
+    decision costs in simulated time from it.  A Python file is executed.
+    Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    """
+    from safety_harness.cli.decision_times import time_avoider
+
+    end(time_avoider(avoider, out=out, questions=questions, seed=seed))
+
+
 @commands.command()
 def export(
     model: Annotated[
@@ -97,41 +123,3 @@ def export(
     from safety_harness.cli.export import export as export_model
 
     end(export_model(model, out=out, format=format, seed=seed))
-
-
-@commands.command()
-def reproduce(
-    what: Annotated[
-        list[str],
-        typer.Argument(
-            help="all, table1 ... table5, figure5 ... figure8, timing, outlook, safety; or sensitivity, "
-            "which is not part of all.",
-            metavar="WHAT...",
-        ),
-    ],
-    scale: Annotated[
-        str, typer.Option(help="quick: minutes, to see it run; default: an hour or so; paper: days.")
-    ] = "default",
-    out: Annotated[
-        Path, typer.Option(help="Folder for reproduction.html, reproduction.json and work/.")
-    ] = Path("reports/reproduction"),
-    seed: Seed = 0,
-    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
-) -> None:
-    """Measure the paper's tables and figures again: its numbers beside ours, and a verdict on each.
-
-    table1: passes of the network; 2: places of dropout; 3: unseen space; 4: out of reach; 5: convergence.
-    figure5: candidates; 6: intervals; 7: a whole trial; 8: two poses. timing: network against images.
-    outlook: the paper's own, tried. safety: does the arm keep clear? sensitivity: what is left open.
-
-    Several networks of each kind are trained, evaluated and tried in PyBullet. A line a verdict goes to
-    standard output: reproduced, direction only, or not reproduced, and why; the page has all numbers.
-    Ctrl-C keeps every finished step; the same command goes on from there.
-    Needs PyTorch, the extra "learning" of this package.
-
-    Examples: "reproduce all --scale quick" to see it run; "reproduce table4 table5 --jobs 4".
-    Exit code 0; 1: a step failed, the page says which; 2: bad input; 130: interrupted.
-    """
-    from safety_harness.cli.reproduce import reproduce as reproduce_parts
-
-    end(reproduce_parts(what, scale=scale, out=out, seed=seed, jobs=jobs))

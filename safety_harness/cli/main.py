@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from importlib.util import find_spec
+
 import typer
 
 from safety_harness.cli.campaign_commands import commands as of_campaigns
@@ -9,7 +12,7 @@ from safety_harness.cli.evidence_commands import commands as of_evidence
 from safety_harness.cli.learning_commands import commands as of_learning
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.search_commands import commands as of_search
-from safety_harness.exceptions import SafetyHarnessError
+from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
 
 app = typer.Typer(
     add_completion=False,
@@ -22,6 +25,29 @@ for group in (of_scenarios, of_search, of_evidence):
     app.add_typer(group)
 app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_learning)
+
+
+def of_the_paper() -> typer.Typer:
+    """The command of the package ``safety_harness_paper``, or one that says how to get it."""
+    if find_spec("safety_harness_paper"):
+        found: typer.Typer = import_module("safety_harness_paper.commands").commands
+        return found
+    commands = typer.Typer()
+
+    @commands.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+    def reproduce() -> None:
+        """Measure the paper's tables and figures again (needs the package safety-harness-paper)."""
+        raise ModelError(
+            place=Place(field="reproduce"),
+            expected="the package safety-harness-paper, which has the paper's tables and figures",
+            got="not installed",
+            hint="in a copy of the repository: pip install ./paper",
+        )
+
+    return commands
+
+
+app.add_typer(of_the_paper())
 
 
 def main() -> None:

@@ -52,6 +52,7 @@ claims:
   hand distance never below 50 mm: holds
   repulsive poses reachable: holds
   joint speeds within limits: holds
+  the avoider answered: holds
 """
 
 

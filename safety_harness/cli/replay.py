@@ -24,6 +24,7 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
+from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -97,8 +98,8 @@ def changes(stored: Provenance, now: Provenance) -> list[str]:
         before, after = getattr(stored, name), getattr(now, name)
         if before != after:
             lines.append(f"  {name}: {before} then, {after} now")
-    versions = dict(now.libraries)
-    for name, before in stored.libraries:
+    versions = dict(now.libraries + now.files)
+    for name, before in stored.libraries + stored.files:
         if versions.get(name) != before:
             lines.append(f"  {name}: {before} then, {versions.get(name, 'absent')} now")
     return lines or ["  the software is the same as when the trace was made"]
@@ -123,15 +124,14 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
         try:
             trace = load_trace(path)
             if sentences:
-                trace = replace(trace, scenario=replace(trace.scenario, claims=_claims(sentences)))
+                claims = with_expectation(_claims(sentences), trace.scenario)
+                trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
             run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", notes=())
         except InputError as error:
             explain(error)
             return BAD_INPUT
         for line in result_lines(run):
             result(line)
-        if any(
-            e.verdict is not c.expected for e, c in zip(run.evaluations, trace.scenario.claims, strict=True)
-        ):
+        if not run.all_as_expected:
             code = DIFFERS
     return code

@@ -24,14 +24,18 @@ from safety_harness.cli.console import (
     result,
     result_lines,
     say,
+    say_shared_modules,
+    told_avoider,
     without_repetition,
 )
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.properties.tally import table_lines
-from safety_harness.report.decisions import fault_notes
+from safety_harness.report.computing_time import computing_time_lines
+from safety_harness.report.decisions import Tally, fault_notes
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.expand import gather
+from safety_harness.scenario.files import told
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.trace.store import save_trace
 
@@ -42,22 +46,14 @@ TRACES = "traces"
 def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
     """Read and admit everything, with another avoider if one is given; all mistakes, not only the first."""
     gathered = gather(paths)
-    admitted, errors = admitted_of(gathered.scenarios, avoider)
-    return admitted, without_repetition([*gathered.errors, *errors])
-
-
-def admitted_of(
-    scenarios: Sequence[Scenario], avoider: str | None = None
-) -> tuple[list[Admitted], list[InputError]]:
-    """Those that can be run, and why the others cannot."""
     admitted: list[Admitted] = []
-    errors: list[InputError] = []
-    for scenario in scenarios:
+    errors = list(gathered.errors)
+    for scenario in gathered.scenarios:
         try:
             admitted.append(admit(scenario if avoider is None else with_avoider(scenario, avoider)))
         except InputError as error:
             errors.append(error)
-    return admitted, errors
+    return admitted, without_repetition(errors)
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
@@ -75,6 +71,7 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
         say("compiling the control stack; this takes a minute or two, once")
         forget_old_machine_code()
+    say_shared_modules()
     try:
         admitted, errors = read_all(paths, avoider)
     except KeyboardInterrupt:
@@ -97,8 +94,8 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
 
 
 def _command(paths: Sequence[Path], out: Path, avoider: str | None) -> list[str]:
-    command = ["safety-harness", "run", *map(str, paths), "--out", str(out)]
-    return command if avoider is None else [*command, "--avoider", avoider]
+    command = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    return command if avoider is None else [*command, "--avoider", told_avoider(avoider)]
 
 
 @dataclass
@@ -155,10 +152,13 @@ class Session:
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
         untested = self._say_coverage()
+        for line in computing_time_lines(run.trace for run in self.runs):
+            say(f"computing time: {line}")
         verdicts = [same for one in self.runs for same in one.as_expected]
+        fallback = Tally.of(one.trace for one in self.runs).fallback
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
-            f"{len(self.runs)} of {self.planned} scenarios run"
+            f"{len(self.runs)} of {self.planned} scenarios run" + (f"; {fallback}" if fallback else "")
         )
         if self.runs:
             say(f"report: {self.out / REPORT} (for programs: {DATA})")

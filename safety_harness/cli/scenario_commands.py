@@ -16,8 +16,10 @@ commands = typer.Typer()
 def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
     """Run scenario files in PyBullet, judge their claims and write a report.
 
+    A Python or ONNX file that they name as an avoider is executed, which is said on standard error.
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
     At the end a table says how often each claim was put to the test.
+    That the avoider answered is judged of every run, whether its file claims it or not.
     Exit code 0: every verdict as its file expects; 1: any differs, a run failed, or a claim that was
     expected to tell something was never put to the test; 2: bad input, nothing was run; 130: interrupted,
     what was finished is kept.
@@ -31,6 +33,7 @@ def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None)
 def validate(files: Files, avoider: OfAvoider = None) -> None:
     """Read and check scenario files without running them, and tell every mistake of every file.
 
+    Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
     A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard
     error with file, line, what was expected and what came.
     Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.

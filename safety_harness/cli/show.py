@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Looker
 from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
@@ -75,7 +75,8 @@ def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
 
 
 def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> None:
-    previews = [preview_of(admit(scenario)) for scenario in scenarios]
+    looker = Looker()
+    previews = [preview_of(looker.look(scenario)) for scenario in scenarios]
     try:
         draw_scene(path, previews, title=title, regions=regions)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""``safety-harness validate``: read and admit files, run nothing, tell every mistake."""
+"""``safety-harness validate``: read and check files, execute nothing, tell every mistake."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from safety_harness.admission.admit import Admitted
+from safety_harness.admission.admit import Checked, Looker
+from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import (
@@ -18,7 +19,6 @@ from safety_harness.cli.console import (
     say,
     without_repetition,
 )
-from safety_harness.cli.run import admitted_of
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.model import Scenario
@@ -30,7 +30,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     """A line for each file that can be used, every mistake of the others; returns the exit code."""
     try:
         gathered = gather(paths, spaces=True)
-        admitted, errors = admitted_of(gathered.scenarios, avoider)
+        usable, errors = _looked_at(gathered.scenarios, avoider)
         spaces, errors_of_spaces = _spaces(gathered)
     except KeyboardInterrupt:
         say("interrupted")
@@ -38,7 +38,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     of_claims = errors_of_claims(gathered.scenarios)
     errors = without_repetition([*gathered.errors, *errors, *of_claims, *errors_of_spaces])
     bad = {error.place.file for error in errors}
-    for file, scenarios in groupby(admitted, key=lambda one: one.scenario.file):
+    for file, scenarios in groupby(usable, key=lambda one: one.scenario.file):
         if file not in bad:
             result(f"ok {file}: {_words(list(scenarios))}")
     for space in spaces:
@@ -46,9 +46,22 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for error in errors:
         explain(error)
     if errors:
-        usable = f"{_count(len(admitted), 'scenario')} and {_count(len(spaces), 'space')}"
-        say(f"{_count(len(errors), 'mistake')}; {usable} can be used")
+        rest = f"{_count(len(usable), 'scenario')} and {_count(len(spaces), 'space')}"
+        say(f"{_count(len(errors), 'mistake')}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
+
+
+def _looked_at(scenarios: Sequence[Scenario], avoider: str | None) -> tuple[list[Checked], list[InputError]]:
+    """Those that can be tried, as far as that shows without executing anything, and why others cannot."""
+    found: list[Checked] = []
+    errors: list[InputError] = []
+    looker = Looker()
+    for scenario in scenarios:
+        try:
+            found.append(looker.look(scenario if avoider is None else with_avoider(scenario, avoider)))
+        except InputError as error:
+            errors.append(error)
+    return found, errors
 
 
 def errors_of_claims(scenarios: Sequence[Scenario]) -> list[InputError]:
@@ -76,7 +89,7 @@ def _spaces(gathered: Gathered) -> tuple[list[ScenarioSpace], list[InputError]]:
     return found, errors
 
 
-def _words(admitted: Sequence[Admitted]) -> str:
+def _words(admitted: Sequence[Checked]) -> str:
     """What a file holds: ``2 hands, 3 claims, 8 s``; for a matrix the number of its scenarios as well."""
     scenario = admitted[0].scenario
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]

@@ -7,6 +7,7 @@ stack with an avoider and the gate.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -14,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.asked import Asked
+from safety_harness.avoidance.asking import Answer, late_fault
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.faulty import faulty
-from safety_harness.avoidance.gate import Gate, Query, Ruling
-from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, look, report
+from safety_harness.avoidance.gate import Gate, Query, Ruling, answer_to
+from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
+from safety_harness.controller.decision_times import NOTHING
 from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
@@ -59,10 +62,10 @@ class Controller(Protocol):
 class AvoidingServo:
     """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
 
-    ``recorded_late`` (m,) repeats which decisions of an earlier run came too late, and in which words
-    (empty: in time); those after them, or all without it, are timed by the clock.  ``faults`` (n,) FAULT
-    may make the avoider late: until its answer counts, or the decision deadline is over, the controller
-    goes on with what it was doing.
+    ``decision_times_s`` (n,) is what a question of each tick costs in simulated time, as
+    ``decision_times_s`` makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
+    the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
+    says which decisions of an old trace came too late by the wall's clock, and in which words.
     """
 
     def __init__(
@@ -75,6 +78,7 @@ class AvoidingServo:
         root_seed: int,
         recorded_late: Sequence[str] = (),
         faults: NDArray[np.void] | None = None,
+        decision_times_s: NDArray[np.float64] = NOTHING,
     ) -> None:
         self.name = avoider.name
         self.avoider = avoider
@@ -89,7 +93,11 @@ class AvoidingServo:
             np.zeros(1, COMMAND),
             np.zeros(1, QUESTION),
             fault_table(()) if faults is None else faults,
+            decision_times_s.copy(),
         )
+        self._late = late_fault(settings.avoidance.decision_deadline_s)
+        self._limit_s = settings.clock.wall_limit_s
+        self._held: Answer | None = None  # by the wall's clock: an answer that does not count yet
         self._root_seed = root_seed
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
@@ -99,7 +107,11 @@ class AvoidingServo:
         """Look, decide if it is time to, act."""
         if look(*(self.records.for_look + (observation,))):
             query = self.query(observation)
-            self.decide(query, self.gate.rule(self.asked(), query))
+            held, self._held = self._held, None
+            gate = self.gate
+            self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
+        elif self._on_the_clock:
+            self._ask_now(observation)
         act(*(self.records.for_act + (observation,)))
         return self.records.command
 
@@ -119,6 +131,19 @@ class AvoidingServo:
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
         return np.array(self._latencies_s, dtype=np.float64)
+
+    @property
+    def _on_the_clock(self) -> bool:
+        """Has a question been asked whose answer costs what it takes on the wall's clock?"""
+        question = self.records.question[0]
+        return bool(question["open"]) and bool(np.isnan(question["decision_time_s"]))
+
+    def _ask_now(self, observation: NDArray[np.void]) -> None:
+        """Ask, take the time, and let the answer count when that much simulated time is over."""
+        records, held = self.records, answer_to(self.asked(), replace(self.query(observation), late=""))
+        answer_after(records.parameters, records.question, records.faults, held.latency_s)
+        late = Answer(fault=self._late, late=True, latency_s=held.latency_s)
+        self._held = late if records.question[0]["late"] else held
 
     def asked(self) -> Avoider:
         """Who answers the question that counts now: the avoider, as its faults leave it."""
@@ -140,7 +165,6 @@ class AvoidingServo:
             if nearest >= 0
             else question["hand_position_in_base_m"]
         )
-        recorded = None if (words := self._recorded_words) is None else bool(words)
         return Query(
             hand_position_in_base_m=hand.copy(),
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
@@ -148,14 +172,15 @@ class AvoidingServo:
             joint_position_rad=observation[0]["joint_position_rad"].copy(),
             hands_in_base_m=state["predicted_hand_in_base_m"][state["track_valid"] != 0],
             seed=seed(self._root_seed, Branch.DECISION, number),
-            late=True if question["late"] else recorded,
+            late=self._late if question["late"] else self._recorded_words,
+            limit_s=self._limit_s,
         )
 
     @property
-    def _recorded_words(self) -> str | None:
-        """How the decision that is due was late on record; empty if in time, None if there is no record."""
+    def _recorded_words(self) -> str:
+        """How the decision that is due was late on record; empty if it was not, or is not on record."""
         number = len(self._decisions)
-        return self._recorded_late[number] if number < len(self._recorded_late) else None
+        return self._recorded_late[number] if number < len(self._recorded_late) else ""
 
     def decide(self, query: Query, ruling: Ruling) -> None:
         """Take the gate's ruling over, note everything down."""
@@ -168,7 +193,7 @@ class AvoidingServo:
     def _record(self, query: Query, ruling: Ruling) -> NDArray[np.void]:
         """(1,) DECISION."""
         record = np.zeros(1, DECISION)
-        for name in ("tick", "time_s"):
+        for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
         record["trigger"] = self.records.state["trigger"]
         record["seed"] = query.seed
@@ -183,7 +208,7 @@ class AvoidingServo:
         record["outcome"] = ruling.outcome
         record["proposed_failed"] = ruling.proposed_failed
         record["opposite_failed"] = ruling.opposite_failed
-        record["fault"] = (self._recorded_words or ruling.fault)[:FAULT_CHARACTERS]
+        record["fault"] = ruling.fault[:FAULT_CHARACTERS]
         return record
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
 from safety_harness.controller.stack import begin_tick, finish_tick
-from safety_harness.scenario.fault_table import FaultKind, acting, delay_s
+from safety_harness.scenario.fault_table import TIME_EPS_S, FaultKind, acting, delay_s
 from safety_harness.trace.records import MAX_TRACKS, Mode
 
 PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
@@ -27,7 +27,9 @@ QUESTION = np.dtype(
         ("tick", np.int64),  # of the run, now
         ("time_s", np.float64),
         ("open", np.bool_),  # the avoider has been asked, and its answer does not count yet
+        ("asked_tick", np.int64),
         ("asked_s", np.float64),
+        ("decision_time_s", np.float64),  # what it costs, beside any fault; NaN: not known yet
         ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted one, when it was asked
         ("tcp_position_in_base_m", np.float64, (3,)),
         ("trigger", np.int64),
@@ -54,6 +56,7 @@ class ControllerRecords(NamedTuple):
     command: Records  # (1,) COMMAND
     question: Records  # (1,) QUESTION
     faults: Records  # (n,) FAULT
+    decision_times_s: NDArray[np.float64]  # (n,) of a question of each tick, as ``decision_times`` has it
 
     @property
     def for_look(self) -> Any:
@@ -65,6 +68,7 @@ class ControllerRecords(NamedTuple):
             self.tracks,
             self.question,
             self.faults,
+            self.decision_times_s,
         )
 
     @property
@@ -86,6 +90,7 @@ def look(
     tracks: Records,
     questions: Records,
     faults: Records,
+    decision_times_s: NDArray[np.float64],
     observations: Records,
 ) -> bool:
     """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
@@ -99,7 +104,7 @@ def look(
     q.acted_faults = 0
     q.made_now = False
     if asked and not q.open:
-        ask(parameters, states, questions, faults, observations)
+        ask(parameters, states, questions, faults, decision_times_s, observations)
     if not q.open:
         return False
     q.acted_faults = q.faults
@@ -118,22 +123,42 @@ def look(
 
 @compiled
 def ask(
-    parameters: Records, states: Records, questions: Records, faults: Records, observations: Records
+    parameters: Records,
+    states: Records,
+    questions: Records,
+    faults: Records,
+    decision_times_s: NDArray[np.float64],
+    observations: Records,
 ) -> None:
-    """Open the question of now; a healthy avoider's answer counts at once."""
-    p, s, q, time_s = parameters[0], states[0], questions[0], observations[0].time_s
-    late_s = np.inf if acting(faults, SILENT, time_s) else delay_s(faults, LATE, time_s)
-    waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
+    """Open the question of now; its answer counts when its decision time is over."""
+    s, q, time_s = states[0], questions[0], observations[0].time_s
     q.open = True
+    q.asked_tick = q.tick
     q.asked_s = time_s
     for i in range(3):
         q.hand_position_in_base_m[i] = s.predicted_hand_in_base_m[s.nearest_track, i]
         q.tcp_position_in_base_m[i] = s.transform_tcp_to_base[i, 3]
     q.trigger = s.trigger
-    q.delayed = waits > 0
-    q.counts_from = q.tick + waits
-    q.late = late_s > p.decision_deadline_s
     q.faults = acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s)
+    answer_after(parameters, questions, faults, decision_times_s[min(q.tick, decision_times_s.shape[0] - 1)])
+
+
+@compiled
+def answer_after(parameters: Records, questions: Records, faults: Records, decision_time_s: float) -> None:
+    """The answer to the open question takes so long [s], and a fault's delay longer; NaN: not known yet.
+
+    It counts at the first tick at which that is over, an exact multiple of the period at exactly that
+    tick.  What takes longer than the deadline is no answer, and is given up on at the deadline.
+    """
+    p, q = parameters[0], questions[0]
+    late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
+    if np.isnan(late_s) or acting(faults, SILENT, q.asked_s):
+        late_s = np.inf
+    waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
+    q.decision_time_s = decision_time_s
+    q.delayed = waits > 0
+    q.counts_from = q.asked_tick + waits
+    q.late = late_s > p.decision_deadline_s + TIME_EPS_S
 
 
 @inlined

@@ -16,7 +16,7 @@ from safety_harness.formulas.semantics import (
     margins,
     truth_bounds,
 )
-from safety_harness.formulas.signal import Sampled, Signal
+from safety_harness.formulas.signal import Measure, Sampled, Signal
 from safety_harness.formulas.witness import Witness, witness
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
@@ -28,10 +28,12 @@ Values = NDArray[np.float64]
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
-    sampled = {signal: signal.sample(trace) for signal in signals_of(part)}
-    for one in sampled.values():
-        if one.absent:
-            return _evaluation(part, Verdict.INCONCLUSIVE, None, None, one.absent, 0)
+    with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
+        sampled = {signal: signal.sample(trace) for signal in signals_of(part)}
+    for signal, one in sampled.items():
+        why = one.absent or _impossible(signal, one, trace)
+        if why:
+            return _evaluation(part, Verdict.INCONCLUSIVE, None, None, why, 0)
     period_s = trace.scenario.settings.clock.control_period_s
     at_ticks = margins(part, lambda atom: _at_ticks(atom, sampled, trace), period_s)
     between = margins(part, lambda atom: _between(atom, sampled, trace), period_s)
@@ -58,6 +60,16 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     return _evaluation(
         part, Verdict.INCONCLUSIVE, told.margin, told.worst_time_s, doubt, exercised, told.unit
     )
+
+
+def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
+    """Why a signal's values are no evidence; empty if a run can have them."""
+    found = signal.impossible(one) if isinstance(signal, Measure) else None
+    if found is None:
+        return ""
+    (tick, value), shown = found, shown_in(signal.dimension)
+    number = f"{value * shown.per_si:.4g} {shown.symbol}".rstrip()
+    return f"no run has what is stored: {signal.words} {number} at {trace.time_s[tick]:.3f} s"
 
 
 def _at_ticks(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> Bounds:

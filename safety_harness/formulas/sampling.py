@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.formulas.cells import absent, at_ticks, bounded, rises, speeds, tcp_way_m, turned_rad
 from safety_harness.formulas.signal import Sampled
+from safety_harness.properties.consistency import TOLERANCE
+from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.trace.records import Mode, Outcome
 from safety_harness.trace.trace import Trace
 
 
 def elapsed_time_of(trace: Trace) -> Sampled:
-    """Since the run began."""
-    time_s = trace.time_s
+    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
+    period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
+    ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
+    time_s = ticks * float(period.numerator) / float(period.denominator)
     later = np.append(time_s[1:], time_s[-1:])
     return Sampled(value=time_s, low=time_s, high=later)
 
@@ -48,8 +53,9 @@ def distance_to_desired_pose_of(trace: Trace) -> Sampled:
 
 
 def angle_to_desired_pose_of(trace: Trace) -> Sampled:
-    """By which the TCP would have to turn."""
-    return bounded(pose_errors(trace)[1], turned_rad(trace))
+    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
+    none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
+    return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
 
 def image_error_of(trace: Trace) -> Sampled:
@@ -74,15 +80,16 @@ def predicted_hand_distance_of(trace: Trace) -> Sampled:
 
 
 def prediction_error_of(trace: Trace) -> Sampled:
-    """Of every predicted hand from the nearest true one; the largest."""
-    ticks, hands = trace.ticks, len(trace.scenario.hands)
-    valid = ticks["track_valid"]
+    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
+    valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
         return absent(trace, "no hand is ever predicted" if hands else "there is no hand in this scenario")
-    ways = ticks["predicted_hand_in_base_m"][:, :, None] - ticks["hand_position_in_base_m"][:, None, :hands]
-    error = np.linalg.norm(ways, axis=3).min(axis=2)  # (n, tracks)
-    value = np.where(valid, error, -np.inf).max(axis=1)
-    return at_ticks(np.where(valid.any(axis=1), value, np.nan))
+    errors_m = prediction_errors_m(trace)
+    tracked = valid[: len(errors_m)]
+    value = np.full(len(valid), np.nan)
+    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    value[np.isneginf(value)] = np.nan  # nothing is tracked
+    return at_ticks(value)
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:

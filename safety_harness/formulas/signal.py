@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth
 from safety_harness.formulas.quantities import Quantity, formula_error, plain
+from safety_harness.properties.base import ENDLESS
 from safety_harness.scenario.units import NUMBER, Dimension
 from safety_harness.trace.trace import Trace
 
@@ -76,9 +77,26 @@ class Flag(Signal):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measure(Signal):
-    """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind."""
+    """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind.
+
+    No run has a value below ``least``, nor one without end unless it is ``endless``.
+    """
 
     dimension: Dimension
+    least: float = 0.0
+    endless: bool = False
+
+    def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
+        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown."""
+        least = self.least
+        for side in (sampled.value, sampled.low, sampled.high):
+            endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
+            wrong = (side < least) | endless
+            if wrong.any():
+                tick = int(np.argmax(wrong))
+                return tick, float(side[tick])
+            least = -np.inf  # a bound may be below what it bounds
+        return None
 
     def __call__(self) -> Measure:
         """Itself: ``tcp_speed() < mm_per_s(250)`` and ``tcp_speed < mm_per_s(250)`` are the same."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from safety_harness.formulas.hand_cells import hand_distance_of, nearest_hand_to_tcp_of
 from safety_harness.formulas.sampling import (
     angle_to_desired_pose_of,
@@ -29,6 +31,7 @@ hand_distance = Measure(
     words="hand distance",
     dimension=LENGTH,
     meaning="of any hand or forearm from any link of the robot, surface to surface; negative inside",
+    least=-np.inf,
     between=Between.BOUNDED,
     sample=hand_distance_of,
 )
@@ -50,6 +53,7 @@ tcp_height = Measure(
     words="TCP height",
     dimension=LENGTH,
     meaning="of the TCP above the origin of the robot's base frame",
+    least=-np.inf,
     between=Between.BOUNDED,
     sample=tcp_height_of,
 )
@@ -92,13 +96,15 @@ predicted_hand_distance = Measure(
     words="predicted hand distance",
     dimension=LENGTH,
     meaning="from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
+    endless=True,
     between=Between.HELD,
     sample=predicted_hand_distance_of,
 )
 prediction_error = Measure(
     words="prediction error",
     dimension=LENGTH,
-    meaning="of each predicted hand from the nearest true one, the largest; unknown where none is predicted",
+    meaning="of each prediction made now from the nearest true hand at the time that it is for, the largest; "
+    "unknown where none is made, or that time is after the run",
     between=Between.TICKS_ONLY,
     sample=prediction_error_of,
 )

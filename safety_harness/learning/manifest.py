@@ -11,11 +11,11 @@ import hashlib
 import json
 import platform
 import zipfile
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,13 +215,17 @@ def _group(kind: type[T], found: dict[str, Any]) -> T:
         raise ValueError(
             f"{kind.__name__}: other settings than this version's: {sorted(found.keys() ^ names)}"
         )
-    values = {
-        name: hints[name](value)
-        if isinstance(hints[name], type) and issubclass(hints[name], Enum)
-        else _tuples(value)
-        for name, value in found.items()
-    }
-    return kind(**values)
+    return kind(**{name: _value(hints[name], value) for name, value in found.items()})
+
+
+def _value(hint: Any, value: Any) -> Any:
+    """One setting; of several kinds that it may have the text is an enumeration, the object a dataclass."""
+    for kind in get_args(hint) or (hint,):
+        if isinstance(kind, type) and issubclass(kind, Enum) and not isinstance(value, dict):
+            return kind(value)
+        if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
+            return _group(kind, value)
+    return _tuples(value)
 
 
 def _tuples(value: Any) -> Any:

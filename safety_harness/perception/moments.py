@@ -100,14 +100,11 @@ def point_moments(
     False, and ``out`` all NaN, for no points or points that are not finite.
     """
     n = points.shape[0]
-    if n == 0:
-        out[:] = np.nan
-        return False
     sum_x, sum_y = 0.0, 0.0
     for k in range(n):
         sum_x += points[k, 0]
         sum_y += points[k, 1]
-    xg, yg = sum_x / n, sum_y / n
+    xg, yg = sum_x / n, sum_y / n  # of no points NaN, which ``_finish`` refuses
     out[:] = 0.0
     for k in range(n):
         add_powers(points[k, 0] - xg, points[k, 1] - yg, 1.0, out)

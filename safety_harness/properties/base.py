@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import isfinite
+from math import isclose, isfinite
 from typing import Protocol
 
 import numpy as np
@@ -210,6 +210,16 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 def times_begun(state: NDArray[np.bool_]) -> int:
     """How often a state (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
+
+
+def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
+    """``limit_s`` less a whole number of control periods; 0.0 where they differ by their own rounding.
+
+    A limit of 24 ms is three periods of 8 ms, though the floats are not: 4 units in the last place are more
+    than what the rounding of limit, period and product makes.
+    """
+    took_s = ticks * trace.scenario.settings.clock.control_period_s
+    return 0.0 if isclose(limit_s, took_s, rel_tol=2.0**-51) else limit_s - took_s
 
 
 def judged(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from safety_harness.properties.accelerations import JOINT_ACCELERATIONS, TCP_ACCELERATION
 from safety_harness.properties.alternation import GIVES_WAY_AT_MOST
+from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.decision_time import DECISION_TIME
 from safety_harness.properties.entry import Entry
@@ -47,6 +48,7 @@ CATALOGUE: tuple[Entry, ...] = (
     FALSE_ALARMS_WITHIN,
     HAND_PREDICTIONS,
     DECISION_TIME,
+    ANSWERED,
     JOINT_POSITIONS,
     JOINT_SPEEDS,
     TCP_SPEED,

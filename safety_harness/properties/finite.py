@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import OF_HANDS, Evaluation, Unit, endless, inconclusive, judged
+from safety_harness.properties.base import ENDLESS, OF_HANDS, Evaluation, Unit, endless, inconclusive, judged
 from safety_harness.properties.entry import Entry
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import COLUMNS, DECISION, Outcome, as_numbers
@@ -110,7 +110,7 @@ def _mark(
                     or (what == TRACK and tracked[k, track])
                     or (what == ANY_TRACK and tracked[k].any())
                 )
-                bad[k] |= there and not abs(rows[k, column]) < np.inf
+                bad[k] |= there and not abs(rows[k, column]) < ENDLESS
 
 
 def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -133,7 +133,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     for name in DECISION.names or ():
         if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
             continue
-        bad |= _rows(~np.isfinite(decisions[name])) & expected.get(name.split("_")[0], np.True_)
+        bad |= _rows(~(np.abs(decisions[name]) < ENDLESS)) & expected.get(name.split("_")[0], np.True_)
     return bad
 
 

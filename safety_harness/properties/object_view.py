@@ -6,7 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, runs_of, unreadable
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    runs_of,
+    time_left_s,
+    unreadable,
+)
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.trace import Trace
@@ -38,12 +46,13 @@ class ObjectInView:
         lost = ~trace.ticks["object_visible"]
         begins, ends = runs_of(lost)
         times_s = trace.time_s
-        lasted_s = times_s[np.minimum(ends, len(lost) - 1)] - times_s[begins]
-        worst = int(np.argmax(lasted_s)) if len(begins) else 0
-        longest_s = float(lasted_s[worst]) if len(begins) else 0.0
+        lasted = np.minimum(ends, len(lost) - 1) - begins  # in ticks
+        worst = int(np.argmax(lasted)) if len(begins) else 0
+        longest_s = float(times_s[lasted[worst]]) if len(begins) else 0.0
+        margin_s = time_left_s(trace, self.within_s, int(lasted[worst]) if len(begins) else 0)
         begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
         exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
-        if bool(lost[-1]) and longest_s <= self.within_s:
+        if bool(lost[-1]) and margin_s >= 0.0:
             left_s = float(times_s[-1] - times_s[begins[-1]])
             return inconclusive(
                 self,
@@ -53,7 +62,7 @@ class ObjectInView:
         return judged(
             self,
             trace,
-            margin=self.within_s - longest_s,
+            margin=margin_s,
             worst_time_s=begun_s + min(longest_s, self.within_s),
             reason=_words(len(begins), longest_s),
             exercised=exercised,

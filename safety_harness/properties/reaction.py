@@ -17,6 +17,7 @@ from safety_harness.properties.base import (
     inconclusive,
     judged,
     runs_of,
+    time_left_s,
     times_begun,
     unreadable,
 )
@@ -25,8 +26,6 @@ from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, once_a_trace
-
-EPS_S = 1e-9  # times are multiples of the control period, to rounding
 
 
 @once_a_trace
@@ -156,23 +155,21 @@ def _judged(
     occasions = times_begun(near)
     if occasions == 0:
         return inconclusive(prop, f"never exercised: no {whose} came within the critical distance")
-    longest_s, since_s, open_ones = 0.0, float(trace.time_s[int(np.argmax(near))]), 0
+    longest, since, open_ones = 0, int(np.argmax(near)), 0  # in ticks
     for first, end in unanswered:
-        ended = end < len(near)
-        took_s = float(trace.time_s[end if ended else -1]) - float(trace.time_s[first])
-        if not ended and took_s <= prop.within_s + EPS_S:
+        took = min(end, len(near) - 1) - first
+        if end == len(near) and time_left_s(trace, prop.within_s, took) >= 0.0:
             open_ones += 1
-        elif took_s > longest_s:
-            longest_s, since_s = took_s, float(trace.time_s[first])
+        elif took > longest:
+            longest, since = took, first
     if open_ones == occasions:
         return inconclusive(prop, "the run ends before the time allowed")
-    margin_s = prop.within_s - longest_s
     return judged(
         prop,
         trace,
-        margin=0.0 if abs(margin_s) <= EPS_S else margin_s,
-        worst_time_s=since_s + longest_s,
-        reason=f"longest {longest_s * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
+        margin=time_left_s(trace, prop.within_s, longest),
+        worst_time_s=float(trace.time_s[since + longest]),
+        reason=f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
         exercised=occasions - open_ones,
     )
 

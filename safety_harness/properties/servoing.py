@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
@@ -123,17 +123,18 @@ class GainSwitchReached:
         if allowed_s is None:
             ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
             allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
-        start_s = float(trace.time_s[first])
         below = np.flatnonzero(np.isfinite(sse) & (sse < servo.gain_switch_sse))
         above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
         if len(below):
-            took_s = float(trace.time_s[first + below[0]]) - start_s
+            took = int(below[0])  # in ticks
+            took_s = float(trace.time_s[took])
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
             if not above.any():
                 reason = "below the switch already when the hands had left"
         else:
-            took_s = float(trace.time_s[-1]) - start_s
-            if took_s <= allowed_s:
+            took = len(trace.ticks) - 1 - first
+            took_s = float(trace.time_s[took])
+            if time_left_s(trace, allowed_s, took) >= 0.0:
                 return inconclusive(
                     self,
                     f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed",
@@ -142,8 +143,8 @@ class GainSwitchReached:
         return judged(
             self,
             trace,
-            margin=allowed_s - took_s,
-            worst_time_s=start_s + took_s,
+            margin=time_left_s(trace, allowed_s, took),
+            worst_time_s=float(trace.time_s[first + took]),
             reason=reason,
             exercised=int(above.any()),
         )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s, unreadable
 from safety_harness.properties.entry import Entry, quantity
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.scenario.units import TIME
@@ -43,38 +43,38 @@ class NeverStarved:
         problem = unreadable(trace, ("transform_tcp_to_base",))
         if problem is not None:
             return inconclusive(self, problem)
-        if float(trace.time_s[-1]) <= self.longest_s:
+        if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
             return inconclusive(self, "the run is not longer than the task may starve")
-        lost_s, away = lost_time_s(trace)
-        worst = int(np.argmax(lost_s))
-        if lost_s[-1] > 0.0 and lost_s[worst] <= self.longest_s:
+        lost, away = lost_ticks(trace)
+        worst = int(np.argmax(lost))
+        margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
+        if lost[-1] > 0 and margin_s >= 0.0:
+            open_s = trace.time_s[lost[-1]]
             return inconclusive(
-                self, f"starved for {lost_s[-1]:.2f} s when the run ends", exercised=int(away.sum())
+                self, f"starved for {open_s:.2f} s when the run ends", exercised=int(away.sum())
             )
         return judged(
             self,
             trace,
-            margin=self.longest_s - float(lost_s[worst]),
+            margin=margin_s,
             worst_time_s=float(trace.time_s[worst]),
-            reason=f"longest {lost_s[worst]:.2f} s",
+            reason=f"longest {trace.time_s[lost[worst]]:.2f} s",
             exercised=int(np.count_nonzero(away)),
         )
 
 
-def lost_time_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(n,) how long the task has been starved at each tick, and (n,) whether it is not done."""
+def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(n,) for how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
     settings = trace.scenario.settings
     distance_m, angle_rad = pose_errors(trace)
     error = np.hypot(distance_m, angle_rad)
     done_below = float(np.sqrt(settings.servo.gain_switch_sse))
-    lost = np.zeros(len(error))
-    period_s = settings.clock.control_period_s
+    lost = np.zeros(len(error), np.int64)
     _lose(
         error,
         history(trace, "mode") == Mode.SERVOING,
         done_below,
-        LEAST_SHARE * settings.servo.gain_far * period_s,
-        period_s,
+        LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s,
         lost,
     )
     return lost, error >= done_below
@@ -86,18 +86,17 @@ def _lose(
     servoing: NDArray[np.bool_],  # (n,)
     done_below: float,
     least_share: float,  # of the error, in one tick
-    period_s: float,
-    lost_s: NDArray[np.float64],  # (n,), written
+    lost: NDArray[np.int64],  # (n,), written
 ) -> None:
     best = error[0]
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
-            best, lost_s[k] = done_below, 0.0
+            best, lost[k] = done_below, 0
         elif error[k] < best - LEAST_GAIN_M:
-            best, lost_s[k] = error[k], 0.0
+            best, lost[k] = error[k], 0
         else:
             on = servoing[k] and error[k - 1] - error[k] >= least_share * error[k]
-            lost_s[k] = lost_s[k - 1] + (0.0 if on else period_s)
+            lost[k] = lost[k - 1] + (not on)
 
 
 NEVER_STARVED = Entry(

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import InputError, Place
-from safety_harness.scenario.model import OffsetStart, Scenario
 
 
 def explained(error: BaseException) -> str:
@@ -22,22 +21,12 @@ def explained(error: BaseException) -> str:
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
 
 
-def refuse_unusable_avoider(reference: str) -> None:
-    """UsageError for an ``--avoider`` that there is not, that does not import or that is none."""
-    from safety_harness.admission.avoiders import resolve_avoider
+def refuse_unusable_avoider(reference: str, *, make: bool) -> None:
+    """UsageError for an ``--avoider`` that there is not or that is none; only ``make`` executes a file."""
+    from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
-    plain = Scenario(
-        name="avoider",
-        title="an avoider that is to be made",
-        about="",
-        duration_s=1.0,
-        seed=0,
-        start=OffsetStart(offset_in_base_m=(0.0, 0.0, 0.0)),
-        hands=(),
-        avoider=reference,
-        claims=(),
-    )
     try:
-        resolve_avoider(reference, plain, folder=None, place=Place(field="--avoider"))
+        look = resolve_avoider if make else refuse_unusable
+        look(reference, scenario_of_avoider(reference), folder=None, place=Place(field="--avoider"))
     except InputError as error:
         raise pytest.UsageError(explained(error)) from None

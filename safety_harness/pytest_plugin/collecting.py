@@ -16,8 +16,8 @@ from safety_harness.pytest_plugin.plugin import TEST
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.space.read import space_of
-from safety_harness.testing.asserting import SafetyViolation, run_of, settle
-from safety_harness.testing.simulating import admitting, as_asked, simulate
+from safety_harness.testing.asserting import SafetyViolation, refuse_fallback, run_of, settle
+from safety_harness.testing.simulating import as_asked, looker, simulate
 from safety_harness.testing.space_runs import SpaceRuns
 
 Nodes = Iterator[pytest.Item | pytest.Collector]
@@ -48,12 +48,12 @@ class ScenarioFile(pytest.File):
         yield ScenarioNode.from_parent(self, name=plain, items=items)
 
     def _read(self) -> tuple[list[Scenario], list[SpaceRuns]]:
-        """What the file holds, all of it admitted; CollectError with all that cannot be."""
+        """What the file holds, all of it looked at; CollectError with all that cannot be tried."""
         gathered = gather([self.path], spaces=True)
         errors, spaces = list(gathered.errors), []
         for scenario in gathered.scenarios:
             try:
-                admitting(as_asked(scenario))
+                looker.look(as_asked(scenario))
             except InputError as error:
                 errors.append(error)
         for variant, file in gathered.spaces:
@@ -102,6 +102,7 @@ class ClaimItem(pytest.Item):
         evaluation = property_of(self.claim, trace.scenario).evaluate(trace)
         if not settle(evaluation, run_of(trace), self.claim.expected, trace):
             raise SafetyViolation(evaluation, trace, self.claim.expected)
+        refuse_fallback(trace)
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """The claim's own line."""

@@ -55,13 +55,22 @@ class Ending:
             say(line)
         for sentence in self._untested():
             say(f"never put to the test: {sentence}; the session has failed", red=True)
-        for line in self._remarks():
+        if self._fallback():
+            say(self._fallback(), red=True)
+        for line in (*self._computing_times(), *self._remarks()):
             say(line)
+
+    def _computing_times(self) -> list[str]:
+        from safety_harness.report.computing_time import ComputingTime, lines_of
+
+        runs = (ComputingTime(*values) for sent in self._sent for values in sent["computing"])
+        return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _remarks(self) -> list[str]:
         from safety_harness.testing.failure_text import near
 
-        lines = []
+        executed = dict.fromkeys(file for sent in self._sent for file in sent["executed"])
+        lines = [f"executed {file}" for file in executed]
         kept = [Path(sent["kept"]) for sent in self._sent if sent["kept"]]
         if kept:
             lines.append("scenarios of failures, tried first next time:")
@@ -79,6 +88,22 @@ class Ending:
         if now.report is not None:
             lines.append(self._unwritten or f"report: {near(now.report)}")
         return lines
+
+    def _fallback(self) -> str:
+        """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""
+        from safety_harness.properties.answered import ANSWERED, fallback_words
+        from safety_harness.pytest_plugin.sending import judgements
+        from safety_harness.report.words import count_words
+
+        found = {
+            j.run: j.evaluation
+            for sent in self._sent
+            for j in judgements(sent)
+            if j.evaluation.sentence == ANSWERED.example and (j.evaluation.margin or 0.0) < 0.0
+        }
+        missing = sum(-int(one.margin or 0.0) for one in found.values())
+        words = fallback_words(missing, sum(one.exercised for one in found.values()))
+        return words and f"{words} of {count_words(len(found), 'run', 'runs')}"
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.properties.tally import Judged, tally_claims

@@ -5,16 +5,18 @@ A session without a scenario file and without a test that uses ``safety_harness.
 
 from __future__ import annotations
 
+import os
 import random
-import re
 import sys
 from collections.abc import Generator
+from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from safety_harness.scenario.recognised import is_titled
 from safety_harness.testing.profiles import PROFILES, QUICK, profile_named
 from safety_harness.testing.session import FAILURES, Session, TestRun, begin, session
 
@@ -23,12 +25,6 @@ if TYPE_CHECKING:
     from safety_harness.testing.simulating import Simulate
 
 SUFFIXES = (".yaml", ".yml")
-# The title of a scenario, a space or a suite; or two keys that only scenario files have.
-_TITLE = re.compile(r"^(scenario|scenario space|suite):[ \t]+\S", re.MULTILINE)
-_KEYS = re.compile(
-    r"^(extends|duration|tcp start|avoider|hands|faults|hand sensor|camera|robot|claims|matrix):",
-    re.MULTILINE,
-)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -49,6 +45,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
     parser.addini(
         "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
+    )
+    parser.addini(
+        "safety_scenarios",
+        "patterns of the scenario files, from pytest's root; without it they are known by their keys",
+        type="args",
+        default=None,
     )
     parser.addini(
         "safety_failures", "folder for the scenarios of failures, from pytest's root", default=str(FAILURES)
@@ -81,7 +83,7 @@ def pytest_configure(config: pytest.Config) -> None:
         if new.avoider is not None and not config.option.help:
             from safety_harness.pytest_plugin.asking import refuse_unusable_avoider
 
-            refuse_unusable_avoider(new.avoider)
+            refuse_unusable_avoider(new.avoider, make=False)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -91,10 +93,14 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
-    """Scenario files, spaces and suites; any other YAML file only if it is asked for by name."""
-    if file_path.suffix not in SUFFIXES:
-        return None
-    if not (parent.session.isinitpath(file_path) or looks_like_ours(file_path)):
+    """Scenario files, spaces and suites: those of ``safety_scenarios``, else those with keys of ours."""
+    patterns = parent.config.getini("safety_scenarios")
+    if patterns is not None:
+        name = os.path.relpath(file_path, parent.config.rootpath)
+        ours = any(fnmatch(name, pattern) for pattern in patterns)
+    else:
+        ours = file_path.suffix in SUFFIXES and looks_like_ours(file_path)
+    if not ours:
         return None
     from safety_harness.pytest_plugin.collecting import ScenarioFile
 
@@ -102,13 +108,27 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFi
 
 
 def looks_like_ours(path: Path) -> bool:
-    """Has the beginning of a YAML file the keys of a scenario, a space or a suite?"""
+    """Has the beginning of a YAML file the title of a scenario, a space or a suite, and one more key?"""
     try:
         with path.open("rb") as file:
             text = file.read(100_000).decode("utf-8", "replace").removeprefix("\ufeff")
     except OSError:
         return False
-    return bool(_TITLE.search(text)) or len(set(_KEYS.findall(text))) >= 2
+    return is_titled(text)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> None:
+    """Before the first test: an avoider of ``--avoider`` that cannot be made.  Collection executes none."""
+    config = session.config
+    elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
+    if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
+        return
+    avoider = config.getoption("avoider")
+    if avoider is not None:
+        from safety_harness.pytest_plugin.asking import refuse_unusable_avoider
+
+        refuse_unusable_avoider(avoider, make=True)
 
 
 @pytest.fixture(scope="session")

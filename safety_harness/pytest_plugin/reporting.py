@@ -18,6 +18,7 @@ import pytest
 from safety_harness.cli.console import replay_command
 from safety_harness.cli.run import notes_of
 from safety_harness.exceptions import InputError
+from safety_harness.properties.answered import AvoiderAnswered, with_expectation
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.pytest_plugin.asking import explained
@@ -98,10 +99,12 @@ def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
                 of_trace.evaluations.append(judged)
     for name, of_trace in by_file.items():
         trace = load_trace(Path(name))
-        scenario = replace(trace.scenario, claims=tuple(of_trace.claims))
+        claims = with_expectation(tuple(of_trace.claims), trace.scenario)
+        more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(of_trace.claims) :]]
+        scenario = replace(trace.scenario, claims=claims)
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
-            evaluations=tuple(of_trace.evaluations),
+            evaluations=(*of_trace.evaluations, *more),
             replay_command=shlex.join(replay_command(scenario, Path(name))),
             trace_file=Path(name),
             notes=(*notes_of(scenario), *(f"judged by {test}" for test in of_trace.tests)),

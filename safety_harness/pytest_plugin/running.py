@@ -13,12 +13,13 @@ from typing import Any
 import pytest
 
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.properties.answered import ANSWERED
 from safety_harness.pytest_plugin.asking import explained
 from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST
 from safety_harness.pytest_plugin.sending import junit_properties, payload
 from safety_harness.scenario.model import Verdict
-from safety_harness.testing.asserting import NotEstablished, SafetyViolation, run_of
+from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
 from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.kept import keep
 from safety_harness.testing.session import Judgement, TestRun, session
@@ -42,6 +43,8 @@ def watch(item: pytest.Item) -> Iterator[None]:
                 stack.enter_context(watched(function, test))
             yield
         refuse_untested(test)
+        if test.fallback is not None and ANSWERED.example not in test.worst:
+            refuse_fallback(test.fallback)
     except SafetyHarnessError as error:
         _leave_hypothesis_out(error, function)
         if isinstance(error, SafetyViolation):

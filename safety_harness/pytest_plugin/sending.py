@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import astuple
 from typing import Any
 
+from safety_harness.avoidance.isolation.host import executed
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.session import Judgement, Run, TestRun
@@ -20,7 +21,9 @@ def payload(test: TestRun) -> Payload:
         "kept": None if test.kept is None else str(test.kept),
         "replayed": [str(file) for file in test.replayed],
         "draws": test.draws,
+        "computing": [list(astuple(one)) for one in test.computing_times],
         "traces": [],
+        "executed": list(executed.values()),
         "failed": False,
     }
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safety_harness.properties.answered import fallback_words, unanswered
 from safety_harness.report.words import (
     CHECK_MEANINGS,
     OUTCOME_WORDS,
@@ -45,29 +46,40 @@ class DecisionRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Tally:
-    """How many decisions were made, and what they led to; ``faults`` had no usable answer."""
+    """How many decisions were made, and what they led to; ``faults`` had no usable answer.
+
+    For those among them that are ``unanswered`` no fault of the scenario accounts.
+    """
 
     made: int
     proposed: int
     opposite: int
     stops: int
     faults: int
+    unanswered: int
 
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Tally:
         """The decisions of all ``traces`` together."""
         counts: Counter[int] = Counter()
-        faults = 0
+        faults = missing = 0
         for trace in traces:
             counts.update(trace.decisions["outcome"].tolist())
             faults += int(np.count_nonzero(trace.decisions["fault"] != ""))
+            missing += int(np.count_nonzero(unanswered(trace)))
         return cls(
             made=counts.total(),
             proposed=counts[Outcome.PROPOSED],
             opposite=counts[Outcome.OPPOSITE],
             stops=counts[Outcome.STOP],
             faults=faults,
+            unanswered=missing,
         )
+
+    @property
+    def fallback(self) -> str:
+        """For headlines: that the fallback stood in for the avoider, and how often; empty if it did not."""
+        return fallback_words(self.unanswered, self.made)
 
     @property
     def fault_words(self) -> str:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf, isfinite
 from pathlib import Path
 
+from safety_harness.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally, Judged, tally_claims
 from safety_harness.scenario.model import Claim, Verdict
@@ -19,8 +21,10 @@ _SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 class JudgedRun:
     """A trace with one evaluation for each of its scenario's claims, in their order.
 
+    A run in which the avoider did not answer has one claim more than its scenario makes: that it did.
     ``replay_command`` is the command line that repeats this run; ``notes`` are sentences for the
-    reader (what was bridged in a recording, say); ``trace_file`` is where the trace is kept.
+    reader (what was bridged in a recording, say); ``trace_file`` is where the trace is kept.  ``about`` is
+    the index of the claim under whose heading it stands, None below one that is no claim's.
     Raises ValueError when the numbers of evaluations and claims differ.
     """
 
@@ -29,6 +33,7 @@ class JudgedRun:
     replay_command: str
     notes: tuple[str, ...] = ()
     trace_file: Path | None = None
+    about: int | None = None
 
     def __post_init__(self) -> None:
         claims = len(self.trace.scenario.claims)
@@ -37,8 +42,15 @@ class JudgedRun:
             raise ValueError(f"scenario {name!r} has {claims} claims, got {judged} evaluations")
 
     def judged_claims(self) -> Iterator[tuple[Claim, Evaluation]]:
-        """Each claim with its evaluation."""
-        return zip(self.trace.scenario.claims, self.evaluations, strict=True)
+        """Each claim with its evaluation; last that the avoider answered, where it did not."""
+        yield from zip(self.trace.scenario.claims, self.evaluations, strict=True)
+        if self._fallback is not None:
+            yield DEFAULT_CLAIM, self._fallback
+
+    @cached_property
+    def _fallback(self) -> Evaluation | None:
+        """The word on an avoider that did not answer, where the scenario makes no claim of that itself."""
+        return None if is_claimed(self.trace.scenario.claims) else by_default(self.trace)
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
@@ -52,13 +64,18 @@ class JudgedRun:
 
     def count(self, verdict: Verdict) -> int:
         """How many claims came out as ``verdict``."""
-        return sum(evaluation.verdict is verdict for evaluation in self.evaluations)
+        return sum(evaluation.verdict is verdict for _, evaluation in self.judged_claims())
 
-    def worst_claim(self) -> int | None:
-        """Index of the claim whose worst moment the views from above and the side show.
+    def under(self, sentence: str) -> JudgedRun:
+        """The same run below a heading with this claim's sentence; below no claim's, if it has none such."""
+        sentences = [claim.sentence for claim in self.trace.scenario.claims]
+        return replace(self, about=sentences.index(sentence) if sentence in sentences else None)
 
-        Violated before inconclusive before holds, lengths before other units, then the smallest
-        margin; None when no claim names a moment.
+    def shown_claim(self) -> int | None:
+        """Index of the claim whose worst moment every picture and replay shows; None when it names none.
+
+        It is the heading's.  Below no claim's heading it is the one that went worst: violated before
+        inconclusive before holds, lengths before other units, then the smallest margin.
         """
         ranked = [
             (
@@ -68,7 +85,9 @@ class JudgedRun:
                 index,
             )
             for index, evaluation in enumerate(self.evaluations)
-            if evaluation.worst_time_s is not None and isfinite(evaluation.worst_time_s)
+            if self.about in (None, index)
+            and evaluation.worst_time_s is not None
+            and isfinite(evaluation.worst_time_s)
         ]
         return min(ranked)[-1] if ranked else None
 

@@ -103,13 +103,15 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
+    summary = summarise(runs, interrupted=interrupted)
+    fallback = summary.decisions.fallback
     return render_page(
         "report.html.j2",
-        title=title,
+        title=f"{title}; {fallback}" if fallback else title,
         command=command,
         generated=in_words(generated_at),
         generated_iso=generated_at.isoformat(),
-        summary=summarise(runs, interrupted=interrupted),
+        summary=summary,
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
         coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
         most_decisions=MOST_DECISION_ROWS,

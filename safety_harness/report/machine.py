@@ -9,10 +9,13 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
+from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import Tally
 from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.scenario.files import told
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
@@ -39,10 +42,11 @@ def write_json(
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
-    each run says what was run and has its ``claims`` (a formula that "and" joins also each of its
-    ``parts``), and coverage says of each claim over all runs how often it was put to the test;
-    ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
-    none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+    each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a formula that
+    "and" joins also each of its ``parts``), and coverage says of each claim over all runs how often it was
+    put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null
+    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such
+    number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
@@ -60,7 +64,7 @@ def _run(run: JudgedRun) -> dict[str, Any]:
     return {
         "scenario": scenario.name,
         "title": scenario.title,
-        "file": str(scenario.file) if scenario.file else None,
+        "file": str(told(scenario.file)) if scenario.file else None,
         "seed": scenario.seed,
         "avoider": trace.provenance.avoider,
         "avoider_sha256": trace.provenance.avoider_sha256 or None,
@@ -69,7 +73,7 @@ def _run(run: JudgedRun) -> dict[str, Any]:
         "source_hash": trace.provenance.source_hash,
         "complete": trace.complete,
         "ended": trace.ended,
-        "trace_file": str(file) if file else None,
+        "trace_file": str(told(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
         "decisions": {
             "made": tally.made,
@@ -77,7 +81,10 @@ def _run(run: JudgedRun) -> dict[str, Any]:
             "opposite": tally.opposite,
             "stops": tally.stops,
             "faults": tally.faults,
+            "unanswered": tally.unanswered,
         },
+        "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
+        "computing_time": computing_time_lines([trace]),
         "claims": _claims(run),
     }
 

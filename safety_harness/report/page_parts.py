@@ -7,16 +7,19 @@ import hashlib
 from datetime import datetime
 from importlib.resources import files
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 PACKAGE = "safety_harness.report"
 
 
-def templates() -> Environment:
-    """The templates: what they are given is escaped, and a name that is not given is an error."""
+def templates(of: str = PACKAGE) -> Environment:
+    """The templates: what they are given is escaped, and a name that is not given is an error.
+
+    ``of`` is a package with templates of its own beside ours.
+    """
     return Environment(
-        loader=PackageLoader(PACKAGE),
+        loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((of, PACKAGE))]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -30,14 +33,17 @@ def asset(name: str) -> str:
     return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
 
-def render_page(template: str, *, style: str = "", scripts: tuple[str, ...] = (), **values: object) -> str:
+def render_page(
+    template: str, *, of: str = PACKAGE, style: str = "", scripts: tuple[str, ...] = (), **values: object
+) -> str:
     """A page that asks nothing of the network: the template with the shared style sheet and script.
 
-    ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise.
+    ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise;
+    ``of`` is the package that the template lies in.
     """
     script = "".join(map(asset, ("report.js", *scripts)))
     return (
-        templates()
+        templates(of)
         .get_template(template)
         .render(
             style=Markup(asset("report.css") + (asset(style) if style else "")),

@@ -33,14 +33,17 @@ MARGINS_PX = (46.0, 12.0, 40.0, 26.0)  # left, right, below, above
 
 
 def shown_moment(run: JudgedRun) -> Moment | None:
-    """The worst moment of the claim that went worst, else the nearest hand; None without either."""
+    """The worst moment of ``run.shown_claim()``, else the nearest hand; None without either.
+
+    Every picture, button and replay of a run takes its moment from here.
+    """
     ticks = run.trace.ticks
     if len(ticks) == 0:
         return None
-    claim = run.worst_claim()
+    claim = run.shown_claim()
     if claim is not None:
         worst_s = run.evaluations[claim].worst_time_s
-        assert worst_s is not None  # worst_claim() only names claims with a moment
+        assert worst_s is not None  # shown_claim() only names claims with a moment
         return Moment(int(np.argmin(np.abs(run.trace.time_s - worst_s))), worst_s, claim)
     distance = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf)
     distance = np.where(np.isnan(distance), np.inf, distance)

@@ -14,10 +14,11 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.report.path_artists import Moment
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_progress import progress_figure
 from safety_harness.report.words import margin_words, share_words, with_minus
-from safety_harness.search.confirm import Complaint, mishap
+from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import DRAWS, Counterexample
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.disagreement import Disagreement, InOneWorld
@@ -30,10 +31,13 @@ MOST_DRAWN = 8  # disagreements of the worlds of which both runs are shown
 
 @dataclass(frozen=True, kw_only=True)
 class ShownCounterexample:
-    """A counterexample with its files (names beside the page) and the commands that run it again."""
+    """A counterexample with its files (names beside the page) and the commands that run it again.
+
+    ``groups`` of runs, which lie apart, shrank to it.
+    """
 
     one: Counterexample
-    group: Group
+    groups: tuple[Group, ...]
     searcher: str
     file: str
     trace_file: str  # empty where there is no trace
@@ -41,23 +45,31 @@ class ShownCounterexample:
     replay_command: str
     text: str
 
+    @property
+    def runs(self) -> int:
+        """How many led to it."""
+        return sum(group.count for group in self.groups)
+
 
 @dataclass(frozen=True, kw_only=True)
 class SearchEvidence:
     """Everything that the page shows.
 
-    ``baseline`` is uniform sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
+    ``fallback`` says how often the fallback stood in for the avoider, if it did.  ``baseline`` is uniform
+    sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
     that PyBullet does not show, ``confirmed`` counts those that it does.
     """
 
     title: str
     space: str
     avoider: str
+    computing_time: str  # what a decision costs in simulated time
     seed: int
     budget: int
     command: str
     generated_at: datetime
     findings: Findings
+    fallback: str
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage
@@ -100,6 +112,7 @@ class Section:
     run: Trace | None
     views: tuple[Markup, ...]
     moment_time: str
+    moment_of: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +125,7 @@ class Told:
     run: Trace | None
     views: tuple[Markup, ...]
     moment_time: str
+    moment_of: str
 
 
 def render(evidence: SearchEvidence) -> str:
@@ -188,12 +202,13 @@ def _section(shown: ShownCounterexample, number: int) -> Section:
     margin = "\u2013" if evaluation is None else margin_words(evaluation)
     found = "\u2013"
     if evaluation is not None and one.found_margin is not None:
-        found = _in_unit(evaluation, one.found_margin)
+        found = with_minus(evaluation.unit.margin_text(one.found_margin))
     run = one.run if isinstance(one.run, Trace) else None
     views: tuple[Markup, ...] = ()
-    moment_time = ""
+    moment: Moment | None = None
     if run is not None and len(run.ticks) and len(one.evaluations) == len(run.scenario.claims):
-        views, moment_time = _pictures(run, one.evaluations, f"counterexample-{number}-")
+        judged = JudgedRun(run, one.evaluations, "").under(one.complaint.sentence)
+        views, moment = _pictures(judged, f"counterexample-{number}-")
     return Section(
         id=f"counterexample-{number}",
         shown=shown,
@@ -202,7 +217,8 @@ def _section(shown: ShownCounterexample, number: int) -> Section:
         parts=[line for each in one.evaluations for line in _part_lines(each, 0)],
         run=run,
         views=views,
-        moment_time=moment_time,
+        moment_time=_seconds(moment),
+        moment_of=_moment_of(moment, one.evaluations),
     )
 
 
@@ -216,34 +232,40 @@ def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> Told:
             run=None,
             views=(),
             moment_time="",
+            moment_of="",
         )
     if complaint.claim is None:
-        verdict, words = ("violated", mishap(run)) if mishap(run) else ("holds", "nothing goes wrong")
+        verdict, words = "inconclusive", "it does not happen"
     else:
         verdict, words = world.evaluations[0].verdict.value, margin_words(world.evaluations[0])
-    views, moment_time = _pictures(run, world.evaluations, prefix) if len(run.ticks) else ((), "")
+    judged = JudgedRun(run, world.evaluations, "").under(complaint.sentence)
+    views, moment = _pictures(judged, prefix) if len(run.ticks) else ((), None)
     return Told(
         sentence=complaint.sentence,
         words=words,
         verdict=verdict,
         run=run,
         views=views[:2],
-        moment_time=moment_time,
+        moment_time=_seconds(moment),
+        moment_of=_moment_of(moment, world.evaluations),
     )
 
 
-def _pictures(run: Trace, evaluations: tuple[Evaluation, ...], prefix: str) -> tuple[tuple[Markup, ...], str]:
-    judged = JudgedRun(run, evaluations, "")
-    moment = shown_moment(judged)
-    views = path_views(judged, prefix=prefix)
+def _pictures(run: JudgedRun, prefix: str) -> tuple[tuple[Markup, ...], Moment | None]:
+    views = path_views(run, prefix=prefix)
     drawn = (views.top, views.side, views.top_close, views.side_close)
-    return tuple(Markup(view) for view in drawn), f"{moment.time_s:.3f} s" if moment else ""
+    return tuple(Markup(view) for view in drawn), shown_moment(run)
 
 
-def _in_unit(evaluation: Evaluation, margin: float) -> str:
-    shown = margin * evaluation.unit.per_si
-    number = f"{shown:+.1f}" if abs(shown) >= 1.0 else f"{shown:+.3g}"
-    return with_minus(f"{number} {evaluation.unit.symbol}".rstrip())
+def _seconds(moment: Moment | None) -> str:
+    return "" if moment is None else f"{moment.time_s:.3f} s"
+
+
+def _moment_of(moment: Moment | None, evaluations: Sequence[Evaluation]) -> str:
+    """What happens at it."""
+    if moment is None or moment.claim is None:
+        return "" if moment is None else "when a hand was nearest"
+    return f"the worst moment of {evaluations[moment.claim].sentence}"
 
 
 def _part_lines(evaluation: Evaluation, depth: int) -> Sequence[PartLine]:

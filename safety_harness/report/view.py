@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
+from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import Tally, avoiders
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import (
@@ -186,6 +187,7 @@ class Summary:
     without_claims: int
     interrupted: bool
     avoiders: list[tuple[str, int]]  # name, runs
+    computing_time: tuple[str, ...]
     decisions: Tally
 
     @property
@@ -201,14 +203,15 @@ def summarise(runs: Sequence[JudgedRun], *, interrupted: bool) -> Summary:
     traces = [run.trace for run in runs]
     return Summary(
         runs=len(runs),
-        claims=sum(len(run.evaluations) for run in runs),
+        claims=sum(len(run.as_expected) for run in runs),
         holds=sum(run.count(Verdict.HOLDS) for run in runs),
         violated=sum(run.count(Verdict.VIOLATED) for run in runs),
         inconclusive=sum(run.count(Verdict.INCONCLUSIVE) for run in runs),
         differing=sum(run.as_expected.count(False) for run in runs),
         cut_short=sum(not run.trace.complete for run in runs),
-        without_claims=sum(not run.evaluations for run in runs),
+        without_claims=sum(not run.trace.scenario.claims for run in runs),
         interrupted=interrupted,
         avoiders=avoiders(traces),
+        computing_time=tuple(computing_time_lines(traces)),
         decisions=Tally.of(traces),
     )

@@ -1,4 +1,4 @@
-"""Inverse kinematics: every branch of a pose, the nearest one, and how far a straight way leads."""
+"""Inverse kinematics: the branches of a pose, the nearest one, and how far a straight way leads."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     is_well_conditioned,
 )
+from safety_harness.robot.wrist_singularity import AT_ONCE, wrist_branches
 
 EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
 REACH_RESOLUTION_M = 1e-4
+SAME_RAD = 1e-6  # of two ways to compute one branch near a singularity
 
 
 class InverseKinematics:
@@ -40,22 +42,35 @@ class InverseKinematics:
         axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
         points = zero[:, :3, 3]
         self._zero_rotation_inverse = zero[TCP, :3, :3].T.copy()
-        self._solver = HPRobot(axes, np.diff(points, axis=0))
+        self._axes, self._steps = axes, np.diff(points, axis=0)
+        self._solver = HPRobot(self._axes, self._steps)
         if not self._solver.hasKnownDecomposition():
             raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form")
 
     def branches(self, transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
         """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
 
-        Each is checked with our own forward kinematics to 1e-9, which also drops the library's
-        least-squares answers to unreachable poses.  Position limits are not considered.
+        Each is checked with our own forward kinematics to 1e-9 (metres, and entries of the rotation), which
+        also drops the library's least-squares answers to unreachable poses.  Position limits are not
+        considered.  At a wrist singularity (|sin theta_5| below 5e-10) joints can move while the TCP stays,
+        and what is returned are some of those positions.  Up to 1e-4 the branches of ``wrist_branches`` stand
+        before the library's, which loses some below 1e-5.  Where shoulder and elbow are singular at once, to
+        some 1e-8 of the reach, and the wrist is not, a few per cent of the poses have no branch here.
         """
         pose = np.array(transform_tcp_to_base, dtype=np.float64)
         if not np.isfinite(pose).all():
             return np.empty((0, 6))
         turned = pose.copy()
         turned[:3, :3] = pose[:3, :3] @ self._zero_rotation_inverse
-        answers = np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6)
+        answers = self._exact(np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6), pose)
+        own = np.empty((AT_ONCE, 6))
+        count = wrist_branches(self._axes, self._steps, turned[:3, :3].copy(), pose[:3, 3].copy(), own)
+        if count == 0:
+            return answers
+        return _distinct(np.concatenate([self._exact(own[:count], pose), answers]))
+
+    def _exact(self, answers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Those of ``answers`` (k, 6), overwritten, that give ``pose``, wrapped."""
         arm = self.arm
         count = _keep_exact(arm.joint_origins, arm.joint_axes, arm.flange, pose, answers)
         return answers[:count]
@@ -141,6 +156,13 @@ def _keep_exact(
             for j in range(4):
                 exact = exact and abs(transforms[TCP, i, j] - pose[i, j]) <= EXACT_POSE
         kept += exact
+    return kept
+
+
+def _distinct(answers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The first of those (k, 6) that are the same but for rounding, whole turns aside."""
+    apart = np.abs((answers[:, None] - answers + pi) % (2.0 * pi) - pi).max(axis=2)
+    kept: NDArray[np.float64] = answers[~np.any(np.tril(apart < SAME_RAD, -1), axis=1)]
     return kept
 
 

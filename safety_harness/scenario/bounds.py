@@ -72,6 +72,7 @@ _GAIN = Bounds(1e-3, 10.0)
 BY_KEY: Mapping[str, Bounds] = {
     "Clock.control_period_s": Bounds(1e-3, 0.05),  # between two ticks the arm is taken to move evenly
     "Clock.physics_substeps": Bounds(1, 100),
+    "Clock.wall_limit_s": Bounds(0.1, 3600.0),
     "Cell.table_height_m": Bounds(-2.0, 2.0),
     "Object.yaw_rad": Bounds(-LARGEST_ANGLE_RAD, LARGEST_ANGLE_RAD),
     "Object.polygon_m": Bounds(-1.0, 1.0),

@@ -18,6 +18,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import decode, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
+from safety_harness.scenario.recognised import ALL, foreign, has_a_key
 from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.units import near_miss, shown
 
@@ -58,8 +59,22 @@ class Library:
                 raise ScenarioError(
                     place=place or Place(file=path), expected=f"at most {MOST_BYTES:,} bytes", got="more"
                 )
-            self._trees[key] = parse_tree(decode(data, most=MAX_BYTES, file=path, error=ScenarioError), path)
+            text = decode(data, most=MAX_BYTES, file=path, error=ScenarioError)
+            self._trees[key] = tree_of(text, path, place)
         return self._trees[key]
+
+
+def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
+    """The tree of a file's text; an error quotes it only if it has a key of ours, else it is at ``place``."""
+    try:
+        tree = parse_tree(text, file)
+    except ScenarioError:
+        if has_a_key(text):
+            raise
+        raise foreign(file, place) from None
+    if not isinstance(tree, Mapping) or not _keys(tree) & {*ALL}:
+        raise foreign(file, place)
+    return tree
 
 
 @dataclass(frozen=True)

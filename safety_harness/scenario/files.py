@@ -45,6 +45,19 @@ def resolved(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
+def told(path: Path) -> Path:
+    """How a result names a file: as the working directory sees it, or by its name alone.
+
+    Results are shown to anybody, and a path from the root tells of one machine and who works at it.  What
+    was named relatively stays so, unless the way leads by the root or by the folder of everybody's homes.
+    """
+    full, here = resolved(path.parent) / path.name, resolved(Path())
+    if here in full.parents:
+        return full.relative_to(here)
+    by_the_root = Path(os.path.commonpath([full, here])) in Path.home().parents
+    return Path(path.name) if path.is_absolute() or by_the_root else path
+
+
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:
     """``data`` as UTF-8; ``error`` when it is larger than ``most`` bytes or not UTF-8."""
     if len(data) > most:

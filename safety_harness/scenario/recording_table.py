@@ -52,11 +52,6 @@ def parse_recording(data: bytes, file: Path) -> Recording:
     """The table in the bytes of a CSV file; RecordingError when there is none with a time column."""
     text = decode(data, most=MAX_BYTES, file=file, error=RecordingError)
     header, rows, lines = _read_table(text, file)
-    if TIME_COLUMN not in header:
-        got = f"the columns {shown(', '.join(header))}"
-        raise _error(
-            file, 1, expected=f'a column "{TIME_COLUMN}"', got=got, hint=near_miss(TIME_COLUMN, header)
-        )
     column = header.index(TIME_COLUMN)
     time_s = np.array(
         [
@@ -98,6 +93,11 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
     if not rows:
         raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
+    if TIME_COLUMN not in header:
+        ours = any(name.endswith("_x_m") for name in header)  # nothing is quoted of what may be anybody's
+        got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
+        hint = near_miss(TIME_COLUMN, header)
+        raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
     if len(set(header)) < len(header):
         name = next(name for at, name in enumerate(header) if name in header[:at])
         raise _error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')

@@ -43,10 +43,14 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Text:
-    """A text: ``form`` says of what kind; ``pattern`` is what a schema can tell of it."""
+    """A text: ``form`` says of what kind; ``pattern`` is what a schema can tell of it.
+
+    ``or_mapping``: what we write ourselves may be a mapping in its place.
+    """
 
     form: str
     pattern: str = ""
+    or_mapping: bool = False
 
     @property
     def words(self) -> str:

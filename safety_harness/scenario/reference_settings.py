@@ -7,10 +7,21 @@ from enum import Enum
 from typing import Any
 
 from safety_harness.scenario.bounds import BY_KEY
-from safety_harness.scenario.reference import Below, Key, Quantity, Several, Table, Value, Word, nice
+from safety_harness.scenario.decision_times import FORM as DECISION_TIME
+from safety_harness.scenario.reference import (
+    Below,
+    Key,
+    Quantity,
+    Several,
+    Table,
+    Text,
+    Value,
+    Word,
+    nice,
+)
 from safety_harness.scenario.settings_keys import EVERY_TICK, SettingKey, setting_keys
 from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, Dimension
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, DecisionCost
 
 MEANINGS: Mapping[str, Mapping[str, str]] = {
     "object": {
@@ -55,6 +66,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
     "clock": {
         "control period": "from one speed command to the next",
         "physics substeps": "steps of the physics in one control period",
+        "wall limit": "an avoider that takes longer in real time ends the run, which has failed",
     },
     "cell": {
         "table height": "z of the table",
@@ -111,7 +123,11 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
             "`reach` is the plain system"
         ),
         "table clearance": "the TCP is never sent nearer to the table",
-        "decision deadline": "an avoider that takes longer has not answered",
+        "decision deadline": "an answer that takes longer in simulated time is none",
+        "decision time": (
+            "what a decision costs in simulated time, drawn anew for each; as the avoider declares it "
+            "([avoiders](avoiders.md#computing-time))"
+        ),
         "restart delay": "how long hands must be away before a stop is released",
     },
     "braking": {
@@ -123,6 +139,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
 _SAID = {"restart delay": "time, at least as long as a stop takes"}
 _INNER = {"calibration error": "what the controller believes wrongly about the mount"}
 _EXAMPLES = {
+    "decision time": "settings: {avoidance: {decision time: 40 ms}}",
     "calibration error": "camera: {calibration error: {rotation: [0 deg, 0 deg, 2 deg]}}",
     "kind": "hand sensor: {kind: eye in hand}",
 }
@@ -177,6 +194,8 @@ def _unbounded(value: Value) -> str:
 
 
 def _value(one: SettingKey, default: Any) -> Value:
+    if isinstance(default, DecisionCost):
+        return Text(form=DECISION_TIME, or_mapping=True)
     if isinstance(default, Enum):
         return Word(options=tuple(str(member.value) for member in type(default)))
     number = Quantity(

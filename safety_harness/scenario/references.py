@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from safety_harness.scenario.files import resolved
+
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 
 
@@ -21,6 +23,16 @@ def seen_from(folder: Path, path: str, standing_in: Path) -> str:
     if Path(path).is_absolute() or path.startswith("~"):
         return path
     return Path(os.path.relpath(standing_in / path, folder)).as_posix()
+
+
+def portable(path: str, folder: Path) -> str:
+    """A file as a result names it that is read on other machines: ``told``, but relative to ``folder``."""
+    file = Path(os.path.expanduser(path))
+    if not file.is_absolute():
+        way = os.path.commonpath([resolved(folder / file.parent), resolved(folder)])
+        return file.name if Path(way) in Path.home().parents else path
+    below = resolved(folder) in resolved(file).parents
+    return Path(os.path.relpath(resolved(file), resolved(folder))).as_posix() if below else file.name
 
 
 def avoider_seen_from(folder: Path, reference: str, standing_in: Path) -> str:

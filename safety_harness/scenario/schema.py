@@ -85,6 +85,8 @@ def _value(value: Value) -> Schema:
         return _quantity(value)
     if isinstance(value, Word):
         return {"enum": list(value.options)}
+    if isinstance(value, Text) and value.or_mapping:
+        return {"type": [*_ANY_TEXT["type"], "object"]}
     if isinstance(value, Text):
         return {"type": "string", "pattern": value.pattern} if value.pattern else _ANY_TEXT
     if isinstance(value, Several):

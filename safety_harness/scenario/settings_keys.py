@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 from safety_harness.scenario.bounds import Bounds, bounds_of
+from safety_harness.scenario.decision_times import read_decision_time, write_decision_time
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import (
     ACCELERATION,
@@ -42,6 +43,8 @@ from safety_harness.settings import (
     Camera,
     Cell,
     Clock,
+    DecisionCost,
+    DecisionTimes,
     Hand,
     HandFilter,
     HandSensor,
@@ -153,6 +156,9 @@ def write_group(group: Group, default: Group | None) -> dict[str, Written]:
         # repr, because a negative zero equals a positive one and is another number all the same.
         if default is not None and repr(getattr(default, key.name)) == repr(value):
             continue
+        if isinstance(value, DecisionCost | DecisionTimes):
+            written |= {key.words[0]: write_decision_time(value)}
+            continue
         text = _write(value, key.dimension)
         if len(key.words) == 1:
             written[key.words[0]] = text
@@ -170,6 +176,8 @@ def write_vector(values: tuple[float, ...], dimension: Dimension) -> str:
 
 def _read(field: Field, key: SettingKey, default: Any) -> Any:
     kind = key.kind
+    if kind == DecisionCost | DecisionTimes:
+        return read_decision_time(field)
     if isinstance(kind, type) and issubclass(kind, Enum):
         return field.choice(kind)
     if kind == _Polygon:

@@ -8,15 +8,20 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.avoider import described
 from safety_harness.exceptions import InputError
+from safety_harness.properties.answered import fault_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.draws import OtherDraws
-from safety_harness.search.trials import World, mishap_of
+from safety_harness.search.outcomes import RUN_FAILED
+from safety_harness.search.trials import World
 from safety_harness.trace.trace import Trace
 
 
 @dataclass(frozen=True)
 class Complaint:
-    """What is wrong: a claim is violated, or, without one, a mishap of this kind happens."""
+    """What is wrong: a claim is violated, or, without one, a run fails.
+
+    ``kind`` is in which words it fails, or what the avoider did instead of answering.
+    """
 
     claim: Claim | None
     kind: str = ""
@@ -26,21 +31,26 @@ class Complaint:
         """For people."""
         return self.kind if self.claim is None else self.claim.sentence
 
+    @property
+    def words(self) -> str:
+        """With what the avoider did instead of answering."""
+        return f"{self.sentence}: {self.kind}" if self.claim is not None and self.kind else self.sentence
+
     def is_in(self, run: Trace | Exception) -> bool:
         """Whether a run shows it."""
-        return mishap(run) == self.kind if self.claim is None else self.margin_in(run) is not None
+        return failure_of(run) == self.kind if self.claim is None else self.margin_in(run) is not None
 
     def margin_in(self, run: Trace | Exception) -> float | None:
         """The margin by which the claim is violated [SI]; None if it is not."""
-        if self.claim is None or isinstance(run, Exception):
+        if self.claim is None or isinstance(run, Exception) or self.kind not in ("", fault_of(run)):
             return None
         evaluation = property_of(self.claim, run.scenario).evaluate(run)
         return evaluation.margin if evaluation.verdict is Verdict.VIOLATED else None
 
 
-def mishap(run: Trace | Exception) -> str:
-    """What went wrong in a run that is no claim's matter; empty if nothing did."""
-    return f"the run failed: {described(run)}" if isinstance(run, Exception) else mishap_of(run)
+def failure_of(run: Trace | Exception) -> str:
+    """Why there is no run; empty if there is one."""
+    return f"{RUN_FAILED}{described(run)}" if isinstance(run, Exception) else ""
 
 
 @dataclass(frozen=True)

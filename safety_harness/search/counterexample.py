@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +20,6 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.cube import Points
 from safety_harness.search.explain import Ingredient, circumstances, ingredients
-from safety_harness.search.knobs import knobs
-from safety_harness.search.paths import with_value
 from safety_harness.search.shrink import Shrunk, shrink
 from safety_harness.search.trials import World
 from safety_harness.space.space import ScenarioSpace
@@ -27,6 +27,7 @@ from safety_harness.trace.trace import Trace
 
 KEPT = 0.1  # of the margin, when shrinking
 DRAWS = 10  # of the avoider's own randomness
+_NUMBER = re.compile(r"(?<![\w.-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")  # not those within names
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ class Counterexample:
         if self.evaluations:
             pairs = zip(claims, self.evaluations, strict=True)
             claims = tuple(replace(claim, expected=evaluation.verdict) for claim, evaluation in pairs)
-        title = "the avoider or the run fails" if self.complaint.claim is None else self.complaint.sentence
+        title = "the run fails" if self.complaint.claim is None else self.complaint.sentence
         return replace(
             self.shrunk.scenario,
             title=f"counterexample: {title}",
@@ -82,17 +83,18 @@ class Counterexample:
             claims=claims,
         )
 
+    @cached_property
+    def structure(self) -> str:
+        """The file that it shrank to, without name, seed, claims and numbers.
+
+        What is left are the avoider, the hands with their moves, the faults, and the settings that matter.
+        """
+        plain = replace(self.shrunk.scenario, name="", title="-", about="", seed=0, claims=())
+        return _NUMBER.sub("#", write_scenario(plain))
+
     def is_same_as(self, other: Counterexample) -> bool:
-        """Whether they shrank to one story, told with other numbers, and came about in one way."""
-        return self.complaint == other.complaint and _story(self) == _story(other)
-
-
-def _story(one: Counterexample) -> Scenario:
-    """The scenario without a name and a seed, and without its numbers."""
-    scenario = replace(one.shrunk.scenario, name="", file=None, seed=0)
-    for knob in knobs(scenario):
-        scenario = with_value(scenario, knob.path, 0.0)
-    return scenario
+        """Whether they violate the same claim (the avoider fails in the same words) with one structure."""
+        return self.complaint == other.complaint and self.structure == other.structure
 
 
 def counterexample_of(
@@ -131,6 +133,8 @@ def counterexample_of(
 def text_of(one: Counterexample, origin: Sequence[str], trace_file: Path | None) -> str:
     """The file: the scenario below what is known of it, as comments."""
     head = [f"A counterexample to: {one.complaint.sentence}", *origin]
+    if one.complaint.words != one.complaint.sentence:
+        head.insert(1, one.complaint.kind)
     head.append(
         f"Shrunk in {one.shrunk.used} runs" + ("" if one.shrunk.settled else ", not to the end") + "."
     )

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import folder_of
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import Scenario
-from safety_harness.search.confirm import Complaint, mishap
+from safety_harness.search.confirm import Complaint, failure_of
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.simpler import simpler
 from safety_harness.search.trials import World
@@ -47,7 +48,7 @@ def ingredients(scenario: Scenario, complaint: Complaint, world: World) -> list[
 
 def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
     if complaint.claim is None or isinstance(run, Exception):
-        return mishap(run) or "nothing goes wrong"
+        return failure_of(run) or "nothing goes wrong"
     evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
     margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
     return evaluation.verdict.value + margin
@@ -55,8 +56,7 @@ def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
 
 def seen_of(scenario: Scenario) -> Seen:
     """What the scenario's avoider was trained on."""
-    folder = scenario.file.parent if scenario.file else None
-    return seen_by(scenario.avoider, folder=folder, settings=scenario.settings)
+    return seen_by(scenario.avoider, folder=folder_of(scenario), settings=scenario.settings)
 
 
 def circumstances(trace: Trace) -> list[str]:

@@ -26,6 +26,8 @@ SCALES = {
     Unit.COUNT: 1.0,
 }
 
+RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
+
 
 @dataclass(frozen=True)
 class Goal:
@@ -52,7 +54,7 @@ class Outcomes:
     ``margins`` (n, k) SI, negative where a claim is violated, NaN where there is none to give;
     ``conclusive`` (n, k) whether there is a verdict: a margin alone leads somewhere and is no evidence.
     ``refused`` says why a point was not tried at all (admission), ``mishaps`` what went wrong in a run
-    that is no claim's matter: an avoider that raised, a world that broke; both are empty elsewhere.
+    besides: an avoider that gave no answer, a world that broke; both are empty elsewhere.
     ``kinds`` tells violations apart that have different causes; ``cells`` is for coverage.
     """
 

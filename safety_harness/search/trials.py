@@ -6,37 +6,37 @@ another is the same code.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import late_by_the_clock, run_kinematic, run_many
+from safety_harness.admission.kinematic import run_kinematic, run_many
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.avoider import Avoider, described
+from safety_harness.avoidance.avoider import decision_time_of, described
 from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
+from safety_harness.properties.answered import (
+    DEFAULT_CLAIM,
+    fault_of,
+    is_claimed,
+    unanswered,
+    with_expectation,
+)
 from safety_harness.properties.base import Property
-from safety_harness.scenario.faults import AvoiderFault
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.coverage import Cell, Coverage, cell_of
 from safety_harness.search.cube import Points
-from safety_harness.search.draws import OtherDraws
-from safety_harness.search.outcomes import Goal, Outcomes
+from safety_harness.search.outcomes import RUN_FAILED, Goal, Outcomes
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
-from safety_harness.space.regions import Seen, seen_by
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
-
-WITHOUT_FILE = ("opposite pose", "nearest candidate")
-_NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 
 
 class World(Protocol):
@@ -48,15 +48,11 @@ class World(Protocol):
 
 
 def in_pybullet(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-    """One after another, in the reference world.  Ctrl-C raises KeyboardInterrupt.
-
-    Avoiders that the kinematic world waits for are waited for here too: a busy machine makes no finding.
-    """
+    """One after another, in the reference world.  Ctrl-C raises KeyboardInterrupt."""
     found: list[Trace | Exception] = []
     for one in admitted:
         try:
-            asked = one.avoider.avoider if isinstance(one.avoider, OtherDraws) else one.avoider
-            trace = run_trial(one, by_the_clock=late_by_the_clock(asked))
+            trace = run_trial(one)
         except Exception as error:  # one run's failure is a finding
             found.append(error)
             continue
@@ -91,9 +87,10 @@ class Trials:
     """The points of ``space`` in ``world``: an Evaluate for a search.
 
     ``avoider`` takes the place of the one that the space names (a relative file from the working
-    directory), ``sentences`` that of its claims.  Each point's scenario has a seed of its own, from
-    ``seed`` and the point's number, unless the file fixes it.  What names a file is loaded once, so that
-    an avoider with a memory of its own keeps it from run to run.
+    directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
+    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer.
+    Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
+    it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
     """
 
     space: ScenarioSpace
@@ -103,12 +100,16 @@ class Trials:
     sentences: tuple[str, ...] = ()
     coverage: Coverage = field(default_factory=Coverage)
     violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
-    _avoiders: dict[str, Avoider] = field(default_factory=dict)
-    _seen: dict[str, Seen] = field(default_factory=dict)
+    declared_s: float = 0.0  # what a decision costs by the avoider's own words
+    decisions: int = field(default=0, init=False)
+    unanswered: int = field(default=0, init=False)
+    _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
         simplest = self._completed(self.space.simplest)
-        self.claims = tuple(claim for claim in simplest.claims if claim.expected is Verdict.HOLDS)
+        expected = [claim for claim in simplest.claims if claim.expected is Verdict.HOLDS]
+        others = tuple(claim for claim in expected if not is_claimed([claim]))
+        self.claims = others or tuple(claim for claim in expected if claim is not DEFAULT_CLAIM)
         if not self.claims:
             raise ScenarioError(
                 place=Place(file=self.space.file, field="claims"),
@@ -118,6 +119,8 @@ class Trials:
             )
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
         self.goals = tuple(Goal.of(prop) for prop in self.properties)
+        # That the avoider answered leads a search only where nothing else is claimed.
+        self.answered = next((claim for claim in expected if claim not in self.claims), None)
 
     def scenario(self, point: Points, number: int) -> Scenario:
         """The scenario of a point (d,); InputError where the reader refuses it."""
@@ -125,10 +128,13 @@ class Trials:
         return self._completed(self.space.at(point, seed=own, name=f"{self.space.name}-{number}"))
 
     def _completed(self, scenario: Scenario) -> Scenario:
+        claims = scenario.claims
         if self.sentences:
             place = Place(field="--claim")
-            claims = (Claim(sentence=s, expected=Verdict.HOLDS, place=place) for s in self.sentences)
-            scenario = replace(scenario, claims=tuple(claims))
+            claims = tuple(Claim(sentence=s, expected=Verdict.HOLDS, place=place) for s in self.sentences)
+        claims = with_expectation(claims, scenario)
+        claims = claims if is_claimed(claims) else (*claims, DEFAULT_CLAIM)
+        scenario = replace(scenario, claims=claims)
         return scenario if self.avoider is None else with_avoider(scenario, self.avoider)
 
     def __call__(self, points: Points, first: int) -> Outcomes:
@@ -136,7 +142,8 @@ class Trials:
         refused, admitted = [""] * len(points), {}
         for k, point in enumerate(points):
             try:
-                admitted[k] = self._admit(self.scenario(point, first + k))
+                admitted[k] = self._admitter.admit(self.scenario(point, first + k))
+                self.declared_s = decision_time_of(admitted[k].avoider)
             except InputError as error:
                 refused[k] = why_refused(error)
         traces = self.world(list(admitted.values()))
@@ -146,31 +153,17 @@ class Trials:
         cells: list[Cell | None] = [None] * len(points)
         for k, trace in zip(admitted, traces, strict=True):
             if isinstance(trace, Exception):
-                mishaps[k] = f"the run failed: {described(trace)}"
+                mishaps[k] = f"{RUN_FAILED}{described(trace)}"
                 continue
             margins[k], conclusive[k] = judged_by(self.properties, trace)
-            mishaps[k] = mishap_of(trace)
-            cells[k] = cell = cell_of(trace, self._seen_of(trace))
+            self.decisions += len(trace.decisions)
+            self.unanswered += int(np.count_nonzero(unanswered(trace)))
+            mishaps[k] = fault_of(trace) if self.answered else ""
+            cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
         self.coverage.add(cells[k] for k in admitted)
         self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
-
-    def _admit(self, scenario: Scenario) -> Admitted:
-        known = self._avoiders.get(scenario.avoider)
-        admitted = admit(scenario, avoider=known, rehearsed=known is not None)
-        if scenario.avoider not in WITHOUT_FILE:  # those depend on settings, which may vary
-            self._avoiders[scenario.avoider] = admitted.avoider
-        return admitted
-
-    def _seen_of(self, trace: Trace) -> Seen:
-        scenario = trace.scenario
-        known = self._seen.get(scenario.avoider)
-        if known is None:
-            folder = scenario.file.parent if scenario.file else None
-            known = seen_by(scenario.avoider, folder=folder, settings=scenario.settings)
-            self._seen[scenario.avoider] = known
-        return known
 
 
 def judged_by(properties: Sequence[Property], trace: Trace) -> tuple[Points, Points]:
@@ -178,11 +171,3 @@ def judged_by(properties: Sequence[Property], trace: Trace) -> tuple[Points, Poi
     evaluations = [prop.evaluate(trace) for prop in properties]
     margins = [np.nan if e.margin is None else e.margin for e in evaluations]
     return np.array(margins), np.array([e.verdict is not Verdict.INCONCLUSIVE for e in evaluations])
-
-
-def mishap_of(trace: Trace) -> str:
-    """What the avoider did instead of answering, without its numbers; empty if the scenario asked for it."""
-    if any(isinstance(fault, AvoiderFault) for fault in trace.scenario.faults):
-        return ""
-    faults = [str(fault) for fault in trace.decisions["fault"] if fault]
-    return f"the avoider gave no answer: {_NUMBER.sub('...', faults[0])}" if faults else ""

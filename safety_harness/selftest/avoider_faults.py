@@ -12,7 +12,8 @@ from functools import partial
 
 import numpy as np
 
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, spread_threshold_of
+from safety_harness.avoidance.around import AvoiderAround
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.exceptions import AvoiderError
 from safety_harness.seeds import Branch, generator
 from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part
@@ -29,21 +30,10 @@ NOMINAL_HAND = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
 
 
 @dataclass(frozen=True, eq=False)
-class Spoilt:
+class Spoilt(AvoiderAround):
     """An avoider whose answers go through somebody else's hands."""
 
-    avoider: Avoider
     answers: Answers
-
-    @property
-    def name(self) -> str:
-        """The avoider's own."""
-        return self.avoider.name
-
-    @property
-    def spread_threshold_m(self) -> float | None:
-        """The avoider's own; AvoiderError as there."""
-        return spread_threshold_of(self.avoider)
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int

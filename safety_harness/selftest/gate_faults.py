@@ -46,9 +46,7 @@ class Erring:
 
 def with_an(name: str, avoider: Erring) -> Circumstance:
     """An avoider that errs in one way, for the sound gate as well."""
-    return Circumstance(
-        f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider, timed=False)
-    )
+    return Circumstance(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
 
 
 IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))
@@ -65,7 +63,7 @@ def _nan(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
 
 NO_NUMBER = Circumstance(
     "with an avoider that answers NaN",
-    lambda s: s.with_avoider(lambda avoider: Spoilt(avoider, _nan), timed=False),
+    lambda s: s.with_avoider(lambda avoider: Spoilt(avoider, _nan)),
 )
 
 

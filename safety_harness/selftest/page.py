@@ -32,7 +32,7 @@ def render(outcomes: Sequence[Outcome], about: About) -> str:
     faults, harmless = in_table(outcomes)
     return render_page(
         "selftest.html.j2",
-        style="reproduction.css",
+        style="tables.css",
         about=about,
         tally=tally_of(outcomes),
         summary=summary(tally_of(outcomes)),

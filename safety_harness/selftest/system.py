@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.admission.kinematic import slower_because
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo, Controller
@@ -35,26 +34,16 @@ MakesChange = Callable[[Admitted], Change]  # afresh for each run, for what reme
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """An admitted scenario, and what is changed in its controller and its world when it is run.
-
-    ``timed``: decisions are late by the wall's clock; otherwise never by it, as in ``run_many``.
-    """
+    """An admitted scenario, and what is changed in its controller and its world when it is run."""
 
     admitted: Admitted
-    timed: bool
     edits: tuple[Callable[[AvoidingServo], None], ...] = ()
     pilot: Callable[[AvoidingServo], Controller] | None = None
     worlds: tuple[Callable[[Any], World], ...] = ()
 
-    @classmethod
-    def of(cls, admitted: Admitted) -> System:
-        """The sound one; an avoider that cannot be asked for many at once is timed, as in ``run_many``."""
-        return cls(admitted, timed=bool(slower_because(admitted.avoider)))
-
-    def with_avoider(self, wrap: Callable[[Avoider], Avoider], *, timed: bool | None = None) -> System:
+    def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> System:
         """With another avoider, made of this one."""
-        admitted = replace(self.admitted, avoider=wrap(self.admitted.avoider))
-        return replace(self, admitted=admitted, timed=self.timed if timed is None else timed)
+        return replace(self, admitted=replace(self.admitted, avoider=wrap(self.admitted.avoider)))
 
     def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> System:
         """With a gate of another class or with other fields."""
@@ -94,8 +83,7 @@ class System:
         """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
         admitted = self.admitted
         scenario = admitted.scenario
-        never_late = () if self.timed else ("",) * (scenario.ticks + 1)
-        pilot = admitted.controller(never_late)
+        pilot = admitted.controller()
         for edit in self.edits:
             edit(pilot)
         controller: Controller = pilot if self.pilot is None else self.pilot(pilot)
@@ -113,9 +101,7 @@ class System:
                 trace = simulate(world, controller, scenario)
         if trace.ended == INTERRUPTED:
             raise KeyboardInterrupt
-        if self.timed:
-            return trace
-        return replace(trace, decision_latency_s=np.full(len(trace.decisions), np.nan))
+        return trace
 
 
 class Delayed:

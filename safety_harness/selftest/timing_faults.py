@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from functools import partial
 
@@ -10,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.avoider_faults import Spoilt, asked
 from safety_harness.selftest.fault import Fault, Ladder, Part
 from safety_harness.selftest.perception_faults import parameters, seen
-from safety_harness.selftest.system import Change, Records, System
+from safety_harness.selftest.system import Change, Records
 
 
 def _late_commands(delay_s: float, admitted: Admitted) -> Change:
@@ -63,15 +60,6 @@ def _late_joints(delay_s: float, admitted: Admitted) -> Change:
     return see
 
 
-def _slow(seconds: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    time.sleep(seconds)
-    return asked(avoider, hand, tcp, seed)
-
-
-def _slow_avoider(system: System, seconds: float) -> System:
-    return system.with_avoider(lambda avoider: Spoilt(avoider, partial(_slow, seconds)), timed=True)
-
-
 def _stamped_late(admitted: Admitted, by_s: float, observation: Records) -> None:
     """Frames say that they were taken earlier than they were."""
     if observation[0]["boxes_new"]:
@@ -84,6 +72,10 @@ def _fast_clock(admitted: Admitted, factor: float, observation: Records) -> None
 
 def _forgetful(records: ControllerRecords, timeout_s: float) -> None:
     records.filter_parameters["track_timeout_s"] = timeout_s
+
+
+def _slow(records: ControllerRecords, seconds: float) -> None:
+    records.decision_times_s[:] = seconds
 
 
 def _restarts(records: ControllerRecords, delay_s: float) -> None:
@@ -114,7 +106,7 @@ TIMING_FAULTS = (
     _timing(
         name="slow avoider",
         hazard="the hand moves on while the network thinks",
-        seed_into=_slow_avoider,
+        seed_into=parameters(_slow),
         ladder=Ladder((0.3, 0.15, 0.11), "ms", 1e3),
     ),
     _timing(

@@ -160,7 +160,7 @@ class Trials:
         self, fault: Fault, magnitude: float, number: int, *, in_pybullet: bool = False
     ) -> tuple[Words, Words, Trace | None]:
         """The words on an episode without the fault and with it, and the run with it unless it failed."""
-        system = fault.circumstance.bring_about(System.of(self.suite.episodes[number]))
+        system = fault.circumstance.bring_about(System(self.suite.episodes[number]))
         key = (number, fault.circumstance.name, in_pybullet)
         if key not in self._sound:
             self._sound[key] = words_on(system.admitted, system.run(in_pybullet=in_pybullet))

@@ -92,7 +92,7 @@ def sound_remarks(suite: Suite) -> list[str]:
     avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(suite.episodes)))}
     said = [why for number in avoiders.values() if (why := slower_because(suite.episodes[number].avoider))]
     for name, number in avoiders.items():
-        system = System.of(suite.episodes[number])
+        system = System(suite.episodes[number])
         wrong = words_on(system.admitted, system.run())[SAME_TWICE]
         if wrong.verdict is not Verdict.HOLDS:
             said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")

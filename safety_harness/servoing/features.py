@@ -24,7 +24,11 @@ def brackets(
     moments: NDArray[np.float64],  # (31,)
     out: NDArray[np.float64],  # (3, 2)
 ) -> None:
-    """The bracket pairs (c, s) whose sums of squares are In1, In2 and In3 of eq. 5.
+    """The bracket pairs (c_k, s_k) whose sums of squares are In1, In2 and In3 of eq. 5.
+
+        c_1 = mu50 + 2 mu32 + mu14         s_1 = mu05 + 2 mu23 + mu41
+        c_2 = mu50 - 2 mu32 - 3 mu14       s_2 = mu05 - 2 mu23 - 3 mu41
+        c_3 = mu50 - 10 mu32 + 5 mu14      s_3 = mu05 - 10 mu23 + 5 mu41
 
     They are real and imaginary parts of the complex moments of order five with the rotational
     symmetries 1, 3 and 5, which is why the sums of squares are invariant to a turn of the image.
@@ -49,6 +53,10 @@ def features(
 ) -> bool:
     """(x_n, y_n, a_n) [m], gamma, delta [-], alpha [rad] by eqs. 3 to 5; False if one is not finite.
 
+        a_n = Z* sqrt(a*/a)    x_n = a_n x_g    y_n = a_n y_g
+        gamma = In1/In3        delta = In2/In3  alpha = atan2(2 mu11, mu20 - mu02)/2
+
+    with ``desired_area`` a*, ``desired_depth_m`` Z* and the a of ``area``.
     Over a plane parallel to the image (a_n x_g, a_n y_g, a_n) is the object's centroid in the camera
     frame.  alpha is the direction of the object's long axis, in (-pi/2, pi/2]; written with
     atan2 it has no jump at 45 degrees.

@@ -1,9 +1,18 @@
 """Interaction matrices: how image moments, and the features made of them, change as the camera moves.
 
-For a camera twist (v, w) in the camera frame, d(feature)/dt = L (v, w).  The forms for centred
-moments over a general plane 1/Z = A x + B y + C are those of Chaumette (2004) for dense objects and
-of Tahri and Chaumette (2005) for discrete ones; the two differ in whether an area element changes
-with the motion.  The features' rows follow by the chain rule; eq. 2 is the case A = B = 0.
+For a camera twist (v, w) in the camera frame [m/s, rad/s], df/dt = L (v, w).  It all follows from the motion
+of a single image point of a static object (Chaumette and Hutchinson 2006),
+
+    x' = -v_x/Z + x v_z/Z + x y w_x - (1 + x^2) w_y + y w_z
+    y' = -v_y/Z + y v_z/Z + (1 + y^2) w_x - x y w_y - x w_z,
+
+with the object in the plane 1/Z = A x + B y + C [1/m].  A sum over points changes by its terms; an integral
+over a region changes by (dx'/dx + dy'/dy) dx dy as well, the area element's own change.  The forms for dense
+objects are those of Chaumette (2004), for discrete ones of Tahri and Chaumette (2005); the features' rows
+follow by the chain rule, and eq. 2 of the paper is the case A = B = 0.  Finite differences check every entry.
+
+Symbols: mu_ij centred moments, (x_g, y_g) the centroid, m00 the area (dense) or the number of points
+(discrete), n_ij = mu_ij/m00, all in normalised image coordinates, without a unit.
 """
 
 from __future__ import annotations
@@ -35,7 +44,21 @@ def centred_moment_interaction(
     j: int,
     out: NDArray[np.float64],  # (6,)
 ) -> None:
-    """The row of mu_ij, i + j <= 5 (it needs moments of one order more)."""
+    """Fill ``out`` with the row of mu_ij, i + j <= 5 (it needs moments of one order more).
+
+    With s = 3, o = 1, k = 4 for a dense object and s = 0, o = 0, k = 1 for a discrete one,
+
+        L_wx =  (i+j+s) mu_(i,j+1) + i x_g mu_(i-1,j+1) + (i+2j+s) y_g mu_ij
+                - k i n11 mu_(i-1,j) - k j n02 mu_(i,j-1)
+        L_wy = -(i+j+s) mu_(i+1,j) - (2i+j+s) x_g mu_ij - j y_g mu_(i+1,j-1)
+                + k i n20 mu_(i-1,j) + k j n11 mu_(i,j-1)
+        L_wz =  i mu_(i-1,j+1) - j mu_(i+1,j-1)
+        L_vx = -(i+o) A mu_ij - i B mu_(i-1,j+1)
+        L_vy = -j A mu_(i+1,j-1) - (j+o) B mu_ij
+        L_vz = -A L_wy + B L_wx + (i+j+2o) C mu_ij.
+
+    ``out`` is per metre in its first three entries and per radian in the others.
+    """
     a, b, c = plane[0], plane[1], plane[2]
     xg, yg, m00 = moments[XG], moments[YG], moments[M00]
     n20 = moments[mu_index(2, 0)] / m00
@@ -76,7 +99,13 @@ def centroid_interaction(
     dense: bool,
     out: NDArray[np.float64],  # (2, 6)
 ) -> None:
-    """The rows of xg and yg: those of a point, and second moments because the object has a size."""
+    """Fill ``out`` with the rows of x_g and y_g: those of a point, and second moments, for it has a size.
+
+    With 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij, k = 4 for a dense object and 1 for a discrete one,
+
+        L_xg = (-1/Z_g, 0, x_g/Z_g + A s20 + B s11, x_g y_g + s11, -(1 + x_g^2 + s20),  y_g)
+        L_yg = (0, -1/Z_g, y_g/Z_g + A s11 + B s02, 1 + y_g^2 + s02, -(x_g y_g + s11), -x_g).
+    """
     a, b, c = plane[0], plane[1], plane[2]
     xg, yg, m00 = moments[XG], moments[YG], moments[M00]
     k = 4.0 if dense else 1.0
@@ -107,7 +136,12 @@ def interaction_matrix(
     dense: bool,
     out: NDArray[np.float64],  # (6, 6)
 ) -> bool:
-    """L_f of the features of eqs. 3 to 5 over a general plane; False if an entry is not finite."""
+    """Fill ``out`` with L_f of the features of eqs. 3 to 5 over a general plane.
+
+    Rows as ``features`` orders them, the first three in metres; ``desired_area`` is a*, ``desired_depth_m``
+    Z*.  The row of alpha = atan2(2 mu11, d)/2, d = mu20 - mu02, is (d mu11' - mu11 d')/(d^2 + 4 mu11^2) with
+    the rows mu11' and d' of centred moments.  False if an entry is not finite.
+    """
     second_order = np.empty((3, 6))
     for j in range(3):  # in a loop: numba compiles a copy for every pair of literal numbers
         centred_moment_interaction(moments, plane, dense, 2 - j, j, second_order[j])
@@ -138,7 +172,11 @@ def _position_rows(
     mu02_row: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """x_n = a_n xg, y_n = a_n yg and a_n = Z* sqrt(a*/a), whose change is -a_n/2 that of a over a."""
+    """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out`` (6, 6).
+
+    a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g'; a is m00 (dense) or mu20 + mu02 (discrete).
+    ``mu20_row`` and ``mu02_row`` are (6,), the rest as in ``interaction_matrix``.
+    """
     a = area(moments, dense)
     a_n = desired_depth_m * np.sqrt(desired_area / a)
     centroid = np.empty((2, 6))
@@ -160,7 +198,11 @@ def _position_rows(
 def _invariant_rows(
     moments: NDArray[np.float64], plane: NDArray[np.float64], dense: bool, out: NDArray[np.float64]
 ) -> None:
-    """Rows of gamma = In1/In3 and delta = In2/In3, In = c^2 + s^2: 2 [c c' + s s' - gamma (...)] / In3."""
+    """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out`` (6, 6).
+
+    gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3, and delta' with c_2, s_2; the pairs
+    (c_k, s_k) are linear in the moments of order five (``brackets``), so theirs are the same sums of rows.
+    """
     pair = np.empty((3, 2))
     brackets(moments, pair)
     in3 = pair[2, 0] ** 2 + pair[2, 1] ** 2

@@ -152,7 +152,17 @@ def advance(
         observations,
         truths,
     ) = world
-    parameters, filter_parameters, states, tracks, answers, commands, questions, avoider_faults = controller
+    (
+        parameters,
+        filter_parameters,
+        states,
+        tracks,
+        answers,
+        commands,
+        questions,
+        avoider_faults,
+        decision_times_s,
+    ) = controller
     last = ticks.shape[0] - 1
     k = clocks[0].tick
     while True:
@@ -174,7 +184,16 @@ def advance(
                 truths,
                 observations,
             )
-            if look(parameters, filter_parameters, states, tracks, questions, avoider_faults, observations):
+            if look(
+                parameters,
+                filter_parameters,
+                states,
+                tracks,
+                questions,
+                avoider_faults,
+                decision_times_s,
+                observations,
+            ):
                 return True
         decided = False
         act(parameters, states, answers, commands, questions, observations)

@@ -50,17 +50,14 @@ class Episode:
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
     """Run them all to their ends; each trace is that of ``simulate`` in the same world, bit for bit.
 
-    But for the clock: decisions that are made together are never late by it, and their latency is NaN,
-    not timed (``ask_many``).
+    But for their latency: that of decisions that are made together is NaN, not timed (``ask_many``).
     """
     under_way = list(episodes)
     while under_way:
         under_way = [episode for episode in under_way if episode.advance()]
         pilots = [episode.controller for episode in under_way]
         queries = [episode.controller.query(episode.world.records.observation) for episode in under_way]
-        answers = ask_many(
-            [pilot.asked() for pilot in pilots], queries, [pilot.gate.decision_deadline_s for pilot in pilots]
-        )
+        answers = ask_many([pilot.asked() for pilot in pilots], queries)
         for pilot, query, answer in zip(pilots, queries, answers, strict=True):
             pilot.decide(query, pilot.gate.rule_on(answer, query))
     return [episode.trace() for episode in episodes]

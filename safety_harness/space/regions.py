@@ -21,7 +21,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.avoidance.model_file import SeenSpace, load_model
+from safety_harness.avoidance.isolation.onnx_file import LARGEST_BYTES
+from safety_harness.avoidance.json_fields import Fields
+from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model, model_bytes, seen_of
+from safety_harness.avoidance.onnx_metadata import onnx_metadata
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import Place, RegionError
 from safety_harness.geometry.regions import Box, Region
@@ -69,7 +72,7 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     if avoider.endswith(MODEL_SUFFIX):
         return _of_metadata(load_model(path).seen, avoider)
     if avoider.endswith(ONNX_SUFFIX):
-        exported = _exported_seen(path, settings)
+        exported = exported_seen(path)
         if exported is not None:
             return _of_metadata(exported, avoider)
     return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
@@ -97,8 +100,7 @@ def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
     )
 
 
-def _exported_seen(path: Path, settings: Settings) -> SeenSpace | None:
-    """What an ONNX file of ours says; None for one of others.  Imported only here: few spaces ask."""
-    from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
-
-    return isolated_onnx(path, settings)[1]
+def exported_seen(path: Path) -> SeenSpace | None:
+    """What an ONNX file of ours says it has seen; None for one of others."""
+    text = onnx_metadata(path, model_bytes(path, "an ONNX file", most=LARGEST_BYTES)).get(KEY)
+    return None if text is None else seen_of(Fields(path, text))

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node
 from safety_harness.scenario.read import TOP_GROUPS, scenario_again, scenario_of
@@ -128,13 +129,17 @@ class ScenarioSpace:
         """The scenario of values (d,), as ``values_at`` gives them."""
         tree, name = filled(self.template, self.parameters, values.tolist()), name or self.name
         drawn = scenario_again(self._known, self._varying, tree, self.recordings, name=name)
-        return drawn if self.has_seed else replace(drawn, seed=seed)
+        return self._that_repeats(drawn if self.has_seed else replace(drawn, seed=seed))
+
+    def _that_repeats(self, drawn: Scenario) -> Scenario:
+        refuse_wall_clock(drawn, ScenarioError, whose="the runs of a space")
+        return drawn
 
     @cached_property
     def _known(self) -> Scenario:
         """The simplest, which says what all of them say; that it can be read is tried with the space."""
         tree = filled(self.template, self.parameters, self.simplest_values.tolist())
-        return scenario_of(tree, self.file, self.recordings, name=self.name)
+        return self._that_repeats(scenario_of(tree, self.file, self.recordings, name=self.name))
 
     @cached_property
     def _varying(self) -> frozenset[str]:

@@ -20,7 +20,7 @@ from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 class Sides(Enum):
     """Which ends are bounds; the value is how many bounds that is."""
 
-    UPPER = 1  # how often at most: what a target asks for.  The lower end is 0, and no statement.
+    UPPER = 1  # how often at most.  The lower end is 0, and no statement.
     BOTH = 2
 
 
@@ -35,9 +35,11 @@ class Method(Enum):
 class Bounds:
     """The violation probability of one claim in one stratum.
 
-    ``low`` and ``high`` both hold with ``confidence`` at least, and with the ``family`` - 1 other bounds of
-    the plan all together with ``joint_confidence``.  ``trials`` are the tested runs; of them ``violations``
-    were seen, ``inconclusive`` and ``failed`` may have been.  ``model_only``: of a simplified world.
+    With ``confidence`` at least it is from ``low`` to ``high``; with ``joint_confidence`` all of the
+    ``family`` of bounds hold, these among them: each end that is a bound counts as one.
+
+    ``trials`` are the tested runs; of them ``violations`` were seen, ``inconclusive`` and ``failed`` may have
+    been.  ``model_only``: of a simplified world.
     """
 
     stratum: str
@@ -77,14 +79,24 @@ def bounds_of(
     """Bounds that all hold together with ``confidence`` (0 to 1), one for each sample, in their order.
 
     Bonferroni: of m bounds each may fail with (1 - confidence) / m.  The samples need not be independent
-    of each other.  ``family`` is m where it is not the number of bounds made here: more where some samples
-    are missing yet, or half of it where of two ends only the one that a verdict rests on can be wrong.
-    StatisticsError for no sample or an impossible confidence, TypeError for what is no IndependentSample.
+    of each other.  ``family`` is m where more bounds are shown than are made here: of samples that are
+    missing yet, say.  StatisticsError for no sample, an impossible confidence or a smaller family, TypeError
+    for what is no IndependentSample.
     """
     known = [independent(sample) for sample in samples]
-    many = len(known) * sides.value if family is None else family
+    shown = len(known) * sides.value
+    many = shown if family is None else family
+    if many < shown:
+        ends = "upper bounds" if sides is Sides.UPPER else "both ends"
+        expected = f"a family of at least {shown} bounds ({ends} of {len(known)} samples)"
+        raise StatisticsError(place=Place(field="family"), expected=expected, got=str(many))
     chance = chance_of_each(confidence, many if known else 0)
     return tuple(_bounds(sample, chance, confidence, many, sides) for sample in known)
+
+
+def ends_of(claims: int, strata: int) -> int:
+    """How many bounds a plan shows, which share its error: both ends for each claim in each stratum."""
+    return Sides.BOTH.value * claims * strata
 
 
 def violation_bounds(sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER) -> Bounds:
@@ -116,7 +128,7 @@ def _bounds(sample: IndependentSample, chance: float, joint: float, family: int,
         failed=sample.count(Outcome.FAILED),
         untested=sample.count(Outcome.UNTESTED),
         planned=sample.declaration.planned,
-        confidence=1.0 - chance,
+        confidence=1.0 - sides.value * chance,
         joint_confidence=joint,
         family=family,
         sides=sides,

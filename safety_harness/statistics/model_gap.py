@@ -85,7 +85,8 @@ def _check(kinematic: IndependentSample, here: IndependentSample, there: Indepen
     for field, found in (
         ("claim", {sample.claim for sample in samples}),
         ("stratum", {sample.declaration.stratum for sample in samples}),
-        ("episodes in both worlds", {(s.declaration.seed, s.declaration.planned) for s in samples[1:]}),
+        ("what draws the scenarios", {sample.declaration.draws_sha256 for sample in samples}),
+        ("episodes in both worlds", {(s.declaration.seed, tuple(s.seeds.tolist())) for s in samples[1:]}),
     ):
         if len(found) > 1:
             got = " and ".join(sorted(repr(one) for one in found))

@@ -164,6 +164,7 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
         ("seed", a.seed, b.seed),
         ("runs", a.planned, b.planned),
         ("world", a.world, b.world),
+        ("draws_sha256", a.draws_sha256, b.draws_sha256),
     ):
         if mine != other:
             raise StatisticsError(
@@ -172,6 +173,15 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
                 got=f"{mine!r} and {other!r}",
                 hint="only runs of the same stream can be compared in pairs",
             )
+    other_seed = np.flatnonzero(first.seeds != second.seeds)
+    if len(other_seed):
+        k = int(other_seed[0])
+        raise StatisticsError(
+            place=Place(field="seeds"),
+            expected=f"the same seed of each episode in both samples ({first.name})",
+            got=f"{first.seeds[k]} and {second.seeds[k]} in episode {k}",
+            hint="only runs of the same stream can be compared in pairs",
+        )
 
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:

@@ -1,8 +1,8 @@
 """How many runs it takes to show a target, and how likely that is to succeed.
 
 All of it asks the bound itself, so that the plan and what comes of it cannot differ.  ``family`` is the
-number of bounds that are to hold together (claims times strata, for upper bounds), ``allowed`` the number
-of violations that may be seen, inconclusive and failed runs included.
+number of bounds that are to hold together (``ends_of`` a plan), ``allowed`` the number of violations that may
+be seen, inconclusive and failed runs included.
 """
 
 from __future__ import annotations

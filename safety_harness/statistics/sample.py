@@ -2,11 +2,12 @@
 
 A search finds, it does not estimate: its runs are no sample of anything.  So every estimator of this room
 takes an ``IndependentSample`` and nothing else, and the only way to one is ``of_stream``, which wants a
-declaration made beforehand and every episode from the first on, once each.
+declaration made beforehand and every episode from the first on, once each, with a seed of its own.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import InitVar, dataclass
 from enum import IntEnum
 
@@ -20,6 +21,7 @@ Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 REFERENCE_WORLD = "PyBullet"
+_SHA256 = re.compile("[0-9a-f]{64}")
 _OF_STREAM = object()
 
 
@@ -41,12 +43,14 @@ PERHAPS = (Outcome.INCONCLUSIVE, Outcome.FAILED)  # may have been violations, or
 class Declaration:
     """What was said before the first episode was run.
 
-    ``plan_sha256`` is of the plan's text, ``planned`` the number of episodes, ``world`` where they run.
+    ``plan_sha256`` stands for the plan and all that its results depend on, ``draws_sha256`` for what draws
+    its scenarios, whoever avoids; ``planned`` is the number of episodes, ``world`` where they run.
     ``stop_early`` says that the runs may be looked at and stopped at any time, which only bounds that
     hold at every time (``sequential``) allow.
     """
 
     plan_sha256: str
+    draws_sha256: str
     stratum: str
     seed: int
     planned: int
@@ -56,6 +60,10 @@ class Declaration:
     def __post_init__(self) -> None:
         if self.planned < 1:
             raise _refusal("planned", "at least one episode", str(self.planned))
+        for field in ("plan_sha256", "draws_sha256"):
+            text = getattr(self, field)
+            if not _SHA256.fullmatch(text):
+                raise _refusal(field, "a SHA-256, 64 hexadecimal digits", repr(text))
 
     @property
     def model_only(self) -> bool:
@@ -65,14 +73,15 @@ class Declaration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IndependentSample:
-    """One claim's outcomes (n,) and margins (n,) in the order of the episodes; made by ``of_stream`` only.
+    """One claim's outcomes, margins and seeds (n,) in the order of the episodes; made by ``of_stream`` only.
 
-    Margins are SI, NaN where there is none.  Both arrays are read-only.
+    Margins are SI, NaN where there is none.  The arrays are read-only.
     """
 
     declaration: Declaration
     outcomes: Ints
     margins: Floats
+    seeds: Ints
     claim: str = ""
     _made_by: InitVar[object] = None
 
@@ -90,15 +99,26 @@ class IndependentSample:
         outcomes: ArrayLike,
         margins: ArrayLike,
         *,
+        seeds: ArrayLike,
+        exercised: ArrayLike,
         claim: str = "",
     ) -> IndependentSample:
-        """The stream's episodes (n,) in any order, with their outcomes (n,) and margins (n,).
+        """The stream's episodes (n,) in any order, with the outcome and margin (n,) of each.
 
-        StatisticsError unless they are the episodes 0 to n - 1, once each, all that were planned (fewer only
-        if the declaration allows to stop early), and no margin contradicts its outcome.
+        ``seeds`` (n,) are the roots of the episodes' draws, ``exercised`` (n,) says on how many occasions
+        each put the claim to the test.  StatisticsError unless they are the episodes 0 to n - 1, once each,
+        all that were planned (fewer only if the declaration allows to stop early), with a seed of its own
+        each, and no outcome is contradicted by its margin or its occasions.
         """
-        codes, signed = checked_stream(declaration, episodes, outcomes, margins)
-        return cls(declaration=declaration, outcomes=codes, margins=signed, claim=claim, _made_by=_OF_STREAM)
+        codes, signed, roots = checked_stream(declaration, episodes, outcomes, margins, seeds, exercised)
+        return cls(
+            declaration=declaration,
+            outcomes=codes,
+            margins=signed,
+            seeds=roots,
+            claim=claim,
+            _made_by=_OF_STREAM,
+        )
 
     def count(self, outcome: Outcome) -> int:
         """How many episodes came out like that."""
@@ -158,28 +178,34 @@ def checked_stream(
     episodes: ArrayLike,
     outcomes: ArrayLike,
     margins: ArrayLike,
+    seeds: ArrayLike,
+    exercised: ArrayLike,
     *,
     dimensions: int = 1,
-) -> tuple[Ints, Floats]:
-    """Outcomes and margins (n,), or (n, k) in two dimensions, in the order of the episodes (n,), read-only.
+) -> tuple[Ints, Floats, Ints]:
+    """Outcomes, margins and seeds (n,), or (n, k) in two dimensions, in the order of the episodes (n,).
 
-    StatisticsError for what is no whole stream; see ``IndependentSample.of_stream``.
+    They are read-only.  StatisticsError for what is no whole stream; see ``IndependentSample.of_stream``.
     """
-    numbers, codes = np.asarray(episodes), np.asarray(outcomes)
+    numbers, codes, roots, occasions = map(np.asarray, (episodes, outcomes, seeds, exercised))
     signed = np.array(margins, np.float64)
-    for name, column, ndim in (("episodes", numbers, 1), ("outcomes", codes, dimensions)):
+    runs = {"outcomes": codes, "seeds": roots, "exercised": occasions}
+    for name, column, ndim in (("episodes", numbers, 1), *((n, c, dimensions) for n, c in runs.items())):
         if column.ndim != ndim or (column.size and column.dtype.kind not in "iu"):
             shape = "(n,)" if ndim == 1 else "(n, k)"
             raise _refusal(name, f"whole numbers {shape}", f"{column.dtype} {column.shape}")
-    if not (numbers.shape[0] == codes.shape[0] and codes.shape == signed.shape):
-        shapes = f"{numbers.shape}, {codes.shape} and {signed.shape}"
-        raise _refusal("episodes", "as many episodes as outcomes and margins", shapes)
+    shapes = [column.shape for column in (*runs.values(), signed)]
+    if len({numbers.shape[:1], codes.shape[:1]}) > 1 or len(set(shapes)) > 1:
+        got = f"{numbers.shape}, and {', '.join(map(str, shapes))}"
+        raise _refusal("episodes", "as many episodes as outcomes, seeds, occasions and margins", got)
     _check_complete(declaration, numbers)
+    _check_seeds(declaration, numbers, roots)
     order = np.argsort(numbers)
-    codes, signed = codes[order].astype(np.int64), signed[order]
+    codes, signed, roots = codes[order].astype(np.int64), signed[order], roots[order]
     _check_outcomes(declaration, codes, signed)
-    codes.flags.writeable = signed.flags.writeable = False
-    return codes, signed
+    _check_occasions(declaration, codes, occasions[order])
+    codes.flags.writeable = signed.flags.writeable = roots.flags.writeable = False
+    return codes, signed, roots
 
 
 def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
@@ -207,6 +233,18 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
         )
 
 
+def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: NDArray[np.integer]) -> None:
+    """One seed, one run: a run that is counted twice says no more than once."""
+    found, times = np.unique(seeds, return_counts=True)
+    if len(found) < seeds.size:
+        twice = found[np.argmax(times > 1)]
+        who = np.sort(numbers[np.argwhere(seeds == twice)[:, 0]])[:2]
+        many = f"{seeds.size - len(found)} of {seeds.size} runs with another's"
+        got = f"{many}, such as {twice} in episodes {who[0]} and {who[1]}"
+        expected = f"a seed of its own for every run of stratum {declaration.stratum!r}"
+        raise _refusal("seeds", expected, got, "the same runs again are no further evidence")
+
+
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
     """Known outcomes, and margins whose sign is theirs."""
     where = f"in stratum {declaration.stratum!r}"
@@ -219,12 +257,34 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
         k = _first(endless)
         expected = f"finite margins, NaN where there is none, {where}"
         raise _refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
+    without = np.isin(codes, JUDGED) & np.isnan(margins)
+    if without.any():
+        k = _first(without)
+        got = f"NaN for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
+        raise _refusal("margins", f"a margin wherever there is a verdict {where}", got)
     wrong = ((codes == Outcome.HOLDS) & (margins < 0.0)) | ((codes == Outcome.VIOLATED) & (margins > 0.0))
     if wrong.any():
         k = _first(wrong)
         got = f"{margins[k]:+g} for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
         expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
         raise _refusal("margins", expected, got)
+
+
+def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[np.integer]) -> None:
+    """Untested is what had no occasion; nothing holds without one."""
+    tested = occasions > 0
+    for wrong, expected in (
+        (occasions < 0, "numbers of occasions"),
+        ((codes == Outcome.UNTESTED) & tested, "no occasion in an untested run: it is inconclusive"),
+        (
+            (codes == Outcome.HOLDS) & ~tested,
+            "an occasion in every run that holds: without one it is untested",
+        ),
+    ):
+        if wrong.any():
+            k = _first(wrong)
+            got = f"{occasions[k]} in episode {k[0]}, {Outcome(int(codes[k])).name.lower()}"
+            raise _refusal("exercised", f"{expected} (stratum {declaration.stratum!r})", got)
 
 
 def _first(having: Flags) -> tuple[int, ...]:

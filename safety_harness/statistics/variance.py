@@ -51,13 +51,17 @@ class NestedSample:
         outcomes: ArrayLike,
         margins: ArrayLike,
         *,
+        seeds: ArrayLike,
+        exercised: ArrayLike,
         claim: str = "",
     ) -> NestedSample:
-        """Scenarios (m,), and for each k draws: outcomes and margins (m, k).
+        """Scenarios (m,), and for each k draws: outcomes, margins, seeds of the draws, occasions (m, k).
 
         StatisticsError for what a stream would be refused for, or fewer than two scenarios or draws.
         """
-        codes, signed = checked_stream(declaration, scenarios, outcomes, margins, dimensions=2)
+        codes, signed, _ = checked_stream(
+            declaration, scenarios, outcomes, margins, seeds, exercised, dimensions=2
+        )
         if min(codes.shape) < 2:
             place = Place(field="outcomes")
             got = f"{codes.shape[0]} and {codes.shape[1]}"

@@ -12,6 +12,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InadmissibleError, InputError, Place, SafetyHarnessError
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.formula import Formula
+from safety_harness.properties.answered import by_default
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.failure_text import failure_text
@@ -55,7 +56,9 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     ``claim`` is a formula, a property, or a sentence as in a scenario file.  SafetyViolation if it is
     violated, or if the run is no evidence either way.  Only where Hypothesis draws the scenarios is one
     run that decides nothing (the hand never came near) left to the others: a test in which no run
-    decides anything fails all the same.  InputError for a sentence that nobody knows.
+    decides anything fails all the same.  SafetyViolation as well if the avoider gave no answer in the run,
+    unless the scenario claims that (``the avoider answered: violated``).  InputError for a sentence that
+    nobody knows.
     """
     __tracebackhide__ = True
     try:
@@ -65,7 +68,16 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     aim(evaluation, Verdict.HOLDS)
     if not settle(evaluation, run_of(trace), Verdict.HOLDS, trace):
         raise SafetyViolation(evaluation, trace, Verdict.HOLDS)
+    refuse_fallback(trace)
     return evaluation
+
+
+def refuse_fallback(trace: Trace) -> None:
+    """SafetyViolation if the avoider did not answer in the run, and its scenario does not expect that."""
+    __tracebackhide__ = True
+    evaluation = by_default(trace)
+    if evaluation is not None and not settle(evaluation, run_of(trace), Verdict.HOLDS, trace):
+        raise SafetyViolation(evaluation, trace, Verdict.HOLDS)
 
 
 def run_of(trace: Trace) -> Run:

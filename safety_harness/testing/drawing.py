@@ -19,7 +19,7 @@ from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.strategy import strategy
 from safety_harness.testing.session import session
-from safety_harness.testing.simulating import admitting, as_asked, digest_of
+from safety_harness.testing.simulating import as_asked, digest_of, looker
 
 _MARK = "_safety_harness_scenarios"
 
@@ -61,7 +61,7 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
     if gathered.errors:
         raise gathered.errors[0]
     for scenario in gathered.scenarios:
-        admitting(as_asked(scenario))
+        looker.look(as_asked(scenario))
     parts: list[st.SearchStrategy[Scenario]] = []
     if gathered.scenarios:
         parts.append(st.sampled_from(gathered.scenarios))
@@ -76,7 +76,7 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
     InputError for a space of which next to nothing can be tried.
     """
     first = draw_admissible(space, seed=0, count=1).scenarios[0]
-    admitting(as_asked(first))
+    looker.look(as_asked(first))
     return _marked(_admissible(space))
 
 
@@ -94,7 +94,7 @@ def _marked(strategy: st.SearchStrategy[Scenario]) -> st.SearchStrategy[Scenario
 def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
     scenario = draw(strategy(space))
     try:
-        admitting(as_asked(scenario))
+        looker.look(as_asked(scenario))
     except InputError:  # out of reach, out of view: what one draw in so many is
         reject()
     return replace(scenario, name=f"{space.name}#{digest_of(scenario)[:6]}")

@@ -15,6 +15,7 @@ from safety_harness.testing.profiles import QUICK, Profile
 if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
     from safety_harness.properties.base import Evaluation
+    from safety_harness.report.computing_time import ComputingTime
     from safety_harness.scenario.model import Verdict
     from safety_harness.trace.trace import Trace
 
@@ -64,6 +65,7 @@ class TestRun:
     judgements: list[Judgement] = field(default_factory=list)
     worst: dict[str, Judgement] = field(default_factory=dict)  # of each sentence
     traces: dict[str, Trace] = field(default_factory=dict)  # of these
+    fallback: Trace | None = None  # of the first run in which the avoider did not answer
     failure: BaseException | None = None
     simulated: set[str] = field(default_factory=set)  # digests of the present example's scenarios
     failing: set[str] = field(default_factory=set)  # those of the examples that failed
@@ -72,6 +74,7 @@ class TestRun:
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
+    computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
 
     @property
     def counts(self) -> bool:

@@ -7,12 +7,14 @@ from collections import OrderedDict
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
-from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import avoider_sha256, command_line_reference, with_avoider
+from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
+from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError, InputError
+from safety_harness.properties.answered import by_default
+from safety_harness.report.computing_time import ComputingTime
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
@@ -43,24 +45,8 @@ def as_asked(scenario: Scenario) -> Scenario:
     return scenario if reference is None else with_avoider(scenario, reference)
 
 
-class Admitting:
-    """Admission that makes each avoider once: a function of its question keeps nothing of a run."""
-
-    def __init__(self) -> None:
-        self._made: dict[tuple[object, ...], tuple[Avoider, str]] = {}
-
-    def __call__(self, scenario: Scenario) -> Admitted:
-        """As ``admit``."""
-        reference = command_line_reference(scenario)
-        avoider, sha256 = self._made.get((reference, scenario.settings), (None, ""))
-        if avoider is not None and sha256 == avoider_sha256(scenario):
-            return replace(admit(scenario, avoider=avoider), avoider_sha256=sha256)
-        admitted = admit(scenario)
-        self._made[reference, scenario.settings] = admitted.avoider, admitted.avoider_sha256
-        return admitted
-
-
-admitting = Admitting()
+looker = Looker()  # what is collected is looked at, and nothing of a user's executed
+admitter = Admitter()  # one for all: an avoider that keeps something of a run is refused as flaky
 
 
 class Simulate:
@@ -82,11 +68,15 @@ class Simulate:
         __tracebackhide__ = True
         try:
             if avoider is not None:
-                return _run(replace(admit(scenario, avoider=avoider), avoider_sha256=""))
-            trace = self._remembered(as_asked(scenario))
+                trace = _run(admit(scenario, avoider=avoider))
+            else:
+                trace = self._remembered(as_asked(scenario))
+                _asked_for[trace] = scenario
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
-        _asked_for[trace] = scenario
+        test = session().test
+        if test is not None and test.counts and test.fallback is None and by_default(trace) is not None:
+            test.fallback = trace
         return trace
 
     def _remembered(self, scenario: Scenario) -> Trace:
@@ -98,7 +88,7 @@ class Simulate:
             return replace(self._traces[digest], scenario=scenario)
         _refuse_more_shrinking(test, digest)
         try:
-            trace = _run(admitting(scenario))
+            trace = _run(admitter.admit(scenario))
         except (InputError, FlakyAvoiderError) as error:
             if test is not None:
                 test.refused[digest] = error
@@ -118,6 +108,8 @@ def _run(admitted: Admitted) -> Trace:
     if trace.ended == INTERRUPTED:
         raise KeyboardInterrupt
     refuse_flaky(admitted.avoider, trace)
+    if (test := session().test) is not None and len(trace.decisions):
+        test.computing_times.append(ComputingTime.of(trace))
     return trace
 
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
+from safety_harness.properties.answered import by_default
 from safety_harness.properties.base import Evaluation
-from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.testing.asserting import SafetyViolation, aim, run_of, settle
 from safety_harness.testing.drawing import drawn
@@ -23,6 +24,7 @@ from safety_harness.trace.trace import Trace
 class _Judged:
     run: Run
     evaluations: tuple[Evaluation, ...]  # in the order of the claims
+    fallback: Evaluation | None  # that the avoider did not answer, where nobody expects it
 
 
 class SpaceRuns:
@@ -69,6 +71,8 @@ class SpaceRuns:
         evaluation, expected = judged.evaluations[number], self.claims[number].expected
         if not settle(evaluation, judged.run, expected, None):
             raise SafetyViolation(evaluation, simulate(scenario), expected)
+        if judged.fallback is not None and not settle(judged.fallback, judged.run, Verdict.HOLDS, None):
+            raise SafetyViolation(judged.fallback, simulate(scenario), Verdict.HOLDS)
 
     def _judge(self, scenario: Scenario) -> _Judged:
         digest = digest_of(scenario)
@@ -77,7 +81,7 @@ class SpaceRuns:
             run = run_of(trace)
             properties = [property_of(claim, trace.scenario) for claim in self.claims]
             evaluations = tuple(prop.evaluate(trace) for prop in properties)
-            self._judged[digest] = _Judged(run, evaluations)
+            self._judged[digest] = _Judged(run, evaluations, by_default(trace))
             if session().report is not None:
                 self._remember(run, evaluations, trace)
         return self._judged[digest]

@@ -25,10 +25,19 @@ from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, 
 from safety_harness.trace.trace import Trace, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
-OTHERS = ("hand_distance_capsule", "sse", "mode", "limits", "faults", "decision")
+OTHERS = (
+    "hand_distance_capsule",
+    "tcp_speed_mps",
+    "sse",
+    "predicted_distance_m",
+    "mode",
+    "limits",
+    "faults",
+    "decision",
+)
 MODES = tuple(int(mode) for mode in Mode)
 LIMITS = reduce(or_, (int(limit) for limit in Limit))  # every flag
-CHECKS = 11  # of the ticks
+CHECKS = 13  # of the ticks
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 
@@ -82,14 +91,17 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     scenario, ticks = trace.scenario, trace.ticks
     raw = [ticks[name].view(np.uint8) for name in BOOLEANS]
     values: list[NDArray[Any]] = [trace.time_s, *raw, *(ticks[name] for name in OTHERS)]
-    time_s, present, visible, tracked, capsule, sse, mode, limits, faults, decision = values
+    time_s, present, visible, tracked, capsule, speed, sse, near, mode, limits, faults, decision = values
     first = _first_wrong(
         time_s,
         present,
         visible,
         tracked,
         capsule,
+        speed,
         sse,
+        near,
+        ticks["predicted_hand_in_base_m"],
         mode,
         limits,
         faults,
@@ -106,7 +118,9 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         *((name, "0 or 1") for name in BOOLEANS),
         ("hand_present", f"the {len(scenario.hands)} hands of the scenario"),
         ("hand_distance_capsule", "a part for each hand, else -1"),
+        ("tcp_speed_mps", "a speed, which is never negative"),
         ("sse", "a sum of squares"),
+        ("predicted_distance_m", "the distance of a hand that is predicted"),
         ("mode", f"one of {list(MODES)}"),
         ("limits", f"flags within {LIMITS}"),
         ("faults", "faults of that time"),
@@ -132,7 +146,10 @@ def _first_wrong(
     visible: NDArray[np.uint8],
     tracked: NDArray[np.uint8],  # (n, tracks)
     capsule: NDArray[np.int64],  # (n, hands)
+    speed: NDArray[np.float64],
     sse: NDArray[np.float64],
+    near: NDArray[np.float64],
+    predicted: NDArray[np.float64],  # (n, tracks, 3)
     mode: NDArray[np.int64],
     limits: NDArray[np.int64],
     faults: NDArray[np.int64],
@@ -142,7 +159,7 @@ def _first_wrong(
     hands: int,
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
-    """(11,) the first tick that fails each check, n if none does."""
+    """(13,) the first tick that fails each check, n if none does."""
     n = time_s.shape[0]
     first = np.full(CHECKS, n)
     made = np.full(n, -1)
@@ -162,11 +179,16 @@ def _first_wrong(
             wrong |= int((capsule[k, hand] < 0) == there) << 5
         for track in range(tracked.shape[1]):
             wrong |= int(tracked[k, track] > 1) << 3
-        wrong |= int(sse[k] < 0.0) << 6
-        wrong |= int(mode[k] not in MODES) << 7
-        wrong |= int(limits[k] & ~LIMITS != 0) << 8
-        wrong |= int(faults[k] & ~possible != 0) << 9
-        wrong |= int(decision[k] != made[k]) << 10
+            x, y, z = predicted[k, track, 0], predicted[k, track, 1], predicted[k, track, 2]
+            somewhere = tracked[k, track] != 0 and abs(x) + abs(y) + abs(z) < np.inf
+            wrong |= int(somewhere and near[k] == np.inf) << 8
+        wrong |= int(speed[k] < 0.0) << 6
+        wrong |= int(sse[k] < 0.0) << 7
+        wrong |= int(near[k] < 0.0) << 8
+        wrong |= int(mode[k] not in MODES) << 9
+        wrong |= int(limits[k] & ~LIMITS != 0) << 10
+        wrong |= int(faults[k] & ~possible != 0) << 11
+        wrong |= int(decision[k] != made[k]) << 12
         if wrong != 0:
             for check in range(CHECKS):
                 if (wrong >> check) & 1:
@@ -186,8 +208,12 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     time_s = decisions["time_s"]
     at_tick = trace.ticks["time_s"][np.clip(tick, 0, count - 1)] if count else time_s
     yield from at_first(time_s != at_tick, "time_s", "decision", "the time of its tick", time_s)
+    yield from _costs(trace)
     yield from _enumerated(decisions["trigger"], "trigger", "decision", Trigger)
     yield from _enumerated(decisions["outcome"], "outcome", "decision", Outcome)
+    spread_m = decisions["proposed_spread_m"]
+    no_spread = (spread_m < 0.0) | np.isinf(spread_m)  # NaN: none was given
+    yield from at_first(no_spread, "proposed_spread_m", "decision", "a spread, which is finite", spread_m)
     for name in ("proposed_failed", "opposite_failed"):
         yield from _flags(decisions[name], name, "decision", Check)
     for name in (name for name in DECISION.names or () if DECISION[name].kind == "U"):
@@ -196,6 +222,21 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
         low, high = SURROGATES
         no_text = (letters > LARGEST_CHARACTER) | ((letters >= low) & (letters <= high))
         yield from at_first(no_text, name, "decision", "text", np.full(len(decisions), "no characters"))
+
+
+def _costs(trace: Trace) -> Iterator[Inconsistency]:
+    """Asked after the decision before, and answered when the decision time is over, or at the deadline."""
+    decisions, settings = trace.decisions, trace.scenario.settings
+    tick, asked, cost_s = (decisions[name] for name in ("tick", "asked_tick", "decision_time_s"))
+    wrong = (asked > tick) | (asked <= np.concatenate([[-1], tick[:-1]]))
+    yield from at_first(wrong, "asked_tick", "decision", "a tick after the decision before", asked)
+    wrong = ~((cost_s >= 0.0) & (cost_s < np.inf))
+    yield from at_first(wrong, "decision_time_s", "decision", "a time", cost_s)
+    least_s = np.minimum(cost_s, settings.avoidance.decision_deadline_s)
+    waits = np.ceil(least_s / settings.clock.control_period_s - 1e-9)
+    delayed = any(isinstance(fault, AvoiderFault) for fault in trace.scenario.faults)
+    wrong = tick - asked < waits if delayed else tick - asked != waits
+    yield from at_first(wrong, "decision_time_s", "decision", "the ticks from question to answer", cost_s)
 
 
 def _enumerated(

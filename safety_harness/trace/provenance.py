@@ -1,20 +1,44 @@
-"""Which software made a trace."""
+"""Which software made a trace: what this process has loaded, not what an installer once noted down.
+
+Two packages may install the same module (``opencv-python`` beside ``opencv-python-headless``): the files of
+one lie over those of the other, and the metadata of both stay.  So a version is believed of the package whose
+record has the hash of the very file that is loaded.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import platform
+import re
+import sys
+from base64 import urlsafe_b64encode
 from functools import lru_cache
 from importlib import metadata
+from pathlib import Path
+from types import ModuleType
 
 from safety_harness.compiled import source_hash
+from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
 
-LIBRARIES = ("numpy", "numba", "pybullet", "eaik", "example-robot-data", "opencv-python-headless")
+# Each with the compiled module that does its work.
+LIBRARIES = {
+    "numpy": "numpy._core._multiarray_umath",
+    "numba": "numba._dispatcher",
+    "pybullet": "pybullet",
+    "eaik": "eaik.pybindings.EAIK",
+    "cv2": "cv2",
+}
+DATA = "example-robot-data"  # files only, found by the metadata: no module says which version it is
+ONE_OWNER = (*LIBRARIES, "onnxruntime", "scipy", "safetensors")
+NOT_LOADED = "not loaded"
 
 
 @lru_cache
 def provenance(world: str, avoider: str) -> Provenance:
     """Provenance of a run in this process."""
+    found = [_loaded(library, sys.modules.get(core)) for library, core in LIBRARIES.items()]
+    data = DATA, f"{metadata.version(DATA)} by its metadata"
     return Provenance(
         package_version=metadata.version("safety-harness"),
         source_hash=source_hash(),
@@ -22,5 +46,75 @@ def provenance(world: str, avoider: str) -> Provenance:
         avoider=avoider,
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
-        libraries=tuple((name, metadata.version(name)) for name in LIBRARIES),
+        libraries=(*(named for named, _ in found), data),
+        files=tuple(file for _, file in found if file is not None),
     )
+
+
+def shared_modules() -> dict[str, tuple[str, ...]]:
+    """The modules that more than one installed package owns, with these packages and their versions."""
+    owners = {module: _owners(module) for module in ONE_OWNER}
+    return {
+        module: tuple(sorted(f"{name} {found.version}" for name, found in packages.items()))
+        for module, packages in owners.items()
+        if len(packages) > 1
+    }
+
+
+def refuse_shared_modules() -> None:
+    """InstallationError that names the packages: which of them ran is not told by what is installed."""
+    for module, packages in shared_modules().items():
+        raise InstallationError(
+            place=Place(field=f"the module {module}"),
+            expected="one installed package that owns it",
+            got=" and ".join(packages),
+            hint="uninstall all of them, then install the one that is needed: they overwrite each other",
+        )
+
+
+def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tuple[str, str] | None]:
+    """Name and version of a library, and its compiled file with the hash."""
+    if core is None:
+        return (library, NOT_LOADED), None
+    path = Path(str(getattr(core, "_native", core).__file__))  # cv2 has its compiled part below itself
+    name = "/".join(path.parts[path.parts.index(library) :]) if library in path.parts else path.name
+    digest = _sha256(path)
+    return _version(library, name, digest), (name, digest)
+
+
+def _version(library: str, name: str, sha256: str) -> tuple[str, str]:
+    recorded = urlsafe_b64encode(bytes.fromhex(sha256)).decode().rstrip("=")
+    for package, found in _owners(library).items():
+        if f"\n{name},sha256={recorded}," in f"\n{found.read_text('RECORD') or ''}":
+            return package, found.version
+    own = getattr(sys.modules.get(library), "__version__", None)
+    return library, str(own) if own else "of a version that it does not say"
+
+
+@lru_cache
+def _owners(module: str) -> dict[str, metadata.Distribution]:
+    """The installed packages, by name, that bring a module: as their lists of names or of files say."""
+    found: dict[str, metadata.Distribution] = {}
+    for one, names, files in _installed():
+        alone = f"\n{module}." in files and re.search(rf"\n{module}\.[^,/\n]*(py|so|pyd),", files)
+        if module in names or f"\n{module}/" in files or alone:
+            found.setdefault(one.name.lower(), one)
+    return found
+
+
+@lru_cache
+def _installed() -> tuple[tuple[metadata.Distribution, list[str], str], ...]:
+    """Every installed package with the names and the files that it brings.
+
+    ``metadata.packages_distributions`` says as much, and takes a second.
+    """
+    return tuple(
+        (one, (one.read_text("top_level.txt") or "").split(), f"\n{one.read_text('RECORD') or ''}")
+        for one in metadata.distributions()
+    )
+
+
+@lru_cache
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

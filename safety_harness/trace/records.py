@@ -65,7 +65,7 @@ class Check(IntFlag):
     NEAR_REACH_LIMIT = 32  # reachable, but hardly farther than that
     TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
-    LATE = 256  # no answer within the decision deadline
+    LATE = 256  # no answer within the decision deadline, in simulated time
 
 
 TICK = np.dtype(
@@ -125,11 +125,13 @@ def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
 
 DECISION = np.dtype(
     [
-        ("tick", np.int64),
+        ("tick", np.int64),  # at which its answer counts
         ("time_s", np.float64),
+        ("asked_tick", np.int64),  # at which the avoider was asked
+        ("decision_time_s", np.float64),  # what it cost in simulated time, beside any fault; 0: not modelled
         ("trigger", np.int64),
         ("seed", np.int64),
-        ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand: the question
+        ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand when the answer counts
         ("tcp_position_in_base_m", np.float64, (3,)),
         ("joint_position_rad", np.float64, (6,)),
         ("proposed_position_in_base_m", np.float64, (3,)),  # the avoider's answer

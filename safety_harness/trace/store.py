@@ -15,7 +15,7 @@ import os
 import struct
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,17 +23,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError, Place, TraceError
-from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.files import refuse_no_file, told
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording_table import MAX_BYTES
+from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.old_decisions import DECISION_3, as_now
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.whole_file import replacing
 
-FORMAT = "safety-harness trace 3"
+FORMAT = "safety-harness trace 4"
+BEFORE = "safety-harness trace 3"
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
@@ -48,10 +51,11 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
     """
-    parts: dict[str, bytes] = {"scenario.yaml": write_scenario(trace.scenario, all_settings=True).encode()}
+    text = write_scenario(_portable(trace.scenario), all_settings=True)
+    parts: dict[str, bytes] = {"scenario.yaml": text.encode()}
     arrays = {
-        "ticks.npy": trace.ticks,
-        "decisions.npy": trace.decisions,
+        "ticks.npy": _fields_alone(trace.ticks),
+        "decisions.npy": _fields_alone(trace.decisions),
         "latencies.npy": trace.decision_latency_s,
     }
     for name, array in arrays.items():
@@ -67,7 +71,7 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
             )
     run = {
         "scenario_name": trace.scenario.name,
-        "scenario_file": str(trace.scenario.file) if trace.scenario.file else None,
+        "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
     }
@@ -83,6 +87,28 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
     ):
         for name in sorted(parts):
             archive.writestr(zipfile.ZipInfo(name), parts[name], zipfile.ZIP_DEFLATED)
+
+
+def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
+    """The records with zeros between their fields, where memory has anything."""
+    clean = np.zeros(records.shape, records.dtype)
+    for name in records.dtype.names or ():
+        clean[name] = records[name]
+    return clean
+
+
+def _portable(scenario: Scenario) -> Scenario:
+    """The scenario without a path that only this machine has."""
+    folder = scenario.file.parent if scenario.file else Path()
+    file, name = file_and_name(scenario.avoider)
+    avoider = portable(file, folder) + (f":{name}" if name else "") if file else scenario.avoider
+    hands = tuple(
+        replace(hand, recording=Path(portable(str(hand.recording), folder)))
+        if isinstance(hand, RecordedHand)
+        else hand
+        for hand in scenario.hands
+    )
+    return replace(scenario, avoider=avoider, hands=hands)
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
@@ -110,6 +136,7 @@ class _Reader:
         self._path = path
         self._parts: dict[str, bytes] = {}
         self._hashes: dict[str, Any] = {}
+        self._format = FORMAT
 
     def trace(self) -> Trace:
         try:
@@ -136,13 +163,17 @@ class _Reader:
         run = self._json("run.json", {"scenario_name", "scenario_file", "ended", "provenance"})
         scenario = self._scenario(run)
         most = scenario.ticks + 1
-        decisions = self._array(archive, "decisions.npy", DECISION, most)
+        old = self._format == BEFORE
+        decisions = self._array(archive, "decisions.npy", DECISION_3 if old else DECISION, most)
+        ticks = self._array(archive, "ticks.npy", TICK, most)
+        if old:
+            decisions = as_now(decisions, ticks, scenario.faults)
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
         trace = Trace(
             scenario=scenario,
-            ticks=self._array(archive, "ticks.npy", TICK, most),
+            ticks=ticks,
             decisions=decisions,
             decision_latency_s=latencies_s,
             provenance=self._provenance(run),
@@ -198,9 +229,9 @@ class _Reader:
         self._unpack(archive, HEADER, SMALL_BYTES)
         header = self._json(HEADER, {"format", "sha256"})
         hashes = header["sha256"]
-        if header["format"] != FORMAT or not isinstance(hashes, dict):
+        if header["format"] not in (FORMAT, BEFORE) or not isinstance(hashes, dict):
             raise self._error(f"the format {FORMAT!r}", repr(header["format"]), "format")
-        self._hashes = hashes
+        self._hashes, self._format = hashes, header["format"]
         for name in sorted(hashes.keys() ^ (self._parts.keys() - {HEADER})):
             raise self._error("a hash for each part, a part for each hash", "only one of them", name)
 
@@ -248,12 +279,15 @@ class _Reader:
     def _provenance(self, run: dict[str, Any]) -> Provenance:
         try:
             fields = dict(run["provenance"])
-            libraries = [(name, version) for name, version in fields.pop("libraries")]
+            libraries = self._pairs(fields.pop("libraries"), "provenance.libraries")
+            files = self._pairs(fields.pop("files", []), "provenance.files")
             lines = {name: self._line(value, f"provenance.{name}") for name, value in fields.items()}
-            both = (tuple(self._line(one, "provenance.libraries") for one in pair) for pair in libraries)
-            return Provenance(**lines, libraries=tuple((name, version) for name, version in both))
+            return Provenance(**lines, libraries=libraries, files=files)
         except (KeyError, TypeError, ValueError) as error:
             raise self._error("the provenance of the run", repr(error), "provenance") from error
+
+    def _pairs(self, found: Any, field: str) -> tuple[tuple[str, str], ...]:
+        return tuple((self._line(one, field), self._line(other, field)) for one, other in found)
 
 
 def _words(error: Exception) -> str:

@@ -18,7 +18,11 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """Which software made a trace.  ``source_hash`` covers every Python file of the package."""
+    """Which software made a trace.  ``source_hash`` covers every Python file of the package.
+
+    ``libraries`` are (name, version) of what was loaded, and say so of what was not; ``files`` are the
+    compiled files of theirs (name, sha256).
+    """
 
     package_version: str
     source_hash: str
@@ -26,8 +30,9 @@ class Provenance:
     avoider: str
     python: str
     platform: str
-    libraries: tuple[tuple[str, str], ...]  # (name, version)
+    libraries: tuple[tuple[str, str], ...]
     avoider_sha256: str = ""  # of the file that the avoider came from; empty for one without
+    files: tuple[tuple[str, str], ...] = ()  # none in a trace of an earlier version
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,7 +43,7 @@ class Trace:
     duration are recorded) and ``ended`` says why; no property takes it for a safe one.
     ``decision_latency_s`` (m,) is the wall-clock time that each decision took, NaN for one that was not
     timed since it was made together with others: the one thing here that a repetition does not give
-    again, and nothing but reports reads it.
+    again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
     """
 
     scenario: Scenario

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from random_models import random_model
 from safetensors.numpy import load, save_file
 
+from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import (
     KEY,
     LARGEST_BYTES,
@@ -85,6 +86,12 @@ def test_a_model_comes_back_as_it_was_saved(model: Model, tmp_path: Path) -> Non
     for name, tensor in model.tensors.items():
         assert again.tensors[name].dtype == np.float32
         assert np.array_equal(again.tensors[name], tensor)
+
+
+def test_what_a_decision_costs_stands_on_the_card(tmp_path: Path) -> None:
+    assert LearnedAvoider.of(MODEL).decision_time_s == 0.0
+    save_model(replace(MODEL, card={"decision_time_s": 0.04}), tmp_path / "slow.safetensors")
+    assert LearnedAvoider.of(load_model(tmp_path / "slow.safetensors")).decision_time_s == 0.04
 
 
 def test_the_tensors_of_a_model_cannot_be_written_into(tmp_path: Path) -> None:
@@ -169,6 +176,11 @@ METADATA_MISTAKES: dict[str, tuple[Edit, str, str]] = {
         "at least 0",
     ),
     "no card": (lambda m: m.update(card="trust me"), "card", "an object"),
+    "a card of no time": (
+        lambda m: m["card"].update(decision_time_s=-1.0),
+        "card.decision_time_s",
+        "at least 0",
+    ),
     "an unknown field": (lambda m: m.update(activation="gelu"), None, "only fields"),
 }
 

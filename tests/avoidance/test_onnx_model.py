@@ -119,6 +119,13 @@ def test_spread_and_threshold_are_the_file_s(tmp_path: Path) -> None:
     assert spread_threshold_of(load(tmp_path, spread_model({}))) is None
 
 
+def test_what_a_decision_costs_is_what_the_file_declares(tmp_path: Path) -> None:
+    assert load(tmp_path, model(metadata={"decision_time_s": "0.04"})).decision_time_s == 0.04
+    assert load(tmp_path, model()).decision_time_s == 0.0
+    of_card = counts_kept(exported(card={"decision_time_s": 0.03}))
+    assert load(tmp_path, of_card).decision_time_s == 0.03
+
+
 def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal(tmp_path: Path) -> None:
     with pytest.raises(AvoiderError, match="not finite"):
         ask(load(tmp_path, model()), hand=np.array([np.nan, 0.0, 0.0]))
@@ -163,6 +170,8 @@ def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal(tmp_path: Path) 
         (spread_model({"spread_threshold_m": "nan"}), "spread_threshold_m: expected a length"),
         (spread_model({"spread_threshold_m": "-1"}), "spread_threshold_m: expected a length"),
         (spread_model({KEY: "{"}), "metadata in JSON"),
+        (model(metadata={"decision_time_s": "soon"}), "decision_time_s: expected a time from 0 s to 60 s"),
+        (model(metadata={"decision_time_s": "61"}), "decision_time_s: expected a time from 0 s to 60 s"),
         (spread_model({KEY: "{}"}), "format: expected this field"),
     ],
 )

@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.admission.admit import Admitted
+from safety_harness.admission.admit import Admitter
 from safety_harness.admission.spaces import HOPELESS
 from safety_harness.campaign import episodes
 from safety_harness.campaign.episodes import (
     Bench,
-    Drawn,
     judgement_of,
     random_episodes,
     root_seed,
@@ -23,8 +22,6 @@ from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
-from safety_harness.search import trials
-from safety_harness.search.draws import OtherDraws
 from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
@@ -120,13 +117,13 @@ def test_a_run_that_cannot_be_carried_on_has_failed(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
-@pytest.mark.parametrize("where", ["property_of", "admit"])
+@pytest.mark.parametrize(("home", "where"), [(episodes, "property_of"), (Admitter, "admit")])
 def test_an_error_of_the_harness_fails_its_episode_at_the_second_time_and_no_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, world: str, where: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, world: str, home: object, where: str
 ) -> None:
     plan = plan_in(tmp_path, PLAN.replace("world: kinematic", f"world: {world}"))
     undisturbed = list(Bench(plan).run(0, range(3)))
-    whole, raised = getattr(episodes, where), 0
+    whole, raised = getattr(home, where), 0
 
     def odd(first: object, *rest: object, **others: object) -> object:
         nonlocal raised
@@ -135,7 +132,7 @@ def test_an_error_of_the_harness_fails_its_episode_at_the_second_time_and_no_oth
             raise ZeroDivisionError("division of a margin by zero")
         return whole(first, *rest, **others)
 
-    monkeypatch.setattr(episodes, where, odd)
+    monkeypatch.setattr(home, where, odd)
     before, broken, after = Bench(plan).run(0, range(3))
     assert [without_place(row) for row in (before, after)] == [
         without_place(row) for row in (undisturbed[0], undisturbed[2])
@@ -151,7 +148,7 @@ def test_an_error_of_the_harness_that_does_not_come_again_changes_nothing(
 ) -> None:
     plan = plan_in(tmp_path)
     undisturbed = next(Bench(plan).run(0, [0]))
-    whole, calls = episodes.mishap_of, 0
+    whole, calls = episodes.fault_of, 0
 
     def odd(trace: Trace) -> str:
         nonlocal calls
@@ -160,7 +157,7 @@ def test_an_error_of_the_harness_that_does_not_come_again_changes_nothing(
             raise OSError("no file can be opened for a moment")
         return whole(trace)
 
-    monkeypatch.setattr(episodes, "mishap_of", odd)
+    monkeypatch.setattr(episodes, "fault_of", odd)
     assert without_place(next(Bench(plan).run(0, [0]))) == without_place(undisturbed)
     assert calls == 2
 
@@ -171,7 +168,7 @@ def test_a_worker_without_memory_is_replaced_and_its_episode_not_blamed(
     def short(*_: object) -> str:
         raise MemoryError
 
-    monkeypatch.setattr(episodes, "mishap_of", short)
+    monkeypatch.setattr(episodes, "fault_of", short)
     with pytest.raises(MemoryError):
         next(Bench(plan_in(tmp_path)).run(0, [0]))
 
@@ -246,28 +243,37 @@ class Many(Mine):
 """
 
 
-@pytest.mark.parametrize(
-    ("avoider", "late"),
-    [("opposite pose", False), ("mc-dropout", False), ("mine.py:Mine", True), ("mine.py:Many", False)],
+SLEEPY = MINE.replace(
+    "return",
+    "import time; from pathlib import Path; "
+    "time.sleep(float(Path(__file__).with_suffix('.s').read_text())); return",
+    1,
 )
-def test_who_answers_many_at_once_is_never_late_by_the_clock_in_either_world_or_kind_of_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, avoider: str, late: bool
-) -> None:
-    (tmp_path / "mine.py").write_text(MINE)
-    seen: list[bool] = []
 
-    def watched(admitted: Admitted, *, by_the_clock: bool) -> Trace:
-        seen.append(by_the_clock)
-        raise RuntimeError("it is not run")
 
-    monkeypatch.setattr(episodes, "run_trial", watched)
-    monkeypatch.setattr(trials, "run_trial", watched)
-    text = PLAN.replace("opposite pose", avoider).replace("world: kinematic\n", "")
+@pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
+def test_an_episode_does_not_depend_on_how_long_its_answers_take(tmp_path: Path, world: str) -> None:
+    (tmp_path / "mine.py").write_text(SLEEPY)
+    text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic", f"world: {world}")
     bench = Bench(plan_in(tmp_path, text))
-    list(bench.run(0, [0]))
-    drawn = bench.draw(0, 0)
-    assert isinstance(drawn, Drawn)
-    trials.in_pybullet([drawn.admitted])
-    other = replace(drawn.admitted, avoider=OtherDraws(drawn.admitted.avoider, 1))
-    trials.in_pybullet([other])
-    assert seen == [late] * 3
+    rows = []
+    for seconds in ("0", "0.12"):
+        (tmp_path / "mine.s").write_text(seconds)
+        rows.append([without_place(row) for row in bench.run(0, range(3))])
+    assert rows[0] == rows[1]
+    assert sum(row.decisions for row in rows[0]) > 0
+    assert sum(row.late for row in rows[0]) == 0
+
+
+@pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
+def test_an_episode_whose_avoider_hangs_has_failed_and_the_others_go_on(tmp_path: Path, world: str) -> None:
+    hangs = MINE.replace("return", "time.sleep(600.0 if seed % 3 == 1 else 0.0); return", 1)
+    (tmp_path / "mine.py").write_text("import time\n" + hangs)
+    text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic", f"world: {world}")
+    plan = plan_in(tmp_path, text, TEXT + "settings: {clock: {wall limit: 500 ms}}\n")
+    rows = list(Bench(plan).run(0, range(6)))
+    failed = [row for row in rows if row.failure]
+    assert 0 < len(failed) < 6
+    for row in failed:
+        assert "the run failed: NoAnswerError" in row.failure
+        assert {one.outcome for one in row.judgements} == {Outcome.FAILED}

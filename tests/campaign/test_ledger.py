@@ -33,7 +33,13 @@ def row(episode: int, stratum: int = 0, *, margin: float = 0.1, trace: bytes | N
     outcome = Outcome.VIOLATED if margin < 0.0 else Outcome.HOLDS
     judgements = (Judgement(outcome, margin, 0.2, 3), Judgement(Outcome.UNTESTED))
     return Row(
-        stratum=stratum, episode=episode, seed=11, judgements=judgements, draws=1, cell="a", trace=trace
+        stratum=stratum,
+        episode=episode,
+        seed=11 + episode,
+        judgements=judgements,
+        draws=1,
+        cell="a",
+        trace=trace,
     )
 
 

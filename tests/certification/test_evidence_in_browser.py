@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,12 @@ def test_a_replay_shows_the_arm_where_the_trace_has_it(browser: Any, report: str
         assert np.abs(shown - true).max() < 2e-3, time_s
 
 
+def to_the_beginning(browser: Any) -> None:
+    """Far from the end of the replay, however slow this machine is."""
+    begin = "s.value = s.min; s.dispatchEvent(new Event('input'))"
+    browser.execute_script(f"const s = {FIRST}.querySelector('.scrub'); {begin}")
+
+
 def test_a_replay_plays_pauses_and_ends(browser: Any, report: str, run: JudgedRun) -> None:
     from selenium.webdriver.common.by import By
     from selenium.webdriver.support.wait import WebDriverWait
@@ -121,8 +128,7 @@ def test_a_replay_plays_pauses_and_ends(browser: Any, report: str, run: JudgedRu
     awake(browser)
     figure = browser.find_elements(By.CSS_SELECTOR, "figure.replay")[0]
     play = figure.find_element(By.CSS_SELECTOR, ".play")
-    begin = "s.value = s.min; s.dispatchEvent(new Event('input'))"  # far from the end, however slow this is
-    browser.execute_script(f"const s = {FIRST}.querySelector('.scrub'); {begin}")
+    to_the_beginning(browser)
     before = float(replayed(browser, "time"))
     play.click()
     assert play.text == "Pause"
@@ -136,6 +142,43 @@ def test_a_replay_plays_pauses_and_ends(browser: Any, report: str, run: JudgedRu
     play.click()
     WebDriverWait(browser, 60).until(lambda _: replayed(browser, "state") == "paused")
     assert float(replayed(browser, "time")) == pytest.approx(run.trace.time_s[-1], abs=1e-3)
+
+
+def test_the_button_and_the_replay_go_to_the_worst_moment_of_the_claim_in_the_heading(
+    browser: Any, run: JudgedRun, tmp_path: Path
+) -> None:
+    """Two headings of one run, whose claims have their worst moments at other times."""
+    from selenium.webdriver.common.by import By
+
+    moments = {one.sentence: one.worst_time_s for one in run.evaluations if one.worst_time_s}
+    first = "hand distance never below 50 mm"
+    second = max(moments, key=lambda sentence: abs(moments[sentence] - moments[first]))
+    assert abs(moments[first] - moments[second]) > 0.05
+    whole = evidence()
+    examples = tuple(
+        replace(one, sentence=sentence)
+        for one, sentence in zip(whole.counterexamples, (first, second), strict=True)
+    )
+    path = tmp_path / "evidence.html"
+    write_page(path, replace(whole, counterexamples=examples), {1: run, 2: run})
+    show(browser, path.as_uri(), width=420)
+    for number, sentence in enumerate((first, second)):
+        awake(browser, number)
+        assert float(replayed(browser, "time", number)) == pytest.approx(moments[sentence], abs=1e-3)
+        article = browser.find_elements(By.CSS_SELECTOR, "article.counterexample")[number]
+        assert sentence in article.find_element(By.TAG_NAME, "h3").text
+        assert f"worst moment at {moments[sentence]:.3f} s" in article.text
+        figure = f"document.querySelectorAll('figure.replay')[{number}]"
+        begin = "s.value = s.min; s.dispatchEvent(new Event('input'))"
+        browser.execute_script(f"const s = {figure}.querySelector('.scrub'); {begin}")
+        assert float(replayed(browser, "time", number)) == 0.0
+        browser.execute_script(f"{figure}.querySelector('[data-jump]').click()")
+        assert float(replayed(browser, "time", number)) == pytest.approx(moments[sentence], abs=1e-3)
+        assert f"TCP at {moments[sentence]:.3f} s" in article.text
+        tick = int(np.argmin(np.abs(run.trace.time_s - moments[sentence])))
+        distance_mm = run.trace.ticks["hand_distance_m"][tick, 0] * 1e3
+        says = article.find_element(By.CSS_SELECTOR, ".says-now").text
+        assert f"{abs(distance_mm):.0f} mm" in says
 
 
 def test_the_keyboard_turns_plays_and_pauses(browser: Any, report: str) -> None:
@@ -154,6 +197,7 @@ def test_the_keyboard_turns_plays_and_pauses(browser: Any, report: str) -> None:
     for state in ("playing", "paused"):
         stage.send_keys(Keys.SPACE)
         WebDriverWait(browser, 60).until(lambda _, state=state: replayed(browser, "state") == state)
+    to_the_beginning(browser)
     scrub = browser.find_elements(By.CSS_SELECTOR, "figure.replay .scrub")[0]
     text = scrub.get_attribute("aria-valuetext")
     scrub.send_keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)

@@ -77,6 +77,29 @@ def test_the_same_evidence_gives_the_same_bytes(text: str) -> None:
     assert render(evidence(), {1: factory.violated_run()}) == text
 
 
+def test_pictures_button_and_replay_show_the_worst_moment_of_the_claim_in_the_heading() -> None:
+    """Two claims are violated at 8.6 s and at 5.1 s: each heading has its own."""
+    run, whole = factory.violated_run(), evidence()
+    moments = dict(zip((factory.APART, factory.SLOW), (8.6, 5.1), strict=True))
+    examples = tuple(
+        replace(one, sentence=sentence) for one, sentence in zip(whole.counterexamples, moments, strict=True)
+    )
+    parsed = page.parse(render(replace(whole, counterexamples=examples), {1: run, 2: run}))
+    for article, (sentence, moment_s) in zip(
+        parsed.all("article", "counterexample"), moments.items(), strict=True
+    ):
+        assert sentence in article.text
+        assert f"worst moment at {moment_s:.3f} s" in article.text
+        (figure,) = article.all("figure", "replay")
+        assert float(figure.attributes["data-from"]) == moment_s
+        (button,) = (one for one in article.all("button") if "data-jump" in one.attributes)
+        assert (button.text, float(button.attributes["data-jump"])) == ("Worst moment", moment_s)
+        assert f"TCP at {moment_s:.3f} s" in article.text
+        drawn = [node.text for node in article.all("desc") if "Hands are drawn" in node.text]
+        assert len(drawn) == 4
+        assert all(f"at {moment_s:.2f} s" in words for words in drawn)
+
+
 def test_the_viewer_is_there_once_and_only_where_there_is_something_to_replay(text: str) -> None:
     assert text.count("Three.js Authors\n") == 1
     assert len(text) < 2_500_000

@@ -80,7 +80,7 @@ def test_a_plan_that_may_stop_early_is_interrupted_until_it_stops(tmp_path: Path
     row = next(iter(Bench(plan).run(0, [0], keep_violations=False)))
     with ledger_in(tmp_path / "report", plan) as ledger:
         for stratum in range(2):
-            ledger.record(replace(row, stratum=stratum, episode=k, trace=None) for k in range(50))
+            ledger.record(replace(row, stratum=stratum, episode=k, seed=k, trace=None) for k in range(50))
         assert gather(plan, ledger, tmp_path, command="certify").evidence.interrupted
         for stratum in range(2):
             ledger.stop(stratum, 50)

@@ -12,7 +12,7 @@ import scipy.stats
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Judgement, Row
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import Bound, Standing
 from safety_harness.certification.results import bounds, claims_of, refuse_hopeless, strata_of
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.sample import Outcome
@@ -23,7 +23,12 @@ MARGIN = {Outcome.HOLDS: 0.05, Outcome.VIOLATED: -0.02}
 
 def row(stratum: int, episode: int, first: Outcome, second: Outcome = Outcome.HOLDS) -> Row:
     judgements = tuple(
-        Judgement(outcome, MARGIN.get(outcome, np.nan) + 1e-6 * episode) for outcome in (first, second)
+        Judgement(
+            outcome,
+            MARGIN.get(outcome, np.nan) + 1e-6 * episode,
+            exercised=int(outcome is not Outcome.UNTESTED),
+        )
+        for outcome in (first, second)
     )
     return Row(
         stratum=stratum,
@@ -60,14 +65,49 @@ def test_bounds_are_exact_at_their_share_of_the_plans_confidence(plan: Plan, led
     filled(ledger)
     first, second = claims_of(plan, ledger)[0].outcomes
     chance = (1.0 - plan.confidence) / bounds(plan)
-    assert bounds(plan) == 4
+    assert bounds(plan) == 8  # two ends for each of two claims in each of two strata
     assert first.bound is not None
     assert second.bound is not None
     assert first.bound.upper == pytest.approx(scipy.stats.beta.ppf(1.0 - chance, 4, 27))
     assert first.bound.lower == pytest.approx(scipy.stats.beta.ppf(chance, 3, 28))
     assert second.bound.upper == pytest.approx(1.0 - chance ** (1.0 / 20.0))
     assert second.bound.lower == 0.0
-    assert first.bound.confidence == pytest.approx(1.0 - chance)
+    assert first.bound.confidence == pytest.approx(1.0 - 2.0 * chance)
+    assert first.bound.of_one_end == pytest.approx(1.0 - chance)
+
+
+def test_what_is_shown_as_an_interval_covers_as_often_as_is_said_beside_it(
+    tmp_path: Path, plan: Plan
+) -> None:
+    """Every count of violations in 20 runs enumerated, at the truths where intervals end."""
+    shown: list[Bound] = []
+    for violated in range(21):
+        with ledger_in(tmp_path / str(violated), plan) as ledger:
+            ledger.record(row(1, k, Outcome.VIOLATED if k < violated else Outcome.HOLDS) for k in range(20))
+            found = claims_of(plan, ledger)[0].outcomes[1].bound
+            assert found is not None
+            shown.append(found)
+    low, high = (np.array([getattr(one, end) for one in shown]) for end in ("lower", "upper"))
+    truths = np.concatenate([np.linspace(0.01, 0.99, 99), low + 1e-9, high - 1e-9])
+    chances = scipy.stats.binom.pmf(np.arange(21), 20, truths[:, None])
+    covered = np.where((low <= truths[:, None]) & (truths[:, None] <= high), chances, 0.0).sum(axis=1)
+    assert covered.min() >= shown[0].confidence - 1e-9
+    missed = len(plan.claims) * len(plan.strata) * (1.0 - covered.min())
+    assert missed <= 1.0 - plan.confidence + 1e-9  # all four intervals together
+
+
+def test_a_ledger_whose_rows_contradict_themselves_has_no_bound_and_says_why(
+    plan: Plan, ledger: Ledger
+) -> None:
+    filled(ledger, inconclusive=1)
+    relabelled = f"UPDATE judgement SET outcome = {int(Outcome.UNTESTED)} WHERE outcome = "
+    ledger.execute(relabelled + str(int(Outcome.INCONCLUSIVE)))
+    claim = claims_of(plan, ledger)[0]
+    assert claim.outcomes[1].standing is Standing.INCOMPLETE
+    assert claim.outcomes[1].bound is None
+    assert "no occasion in an untested run" in claim.outcomes[1].why
+    ledger.execute("UPDATE episode SET seed = seed % 10 WHERE stratum = 0")
+    assert "a seed of its own" in claims_of(plan, ledger)[0].outcomes[0].why
 
 
 def test_inconclusive_runs_count_against_the_claim_and_leave_doubt(plan: Plan, ledger: Ledger) -> None:

@@ -130,3 +130,12 @@ def test_the_reason_of_a_verdict_rounds_its_bound_away_from_the_target() -> None
     assert "at most 1.8 % of them" in shown
     _, missed = standing_of(**known, bound=between(0.0, 0.020001))
     assert "up to 2.01 % of them" in missed
+
+
+def test_what_is_refuted_says_with_which_confidence() -> None:
+    known: dict[str, Any] = {"target": 0.02, "runs": 300, "planned": 300, "tested": 300, "violated": 31}
+    known |= {"without_verdict": 0, "may_stop_early": False, "model_only": False}
+    bound = Bound(lower=0.07, upper=0.15, confidence=0.99, method="exact")
+    _, why = standing_of(**known, bound=bound)
+    assert why == "31 of 300 tested runs violate it: with 99.5 % confidence more than 2 % of them do"
+    assert "doubt" not in why

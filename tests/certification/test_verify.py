@@ -11,21 +11,25 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy.stats import binomtest
 
 from safety_harness.campaign.episodes import Bench
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
-from safety_harness.certification import folder, verify_report
+from safety_harness.certification import folder, verify_pages
 from safety_harness.certification import verify as verify_module
+from safety_harness.certification.altered import Turn, chance_to_miss
 from safety_harness.certification.check import Check
+from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.evidence import Standing
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.page import render
+from safety_harness.certification.seal import write_seal
 from safety_harness.certification.verify import verify
-from safety_harness.certification.verify_runs import programs_in
+from safety_harness.certification.verify_runs import MOST_AGAIN, Drawing, drawn, programs_in
 from safety_harness.exceptions import CampaignError, InputError
 from tests.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
@@ -53,7 +57,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
     page = (made / "evidence.html").read_text()
-    monkeypatch.setattr(verify_report, "render", lambda *_: page)
+    monkeypatch.setattr(verify_pages, "render", lambda *_: page)
     monkeypatch.setattr(folder, "write_page", lambda path, *_: path.write_text(page))
     return Path(shutil.copytree(made, tmp_path / "report"))
 
@@ -71,12 +75,46 @@ def change(report: Path, *statements: str) -> None:
 def test_a_report_stands_with_every_part_of_it_made_again(
     report: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(verify_report, "render", render)
-    checks = list(verify(report, runs=2, seed=1))
+    monkeypatch.setattr(verify_pages, "render", render)
+    with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
+        declared = declaration_of(plan).sha256
+    checks = list(verify(report, seed=1, seal=write_seal(report).sha256, declared=declared))
     assert [fault for check in checks for fault in check.faults] == []
     names = [check.name for check in checks]
-    assert names == ["files", "ledger", "plan", "stored traces", "numbers", "pages", "runs"]
+    assert names == ["files", "ledger", "plan", "stored traces", "numbers", "pages", "runs", "lodged"]
     assert not any(check.unchecked for check in checks)
+
+
+def test_it_says_how_few_rows_turn_a_verdict_and_repeats_as_many_as_its_chance_asks(report: Path) -> None:
+    def runs(**options: object) -> Check:
+        checks = verify(report, seed=1, **options)  # type: ignore[arg-type]
+        return next(check for check in checks if check.name == "runs")
+
+    whole, few = runs(miss=0.1), runs(runs=2)
+    assert whole.looked_at.startswith("15 of 16 runs made again")
+    assert "one altered row would turn 'refuted'" in whole.notes[0]
+    assert "a chance of 6.25 %" in whole.notes[0]
+    assert not whole.unchecked
+    assert few.looked_at.startswith("2 of 16 runs made again")
+    assert "missed with a chance of up to 87.5 %; for 1 % it takes --runs 16" in few.unchecked[0]
+
+
+def test_more_runs_than_some_minutes_take_are_made_only_when_asked_for() -> None:
+    turns = [Turn("a claim", "all", Standing.NOT_SHOWN, 1)]
+    drawing = Drawing(runs=None, miss=0.01, seed=1)
+    assert drawing.number(12_000, turns) == MOST_AGAIN
+    _, (left_open,) = drawing.told(12_000, MOST_AGAIN, turns, each_s=0.25)
+    assert "up to 91.7 %; for 1 % it takes --runs 11880, some 50 min" in left_open
+    assert replace(drawing, runs=11_880).number(12_000, turns) == 11_880
+    assert drawing.told(12_000, 11_880, turns, each_s=0.25)[1] == ()
+
+
+def test_altered_rows_are_drawn_as_often_as_it_says() -> None:
+    """Ten of 600, by 200 seeds: the counts that a chance of one in a thousand leaves."""
+    again, altered = 80, set(range(0, 600, 60))
+    missed = sum(altered.isdisjoint(drawn(600, again, seed)) for seed in range(200))
+    exactly = chance_to_miss(600, len(altered), again)
+    assert binomtest(missed, 200, exactly).pvalue > 1e-3
 
 
 LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
@@ -239,7 +277,7 @@ def test_words_that_other_software_writes_otherwise_are_no_fault(
     found: dict[str, Check] = {check.name: check for check in verify(report, runs=0, seed=1)}
     assert found["numbers"].stands
     assert any("claims[0].rationale" in note for note in found["numbers"].notes)
-    assert "made by other software" in found["pages"].unchecked[0]
+    assert found["pages"].stands
     edited(report, claims=tuple(replace(claim, target=0.6) for claim in claims))
     assert "claims[0].target" in faults(report)
 

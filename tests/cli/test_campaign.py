@@ -26,6 +26,7 @@ from safety_harness.statistics.sample import Outcome
 from safety_harness.trace.store import load_trace
 from tests.campaign.benches import row_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
+from tests.search.short_space import TEXT
 
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 
@@ -43,7 +44,7 @@ def test_a_plan_is_run_to_its_bounds(folder: Path, capsys: pytest.CaptureFixture
     assert status(folder / "ledger.sqlite") == AS_EXPECTED
     out = capsys.readouterr().out
     assert "episodes 16/16 in kinematic: near 10/10; nearer 6/6" in out
-    assert "violated in at most (all together at 0.95)" in out
+    assert "all 8 bounds, two a line, hold together with 95 % confidence, each line alone with 98.75 %" in out
     assert "near: hand distance never below 150 mm" in out
     assert "NOT shown" in out
     assert "model only" in out
@@ -63,8 +64,8 @@ def test_why_episodes_failed_is_said_the_most_frequent_reason_first(
     plan = plan_in(tmp_path, SMALL)
     with Ledger.create(tmp_path / "ledger.sqlite", plan) as ledger:
         ledger.record(row_of(0, k) for k in range(1, 10))
-        ledger.record([Row.failed(0, 0, 1, 2, "the avoider is gone")])
-        ledger.record(Row.failed(1, k, 1, 2, "an error of the harness itself: \x1b[2J") for k in range(6))
+        ledger.record([Row.failed(0, 0, 100, 2, "the avoider is gone")])
+        ledger.record(Row.failed(1, k, k, 2, "an error of the harness itself: \x1b[2J") for k in range(6))
     assert status(ledger.path) == AS_EXPECTED
     lines = capsys.readouterr().out.splitlines()
     assert "near 10/10, 1 FAILED TO RUN; nearer 6/6, 6 FAILED TO RUN" in lines[1]
@@ -146,6 +147,7 @@ def test_two_avoiders_are_compared_on_the_same_episodes(
     out = capsys.readouterr().out
     assert "near: hand distance never below 150 mm: violated" in out
     assert "more often (from" in out
+    assert "the 4 intervals hold together with 95 % confidence, each alone with 98.75 %" in out
     assert compare(folder / "ledger.sqlite", folder / "ledger.sqlite") == AS_EXPECTED
     assert "worse:" not in capsys.readouterr().out
 
@@ -155,7 +157,7 @@ def test_an_avoider_that_is_shown_to_be_worse_ends_a_comparison_with_1(
 ) -> None:
     for name, outcome, margin in (("good", Outcome.HOLDS, 0.1), ("bad", Outcome.VIOLATED, -0.1)):
         with ledger_in(tmp_path / name, plan_in(tmp_path / name)) as ledger:
-            judgements = (Judgement(outcome, margin), Judgement(Outcome.HOLDS, 0.1))
+            judgements = (Judgement(outcome, margin, 0.2, 1), Judgement(Outcome.HOLDS, 0.1, 0.2, 1))
             ledger.record(
                 Row(stratum=stratum, episode=k, seed=k, judgements=judgements)
                 for stratum, count in enumerate((30, 20))
@@ -289,3 +291,40 @@ def test_a_bound_is_never_rounded_down() -> None:
         assert float(rounded_up(share)) >= share * (1.0 - 1e-9)
         assert float(rounded_up(share)) <= share * 1.01
     assert (rounded_up(1.0), rounded_up(0.123)) == ("1", "0.123")
+
+
+@pytest.mark.parametrize(
+    ("plan_s", "space_s"),
+    [
+        ("mcdropout", None),
+        ("mine.py:Mine", None),
+        ("nothing.onnx", None),
+        (None, "[opposite pose, mine.py:No]"),
+    ],
+)
+def test_a_typo_in_an_avoider_leaves_no_ledger_and_the_corrected_plan_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], plan_s: str | None, space_s: str | None
+) -> None:
+    ledger = tmp_path / "ledger.sqlite"
+    (tmp_path / "mine.py").write_text("class Mine:\n    name = nothing\n")
+    named = "" if plan_s is None else f"avoider: {plan_s}\n"
+    space = TEXT if space_s is None else TEXT.replace("opposite pose", f"{{one of: {space_s}}}")
+    plan_in(tmp_path, SMALL.replace("avoider: opposite pose\n", named), space)
+    assert run(tmp_path / "plan.yaml", ledger=ledger, workers=1) == BAD_INPUT
+    assert "avoider" in capsys.readouterr().err
+    assert not ledger.exists()
+    plan_in(tmp_path, SMALL)
+    assert run(tmp_path / "plan.yaml", ledger=ledger, workers=1) == AS_EXPECTED
+
+
+def test_a_ledger_in_which_nothing_was_run_is_begun_anew_and_one_with_results_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "ledger.sqlite"
+    Ledger.create(path, plan_in(tmp_path, SMALL.replace("seed: 7", "seed: 8"))).close()
+    plan = plan_in(tmp_path, SMALL)
+    assert run(plan.file, ledger=path, workers=1) == AS_EXPECTED
+    with Ledger.open(path) as ledger:
+        assert ledger.declared.seed == 7
+    plan_in(tmp_path, SMALL.replace("seed: 7", "seed: 8"))
+    before = path.read_bytes()
+    assert run(plan.file, ledger=path, workers=1) == BAD_INPUT
+    assert path.read_bytes() == before

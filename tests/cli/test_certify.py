@@ -11,19 +11,21 @@ from xml.etree import ElementTree
 
 import jsonschema
 import pytest
+from typer.testing import CliRunner
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import plan_of
 from safety_harness.certification import folder as folder_module
-from safety_harness.certification import verify_report
+from safety_harness.certification import verify_pages
 from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.document import read_evidence, schema
 from safety_harness.certification.evidence import Standing
 from safety_harness.certification.findings import of_examples
 from safety_harness.cli import certify as certify_module
 from safety_harness.cli import fuzz as fuzz_module
-from safety_harness.cli.certify import certify, verify
+from safety_harness.cli.certify import certify, declare, seal_report, verify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.main import app
 from tests.campaign.plans import PLAN, plan_in
 
 SEARCHING = PLAN + "search:\n  runs: 20\n"
@@ -45,7 +47,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
     page = (made / "evidence.html").read_text()
-    monkeypatch.setattr(verify_report, "render", lambda *_: page)
+    monkeypatch.setattr(verify_pages, "render", lambda *_: page)
     return Path(shutil.copytree(made, tmp_path / "report"))
 
 
@@ -178,8 +180,44 @@ def test_a_budget_that_cannot_meet_its_target_is_refused_before_anything_runs(
     plan_in(tmp_path, PLAN.replace("50 %", "0.1 %"))
     assert certify(tmp_path / "plan.yaml", out=tmp_path / "report") == BAD_INPUT
     said = words(capsys)
-    assert "at least 4380 runs" in said
+    assert "at least 5073 runs" in said
     assert not (tmp_path / "report").exists()
+
+
+def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a user does it: declare, lodge, certify, seal, lodge, verify."""
+    monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
+    monkeypatch.setattr(verify_pages, "render", lambda *_: "the page")
+    plan, out = tmp_path / "plan.yaml", tmp_path / "report"
+    plan_in(tmp_path, PLAN.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
+    assert declare(plan, None) == AS_EXPECTED
+    declared = capsys.readouterr().out.strip()
+    assert certify(plan, out=out, workers=1) == DIFFERS
+    assert read_evidence(out / "evidence.json").record.declaration_sha256 == declared
+    assert not any("declared before" in one.text for one in read_evidence(out / "evidence.json").findings)
+    capsys.readouterr()
+    assert seal_report(out) == AS_EXPECTED
+    sealed = capsys.readouterr().out.strip()
+    assert verify(out, runs=1, seed=1, execute_avoider=False, seal=sealed, declared=declared) == AS_EXPECTED
+    said = words(capsys)
+    assert "nothing in the report was altered since it was sealed" in said
+    assert "plan, seed, avoider, targets and software are the declared ones" in said
+    assert verify(out, runs=0, seed=1, execute_avoider=False, seal=declared) == DIFFERS
+    assert verify(out, runs=0, seed=1, execute_avoider=False, declared=sealed) == DIFFERS
+    assert verify(out, runs=0, seed=1, execute_avoider=False, seal="what?") == BAD_INPUT
+    plan.write_text(plan.read_text().replace("50 %", "49 %").replace("seed: 7", "seed: 8"))
+    words(capsys)
+    assert certify(plan, out=tmp_path / "other", workers=1) == BAD_INPUT
+    said = words(capsys)
+    assert "seed: 7 was declared, and it is 8 now" in said
+    assert "target of 'hand distance never below 150 mm': 0.5 was declared, and it is 0.49 now" in said
+    assert not (tmp_path / "other").exists()
+    assert declare(plan, None) == BAD_INPUT
+    assert "it may be lodged already" in words(capsys)
+    (out / "junit.xml").write_text("<testsuites/>")
+    assert seal_report(out) == DIFFERS
 
 
 def test_a_changed_space_is_named(report: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -227,7 +265,7 @@ def test_a_program_in_a_report_is_not_executed_unasked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
-    monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
+    monkeypatch.setattr(verify_pages, "render", lambda *_: "the page")
     (tmp_path / "mine.py").write_text(
         "from pathlib import Path\n"
         "from safety_harness import Proposal\n\n\n"
@@ -244,3 +282,23 @@ def test_a_program_in_a_report_is_not_executed_unasked(
     assert "--execute-avoider" in words(capsys)
     assert verify(out, runs=0, seed=1, execute_avoider=False) == AS_EXPECTED
     assert verify(out, runs=2, seed=1, execute_avoider=True) == AS_EXPECTED
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "told"),
+    [
+        (["certify", "--help"], 0, "certify declare PLAN, before, and certify seal REPORT, after"),
+        (["certify"], 2, "Missing argument 'PLAN'"),
+        (["certify", "declare", "--help"], 0, "Print a hash over plan, seed, avoider, targets and software"),
+        (["certify", "seal"], 2, "Missing argument 'REPORT'"),
+        (["certify", "--pdf", "--nonsense", "plan.yaml"], 2, "--nonsense"),
+        (["verify", ".", "--miss", "0"], 2, "is no chance"),
+        (["verify", ".", "--miss", "often"], 2, "is no chance"),
+    ],
+)
+def test_a_plan_is_certified_declared_or_sealed_by_one_command(
+    words: list[str], code: int, told: str
+) -> None:
+    done = CliRunner().invoke(app, words, env={"COLUMNS": "200", "NO_COLOR": "1"})
+    assert done.exit_code == code
+    assert told in done.output

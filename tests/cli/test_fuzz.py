@@ -107,6 +107,21 @@ def test_an_avoider_that_crashes_in_a_corner_is_found_counted_and_saved(
     assert run([file], tmp_path / "again") == AS_EXPECTED
 
 
+def test_how_long_answers_take_changes_nothing_that_is_found(space: Path, tmp_path: Path) -> None:
+    seconds_there = "float(Path(__file__).with_suffix('.s').read_text())"
+    sleeps = f"import time; from pathlib import Path; time.sleep({seconds_there})"
+    (tmp_path / "mine.py").write_text(
+        CRASHING.replace("        if hand_position", f"        {sleeps}\n        if hand_position")
+    )
+    for seconds in ("0", "0.12"):
+        (tmp_path / "mine.s").write_text(seconds)
+        fuzz(space, out=tmp_path / seconds, avoider=str(tmp_path / "mine.py") + ":Crashing", budget=4)
+    quick, slow = ((tmp_path / seconds / "findings.json").read_text() for seconds in ("0", "0.12"))
+    assert quick == slow
+    assert json.loads(quick)["computing time"] == "computing time not modelled"
+    assert "computing time not modelled" in (tmp_path / "0" / "fuzz.html").read_text()
+
+
 def test_ctrl_c_keeps_what_was_found(
     space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -119,5 +119,5 @@ def test_what_only_the_baseline_meets_is_shrunk_and_written_too(
     assert found["baseline"]["claims"][0]["violated"] > found["claims"][0]["violated"] == 0
     (file,) = out.glob("*.yaml")
     assert "of searcher uniform" in file.read_text()
-    assert "of searcher uniform near it" in (out / "fuzz.html").read_text()
+    assert "of searcher uniform led to it" in (out / "fuzz.html").read_text()
     assert list((out / "as-found" / "baseline").glob("*.yaml"))

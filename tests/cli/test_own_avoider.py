@@ -12,6 +12,7 @@ from safety_harness.avoidance.shipped import SHIPPED
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
+from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import Outcome
 
 ROOT = Path(__file__).parents[2]
@@ -125,18 +126,12 @@ class Mine:
 """
 
 
-@pytest.mark.parametrize(
-    ("bad", "fault"),
-    [
-        ("os._exit(3)", "its process ended with exit status 3"),
-        ("time.sleep(60)", "no answer within 100 ms, nor 2 s later: its process was ended"),
-    ],
-)
-def test_a_run_with_an_avoider_that_ends_or_hangs_comes_to_its_end_and_repeats(
-    bad: str, fault: str, visit: Path, capfd: pytest.CaptureFixture[str]
+def test_a_run_with_an_avoider_that_ends_its_process_comes_to_its_end_and_repeats(
+    visit: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    Path("mine.py").write_text(HOSTILE.replace("BAD", bad))
-    assert run([visit], Path("out"), "mine.py:Mine") == AS_EXPECTED
+    fault = "its process ended with exit status 3"
+    Path("mine.py").write_text(HOSTILE.replace("BAD", "os._exit(3)"))
+    assert run([visit], Path("out"), "mine.py:Mine") == DIFFERS  # what the run shows is the fallback
     out, err = capfd.readouterr()
     trace = load_trace(trace_of("out"))
     assert trace.complete
@@ -145,6 +140,62 @@ def test_a_run_with_an_avoider_that_ends_or_hangs_comes_to_its_end_and_repeats(
     assert "asked" not in out
     assert fault in err
     assert replay(trace_of("out"), "mine.py:Mine") == AS_EXPECTED
+
+
+def test_a_run_with_an_avoider_that_hangs_has_failed_and_has_no_verdict(
+    visit: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    visit.write_text(VISIT + "settings: {clock: {wall limit: 500 ms}}\n")
+    Path("mine.py").write_text(HOSTILE.replace("BAD", "time.sleep(60)"))
+    assert run([visit], Path("out"), "mine.py:Mine") == DIFFERS
+    out, err = capfd.readouterr()
+    assert "the avoider 'hostile' gave no answer within 0.5 s of wall time" in err
+    assert "0 of 0 verdicts as expected, 0 of 1 scenarios run" in err
+    assert "Traceback" not in err
+    assert "holds" not in out
+    assert not trace_of("out").exists()
+
+
+SLEEPY = """
+import time
+from pathlib import Path
+from safety_harness import Proposal
+class Mine:
+    name = "sleepy"
+    decision_time_s = DECLARED
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        time.sleep(float(Path(__file__).with_suffix(".s").read_text()))
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])
+"""
+
+
+@pytest.mark.parametrize(
+    ("declared", "modelled", "limit"),
+    [
+        ("None", "computing time not modelled", "a control period, 8 ms"),
+        ("0.04", "40 ms a decision, as the avoider declares", "that it costs at most, 40 ms"),
+    ],
+)
+def test_run_says_what_decisions_cost_and_when_they_take_longer_here_and_no_bit_depends_on_it(
+    declared: str, modelled: str, limit: str, visit: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    visit.write_text(VISIT.replace("- withdraw: 1 m/s", "- wait: 5 s"))
+    Path("mine.py").write_text(SLEEPY.replace("DECLARED", declared))
+    found = {}
+    for seconds in ("0", "0.13"):
+        Path("mine.s").write_text(seconds)
+        assert run([visit], Path(f"out{seconds}"), "mine.py:Mine") == AS_EXPECTED
+        found[seconds] = capfd.readouterr()
+    quick, slow = (load_trace(trace_of(f"out{seconds}")) for seconds in found)
+    assert (slow.decision_latency_s > 0.1).any()
+    assert first_difference(quick, slow) is None
+    assert found["0"].out == found["0.13"].out
+    assert found["0.13"].err.count(f"computing time: sleepy: {modelled}\n") == 1
+    assert f"on this machine an answer took longer than {limit}: p99 1" in found["0.13"].err
+    assert replay(trace_of("out0.13"), "mine.py:Mine") == AS_EXPECTED
+    for folder in ("out0", "out0.13"):
+        assert modelled in (Path(folder) / "report.html").read_text()
+        assert modelled in (Path(folder) / "report.json").read_text()
 
 
 def test_a_wrong_avoider_is_one_mistake_however_many_files(

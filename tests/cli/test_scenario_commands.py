@@ -126,9 +126,9 @@ def test_fmt_lays_out_and_check_only_says_so(tmp_path: Path, capsys: Captured) -
 
 
 def test_fmt_leaves_what_it_cannot_read_and_goes_on(tmp_path: Path, capsys: Captured) -> None:
-    write(tmp_path, a="a: b: c\n", b="scenario:   x\n")
+    write(tmp_path, a="scenario: b: c\n", b="scenario:   x\n")
     assert format_files([tmp_path / "a.yaml", tmp_path / "b.yaml"], check=False) == BAD_INPUT
-    assert (tmp_path / "a.yaml").read_text() == "a: b: c\n"
+    assert (tmp_path / "a.yaml").read_text() == "scenario: b: c\n"
     assert (tmp_path / "b.yaml").read_text() == "scenario: x\n"
     assert f"error: {tmp_path / 'a.yaml'}:1" in capsys.readouterr().err
 

@@ -87,19 +87,6 @@ def test_the_spread_is_that_of_the_decision_in_force() -> None:
     assert spread[second["tick"]] == second["proposed_spread_m"].max()
 
 
-def test_the_prediction_error_is_the_way_to_the_nearest_true_hand(two_hands: Trace) -> None:
-    error = sampled("prediction error", two_hands).value
-    for tick in (200, 400):
-        ticks = two_hands.ticks[tick]
-        ways = [
-            min(np.linalg.norm(track - hand) for hand in ticks["hand_position_in_base_m"][:2])
-            for track in ticks["predicted_hand_in_base_m"][ticks["track_valid"]]
-        ]
-        assert error[tick] == max(ways)
-    untracked = ~two_hands.ticks["track_valid"].any(axis=1)
-    assert np.array_equal(np.isnan(error), untracked)
-
-
 def poses(trace: Trace, fraction: float) -> NDArray[np.float64]:
     """(n-1, 8, 4, 4) the links a part of the way from each tick to the next, joints turning evenly."""
     arm = load_arm(trace.scenario.robot.arm_name)

@@ -175,7 +175,7 @@ def ledger_bytes() -> bytes:
     with ledger_in(folder, plan_in(folder)) as ledger:
         judgements = (Judgement(Outcome.HOLDS, 0.1, 0.2, 3), Judgement(Outcome.UNTESTED))
         ledger.record(
-            Row(stratum=0, episode=k, seed=11, judgements=judgements, draws=1, cell="a", trace=b"x" * 100)
+            Row(stratum=0, episode=k, seed=11 + k, judgements=judgements, draws=1, cell="a", trace=b"x" * 100)
             for k in range(20)
         )
         ledger.connection.execute("PRAGMA journal_mode = DELETE")

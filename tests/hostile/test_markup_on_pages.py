@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from datetime import UTC, datetime
@@ -12,9 +11,16 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import factory
+import made_up
+import made_up_evidence
+import made_up_faults
 import pytest
+import test_page as reproduction
+import test_search_page as search
 
 import safety_harness
+import safety_harness_paper
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import render as evidence_page
 from safety_harness.report.coverage_map import coverage_map
@@ -22,22 +28,10 @@ from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
-from safety_harness.reproduction import figure7, table1
-from safety_harness.reproduction.page import render as reproduction_page
-from safety_harness.reproduction.scale import DEFAULT
 from safety_harness.selftest.page import render as selftest_page
-
-sys.path.append(str(Path(__file__).parents[1] / "report"))
-sys.path.append(str(Path(__file__).parents[1] / "certification"))
-sys.path.append(str(Path(__file__).parents[1] / "selftest"))
-sys.path.append(str(Path(__file__).parents[1] / "reproduction"))
-
-import factory
-import made_up
-import made_up_evidence
-import made_up_faults
-import test_page as reproduction
-import test_search_page as search
+from safety_harness_paper import figure7, table1
+from safety_harness_paper.page import render as reproduction_page
+from safety_harness_paper.scale import DEFAULT
 
 MARKUP = "</script></style></svg><img src=x onerror=alert(1)><script>alert(2)</script>\"'&{{7*7}}"
 IN_PLACE = {  # what is looked up, never shown as it came
@@ -172,7 +166,9 @@ def test_markup_stays_text_in_every_xml_file(name: str) -> None:
 
 def test_every_page_and_every_maker_of_xml_is_tried_here() -> None:
     package = Path(safety_harness.__file__).parent
-    assert {file.name for file in package.rglob("*.html.j2")} == {*PAGES, "page.html.j2", "parts.html.j2"}
+    paper = Path(safety_harness_paper.__file__).parent
+    templates = {file.name for folder in (package, paper) for file in folder.rglob("*.html.j2")}
+    assert templates == {*PAGES, "page.html.j2", "parts.html.j2"}
     makers = {file for file in package.rglob("*.py") if "ElementTree.tostring(" in file.read_text()}
     urdf = package / "robot" / "description.py"  # nobody's words
     assert {file.relative_to(package).as_posix() for file in makers - {urdf}} == set(XML)

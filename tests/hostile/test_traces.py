@@ -52,6 +52,7 @@ HOSTILE = {
     "an avoider that is no text": {"run_json": run_json(provenance=PROVENANCE | {"avoider": {"a": 1}})},
     "libraries without versions": {"run_json": run_json(provenance=PROVENANCE | {"libraries": [1]})},
     "a library too much": {"run_json": run_json(provenance=PROVENANCE | {"libraries": [[1, 2, 3]]})},
+    "files that are none": {"run_json": run_json(provenance=PROVENANCE | {"files": [["cv2.so"]]})},
     "no libraries": {"run_json": run_json(provenance={"avoider": "x"})},
     "provenance that is none": {"run_json": run_json(provenance=7)},
     "a run that is deep": {"run_json": b"[" * 1_000_000},

@@ -13,8 +13,9 @@ from examples import (
     Displaced,
     Nonsense,
     PassingGate,
+    Raising,
     RefusingGate,
-    Sleeping,
+    Slow,
     TowardsTheHand,
     hand,
     run,
@@ -123,7 +124,12 @@ def sees_no_hand() -> Trace:
 
 @lru_cache
 def never_answers() -> Trace:
-    return run(scenario(VISIT, duration_s=1.5), avoider=Sleeping(seconds=0.2))
+    return run(scenario(VISIT, duration_s=1.5), avoider=Slow(0.2))
+
+
+@lru_cache
+def raises_at_every_question() -> Trace:
+    return run(scenario(VISIT, duration_s=1.5), avoider=Raising())
 
 
 @lru_cache
@@ -173,6 +179,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "converged to the desired pose": does_nothing_for_a_minute,
     "hand predictions within 50 mm": sees_a_hand_where_none_is,
     "decisions within 100 ms": never_answers,
+    "the avoider answered": raises_at_every_question,
     "joint accelerations never above 500 deg/s2": turns_too_fast,
     "TCP acceleration never above 2 m/s2": turns_too_fast,
     "object in view or recovered within 2 s": carries_the_object_out_of_view,

@@ -147,6 +147,7 @@ def test_every_decision_that_left_nothing_is_judged_and_the_worst_is_told() -> N
         ticks["decision"][tick] = number
         tcp = ticks["transform_tcp_to_base"][tick, :3, 3]
         decisions["tick"][number], decisions["time_s"][number] = tick, ticks["time_s"][tick]
+        decisions["asked_tick"][number] = tick
         decisions["joint_position_rad"][number] = ticks["joint_position_rad"][tick]
         decisions["tcp_position_in_base_m"][number] = tcp
         far = (0.0, 0.0, 0.01) if number == 0 else (0.0, 2.0, 0.0)

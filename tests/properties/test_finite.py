@@ -37,7 +37,7 @@ def test_one_number_of_one_tick_is_found(name: str, value: float, visit: Trace) 
 def test_one_number_of_one_decision_is_found(name: str, visit: Trace) -> None:
     decisions = visit.decisions.copy()
     decisions["outcome"][0] = Outcome.OPPOSITE
-    decisions[name][0, 1] = np.nan
+    decisions[name][(0, *[1] * (decisions[name].ndim - 1))] = np.nan
     evaluation = FINITE.evaluate(replace(visit, decisions=decisions))
     assert (evaluation.verdict, evaluation.margin) == (Verdict.VIOLATED, -1.0)
     assert evaluation.worst_time_s == pytest.approx(visit.decisions["time_s"][0])

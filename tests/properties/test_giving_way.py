@@ -124,6 +124,7 @@ def test_deciding_anew_again_and_again_does_not_replace_moving(visit: Trace) -> 
     ticks = standing.ticks.copy()
     decisions["tick"] = np.arange(first, first + count)
     decisions["time_s"] = ticks["time_s"][decisions["tick"]]
+    decisions["asked_tick"] = decisions["tick"]
     decisions["trigger"][1:] = Trigger.ANOTHER_HAND
     ticks["decision"] = -1
     ticks["decision"][first : first + count] = np.arange(count)

@@ -11,7 +11,6 @@ from examples import VISIT, run, scenario
 
 from safety_harness.avoidance.gate import REACH_MARGIN_M
 from safety_harness.properties.accelerations import TcpAcceleration
-from safety_harness.properties.decision_time import waited_s
 from safety_harness.properties.fallback_poses import FallbackPoses
 from safety_harness.properties.finite import FiniteTrace, bad_decisions
 from safety_harness.properties.hand_distance import instants
@@ -33,6 +32,7 @@ from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Tremor
 from safety_harness.settings import DEFAULTS
+from safety_harness.trace.old_decisions import _asked
 from safety_harness.trace.trace import Trace
 
 RADIUS_M = DEFAULTS.avoidance.radius_m
@@ -73,13 +73,13 @@ def test_a_single_tick_is_looked_at(visit: Trace) -> None:
 
 def test_a_late_answer_is_waited_for_from_its_own_question_on(visit: Trace) -> None:
     faults = (AvoiderLate(delay_s=0.05, from_s=0.0, until_s=1.0),)
-    ticks, period_s = visit.ticks.copy(), DEFAULTS.clock.control_period_s
+    ticks = visit.ticks.copy()
     ticks["faults"] = 0
     ticks["faults"][:10] = 1
     decisions = np.concatenate([visit.decisions[:1]] * 3)
     decisions["tick"] = [5, 9, 20]
-    waited = replace(visit, scenario=replace(visit.scenario, faults=faults), ticks=ticks, decisions=decisions)
-    assert waited_s(waited) == pytest.approx([5 * period_s, 3 * period_s, 0.0])
+    asked = _asked(decisions["tick"], ticks["faults"], faults)
+    assert (decisions["tick"] - asked).tolist() == [5, 3, 0]
 
 
 def test_a_fallback_that_is_nowhere_is_a_radius_short_of_every_hand(visit: Trace) -> None:

@@ -13,7 +13,7 @@ from examples import VISIT, ConstantSpeed, hand, run, scenario
 
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.properties.starvation import NeverStarved, lost_time_s
+from safety_harness.properties.starvation import NeverStarved, lost_ticks
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.trace.records import Mode
@@ -29,16 +29,16 @@ def does_nothing() -> Trace:
 
 def test_servoing_that_gets_on_loses_next_to_nothing() -> None:
     trace = run(scenario(duration_s=3.0))
-    lost_s, away = lost_time_s(trace)
-    assert lost_s.max() <= 0.1  # while it gets up to speed
+    lost, away = lost_ticks(trace)
+    assert lost.max() * 0.008 <= 0.1  # while it gets up to speed
     assert 0 < away.sum() < len(away)
     evaluation = NeverStarved(longest_s=1.0).evaluate(trace)
     assert (evaluation.verdict, evaluation.exercised) == (Verdict.HOLDS, int(away.sum()))
 
 
 def test_a_controller_that_does_nothing_loses_all_the_time() -> None:
-    lost_s, _ = lost_time_s(does_nothing())
-    assert lost_s == pytest.approx(does_nothing().time_s)
+    lost, _ = lost_ticks(does_nothing())
+    assert np.array_equal(lost, np.arange(len(lost)))
     evaluation = NeverStarved(longest_s=1.5).evaluate(does_nothing())
     assert (evaluation.verdict, evaluation.margin) == (Verdict.VIOLATED, pytest.approx(-0.5))
 
@@ -66,10 +66,10 @@ def test_going_to_and_fro_starves_the_task_although_no_interruption_is_long() ->
 
 def test_a_visit_costs_no_more_than_the_time_of_giving_way(visit: Trace) -> None:
     """And that of getting up to speed again; as much of it as the arm does not happen to come nearer in."""
-    lost_s, away = lost_time_s(visit)
+    lost, away = lost_ticks(visit)
     repulsing = np.count_nonzero((visit.ticks["mode"] != Mode.SERVOING) & away) * 0.008
-    assert 0.0 < lost_s.max() <= repulsing + 0.1
-    assert lost_s[-1] == 0.0
+    assert 0.0 < lost.max() * 0.008 <= repulsing + 0.1
+    assert lost[-1] == 0
 
 
 def test_the_error_is_eq_15_s_for_an_upright_tcp() -> None:

@@ -79,11 +79,10 @@ def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) 
     "text",
     [
         "scenario: a hand\nduration: 1 s\n",
-        "scenario space: hands\n",
-        "scenario: >\n  folded\n",
-        "# a comment\nsuite: all of them\n",
-        "extends: base.yaml\navoider: opposite pose\n",
-        "scenaro: a typing error\nduration: 1 s\nclaims: {}\n",
+        "scenario space: hands\nseed: 1\n",
+        "scenario: >\n  folded\nextends: base.yaml\n",
+        "# a comment\nsuite: all of them\nscenarios: []\n",
+        "'scenario': quoted\r\nclaims:\r\n",
     ],
 )
 def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> None:
@@ -101,6 +100,9 @@ def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> No
         "name: test\non: push\njobs: {}\n",
         "matrix: [1, 2]\n",
         "about: a scenario: of a kind\n",
+        "seed: 1\nrobot: ur10\ncamera: {}\n",
+        "scenario: of another program\n",
+        "plan: of ours\nscenario: x\nclaims: []\n",
         "\x00\xff",
     ],
 )
@@ -108,9 +110,3 @@ def test_other_yaml_files_are_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "some.yaml"
     file.write_bytes(text.encode("latin-1"))
     assert not looks_like_ours(file)
-
-
-def test_a_file_that_is_asked_for_by_name_is_read_whatever_it_is(run, project: Path) -> None:
-    (project / "docker-compose.yaml").write_text("services: {}\n")
-    assert run("docker-compose.yaml").ret == pytest.ExitCode.INTERRUPTED
-    run("--collect-only", "-q").stdout.no_fnmatch_line("*docker*")

@@ -107,7 +107,7 @@ def test_another_avoider_takes_the_place_of_what_files_name(run, project: Path) 
 def test_an_avoider_that_cannot_be_used_ends_the_session_at_once(
     run, project: Path, avoider: str, said: str
 ) -> None:
-    (project / "broken.py").write_text("import not_there\n")
+    (project / "broken.py").write_text("import not_there\nX = 1\n")
     result = run("fast.yaml", "--avoider", avoider)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines(["ERROR: --avoider", f"*{said}*"])
@@ -176,3 +176,32 @@ def test_a_project_without_scenarios_is_left_alone(run, pytester: pytest.Pyteste
     result = run()
     result.assert_outcomes(passed=1)
     result.stdout.no_fnmatch_line("*safety claims*")
+
+
+def test_a_session_says_what_decisions_cost_and_that_they_took_longer_here(run, project: Path) -> None:
+    avoiders = project / "avoiders.py"
+    avoiders.write_text(
+        avoiders.read_text().replace(
+            "        return Proposal", "        __import__('time').sleep(0.12)\n        return Proposal", 1
+        )
+    )
+    result = run("fine.yaml", "--avoider", "avoiders.py:Upwards", "-k", "speed")
+    result.assert_outcomes(passed=1, deselected=1)
+    result.stdout.fnmatch_lines(
+        [
+            "computing time: upwards: computing time not modelled",
+            "computing time: upwards: on this machine an answer took longer than a control period, 8 ms: *",
+        ]
+    )
+
+
+def test_an_avoider_that_hangs_fails_its_test_and_has_no_verdict(run, project: Path) -> None:
+    avoiders = project / "avoiders.py"
+    hangs = "        while seed: pass\n        return Proposal"
+    avoiders.write_text(avoiders.read_text().replace("        return Proposal", hangs, 1))
+    fine = project / "fine.yaml"
+    fine.write_text(fine.read_text() + "settings: {clock: {wall limit: 500 ms}}\n")
+    result = run("fine.yaml", "--avoider", "avoiders.py:Upwards", "-k", "speed")
+    result.assert_outcomes(failed=1, deselected=1)
+    result.stdout.fnmatch_lines(["the avoider 'upwards' gave no answer within 0.5 s of wall time"])
+    result.stdout.no_fnmatch_line("*holds*")

@@ -127,6 +127,7 @@ def decisions(ticks: np.ndarray, times_s: tuple[float, ...]) -> np.ndarray:
         tick = min(int(np.searchsorted(ticks["time_s"], time_s)), len(ticks) - 1)
         tcp = ticks["transform_tcp_to_base"][tick, :3, 3]
         out[index]["tick"], out[index]["time_s"], out[index]["seed"] = tick, time_s, index
+        out[index]["asked_tick"] = tick
         out[index]["trigger"] = list(Trigger)[index]
         out[index]["hand_position_in_base_m"] = ticks["hand_position_in_base_m"][tick, 0]
         out[index]["tcp_position_in_base_m"] = tcp

@@ -40,7 +40,16 @@ def test_the_worst_claim_is_a_violated_length_with_the_smallest_margin() -> None
         factory.evaluation("no moment", violated, margin=-5.0, worst_time_s=None),
     )
     run = JudgedRun(trace, evaluations, "again")
-    assert run.worst_claim() == 2
-    assert replace(run, evaluations=(evaluations[3],) * 4).worst_claim() is None
+    assert run.shown_claim() == 2
+    assert replace(run, evaluations=(evaluations[3],) * 4).shown_claim() is None
     never = factory.evaluation("nan", violated, worst_time_s=float("nan"))
-    assert replace(run, evaluations=(never, *evaluations[1:])).worst_claim() == 2
+    assert replace(run, evaluations=(never, *evaluations[1:])).shown_claim() == 2
+
+
+def test_below_a_claims_heading_only_its_own_worst_moment_is_shown() -> None:
+    run = factory.violated_run()
+    assert [run.under(one.sentence).shown_claim() for one in run.trace.scenario.claims] == [0, 1, 2]
+    assert run.under("the avoider raised").shown_claim() == run.shown_claim() == 0
+    unmoved = replace(run.evaluations[1], worst_time_s=None)
+    silent = replace(run, evaluations=(run.evaluations[0], unmoved, run.evaluations[2]))
+    assert silent.under(unmoved.sentence).shown_claim() is None

@@ -43,7 +43,14 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
     }
     assert [claim["unit"] for claim in found["claims"]] == ["m", "m/s", "s"]
     assert (found["scenario"], found["seed"], found["complete"]) == ("two-hands", 7, True)
-    assert found["decisions"] == {"made": 3, "proposed": 1, "opposite": 1, "stops": 1, "faults": 0}
+    assert found["decisions"] == {
+        "made": 3,
+        "proposed": 1,
+        "opposite": 1,
+        "stops": 1,
+        "faults": 0,
+        "unanswered": 0,
+    }
 
 
 def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> None:
@@ -88,7 +95,7 @@ def test_the_trace_file_is_named_with_the_hash_of_its_bytes(tmp_path: Path) -> N
     file = tmp_path / "reach-in.trace"
     file.write_bytes(b"not really a trace")
     (found,) = written(tmp_path / "r.json", replace(factory.holds_run(), trace_file=file))["runs"]
-    assert found["trace_file"] == str(file)
+    assert found["trace_file"] == "reach-in.trace"  # outside the working directory: no path of this machine
     assert found["trace_sha256"] == hashlib.sha256(b"not really a trace").hexdigest()
 
 

@@ -64,7 +64,7 @@ def counterexample() -> Counterexample:
     scenario = run.trace.scenario
     number = next(k for k, one in enumerate(run.evaluations) if one.verdict.value == "violated")
     return Counterexample(
-        complaint=Complaint(scenario.claims[number], "right, proposed position"),
+        complaint=Complaint(scenario.claims[number]),
         found=scenario,
         shrunk=Shrunk(scenario, used=88, steps=(), settled=True, interrupted=False),
         run=run.trace,
@@ -85,7 +85,7 @@ def shown() -> ShownCounterexample:
     found = findings_of([(-0.1, 0.1)])
     return ShownCounterexample(
         one=one,
-        group=found.groups[0],
+        groups=tuple(found.groups),
         searcher="default",
         file="space-claim-1.yaml",
         trace_file="space-claim-1.trace",
@@ -117,6 +117,8 @@ def evidence(**changes: object) -> SearchEvidence:
         command="safety-harness fuzz space.yaml --budget 1000",
         generated_at=datetime(2026, 11, 21, 9, 30, tzinfo=UTC),
         findings=findings_of([(0.3, 0.2), (0.1, 0.2), (-0.05, 0.1), (-0.11, 0.1)]),
+        fallback="",
+        computing_time="computing time not modelled",
         baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
         coverage=Coverage(Counter({CELL: 4})),
         violations=Coverage(Counter({CELL: 2})),
@@ -184,6 +186,21 @@ def test_a_counterexample_is_shown_with_pictures_margins_reasons_files_and_comma
     commands = [code.text for code in section.all("code", "copy")]
     assert commands == [shown().run_command, shown().replay_command]
     assert section.all("pre")[0].children[0] == shown().text
+
+
+def test_the_drawings_show_the_worst_moment_of_the_claim_in_the_heading() -> None:
+    """Two claims are violated at 8.6 s and at 5.1 s; the heading is of the second."""
+    one = counterexample()
+    claim = one.shrunk.scenario.claims[1]
+    about_speed = replace(shown(), one=replace(one, complaint=Complaint(claim, "too fast")))
+    for example, moment_s, other_s in ((shown(), 8.6, 5.1), (about_speed, 5.1, 8.6)):
+        section = parse(render(evidence(shown=(example,)))).one("counterexample-1")
+        caption = section.all("figcaption")[0].text
+        assert f"{moment_s:.3f} s, the worst moment of {example.one.complaint.sentence}" in caption
+        assert f"{other_s:.3f} s" not in caption
+        drawn = [node.text for node in section.all("desc")]
+        assert len(drawn) == 4
+        assert all(f"Hands are drawn in full at {moment_s:.2f} s" in words for words in drawn)
 
 
 def test_what_pybullet_does_not_confirm_is_listed_and_called_no_violation(page: Node) -> None:

@@ -46,7 +46,7 @@ from safety_harness.scenario.read_moves import FASTEST_MPS, LONGEST_S, MOST_TIME
 from safety_harness.scenario.recording import load_recording
 from safety_harness.scenario.recording_table import parse_recording
 from safety_harness.scenario.settings_keys import SettingKey, setting_keys
-from safety_harness.settings import DEFAULTS, Settings, Vector3
+from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3
 
 
 def csv_of(
@@ -137,6 +137,9 @@ def setting_values(key: SettingKey, default: Any) -> st.SearchStrategy[Any]:
     if key.kind is int:
         return st.integers(min_value=int(key.bounds.least), max_value=int(key.bounds.most))
     number = st.floats(min_value=key.bounds.least, max_value=key.bounds.most)
+    if key.kind == DecisionCost | DecisionTimes:
+        times = st.lists(number, min_size=1, max_size=2).map(sorted).map(tuple)
+        return st.sampled_from(DecisionCost) | st.builds(DecisionTimes, quantiles_s=times)
     if isinstance(default, tuple) and isinstance(default[0], tuple):
         return st.lists(st.tuples(number, number), min_size=3, max_size=6).map(tuple)
     if isinstance(default, tuple):
@@ -163,8 +166,10 @@ settings = st.fixed_dictionaries({}, optional=_groups()).map(lambda groups: repl
 @st.composite
 def moving_hands(draw: st.DrawFn) -> MovingHand:
     start, elbow, shift = draw(points), draw(points), draw(points)
-    if start == elbow or shifted(start, shift) == elbow:
-        elbow = (start[0] / 2 + 1.0, start[1], start[2])
+    taken = (start, shifted(start, shift))
+    if elbow in taken:
+        beside = ((start[0] / 2 + x, start[1], start[2]) for x in (1.0, 2.0, 3.0))
+        elbow = next(point for point in beside if point not in taken)
     done = tuple(draw(st.lists(moves, max_size=4)))
     tremor = draw(st.none() | tremors)
     fastest = max((getattr(move, "speed_mps", 0.0) for move in done), default=0.0)

@@ -31,6 +31,7 @@ hands:
 claims:
   proposed repulsive poses reachable: holds
   joint speeds within limits: holds
+settings: {clock: {wall limit: 500 ms}}
 """
 )
 
@@ -87,7 +88,7 @@ class Raises:
 
 @dataclass(frozen=True)
 class Hangs:
-    """Thinks for ever about a low hand that is far ahead: stopped at the deadline, a mishap."""
+    """Thinks for ever about a low hand that is far ahead: the run fails, a mishap."""
 
     name: str = "hangs"
 

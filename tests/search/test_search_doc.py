@@ -36,8 +36,8 @@ def test_every_planted_bug_has_its_row() -> None:
 def test_the_numbers_are_the_programs() -> None:
     assert CUBE.dimension == 17
     assert f"{len(Coverage().holes):,} cells" in TEXT
-    assert f"more than {APART} apart" in " ".join(TEXT.split())
+    assert f"at most {APART} apart" in " ".join(TEXT.split())
     assert (fuzz._SHRINKING, fuzz._MOST_SHRUNK, DRAWS) == (200, 3, 10)
     assert "200 runs at most" in " ".join(TEXT.split())
-    assert "three of each claim at most" in " ".join(TEXT.split())
+    assert "until there are three structures, or six groups were shrunk" in " ".join(TEXT.split())
     assert "in how many of ten draws" in " ".join(TEXT.split())

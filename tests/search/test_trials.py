@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search import trials as trials_module
@@ -42,8 +40,9 @@ def fast_run() -> Trace:
 
 def test_margins_are_those_that_the_scenario_gets_by_itself() -> None:
     trials, found = outcomes()
-    expected = [evaluation.margin for evaluation in judge(fast_run())]
+    *expected, answered = [evaluation.margin for evaluation in judge(fast_run())]
     assert found.margins[1].tolist() == expected
+    assert answered == 0.0
     assert [goal.sentence for goal in trials.goals] == [claim.sentence for claim in SHORT.simplest.claims]
     assert found.margins[1, 0] < 0.0 < found.margins[0, 0]
 
@@ -108,39 +107,6 @@ def test_an_avoider_that_raises_in_a_corner_is_a_mishap_of_one_kind_whatever_its
     assert np.isfinite(found.margins[2]).all()
 
 
-class Slow:
-    """Thinks beyond the deadline, which is 100 ms."""
-
-    name = "slow"
-
-    def propose(self, **_: object) -> Proposal:
-        time.sleep(0.15)
-        return Proposal(np.array([0.6, 0.1, 0.4]))
-
-
-class SlowForMany(Slow):
-    """Is asked for many at once in the kinematic world, where there is no clock."""
-
-    def propose_many(
-        self, hands: np.ndarray, tcps: np.ndarray, seeds: object
-    ) -> tuple[np.ndarray, np.ndarray]:
-        return np.tile([0.6, 0.1, 0.4], (len(hands), 1)), np.zeros((len(hands), 3))
-
-
-@pytest.mark.parametrize(
-    "avoider", [SlowForMany(), OtherDraws(SlowForMany(), 1), Slow(), OtherDraws(Slow(), 1)]
-)
-def test_who_has_no_clock_in_the_kinematic_world_has_none_where_findings_are_confirmed(
-    avoider: Avoider,
-) -> None:
-    scenario = outcomes()[0].scenario(POINTS[1], 11)
-    (trace,) = in_pybullet([admit(scenario, avoider=avoider)])
-    assert isinstance(trace, Trace)
-    asked = avoider.avoider if isinstance(avoider, OtherDraws) else avoider
-    fault = "" if isinstance(asked, SlowForMany) else "no answer within 100 ms"
-    assert str(trace.decisions["fault"][0]) == fault
-
-
 def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     from safety_harness.simulation.pybullet_world import PyBulletWorld
 
@@ -173,7 +139,7 @@ def test_coverage_counts_by_axis_by_two_and_says_what_is_missing() -> None:
 
 
 def complaint() -> Complaint:
-    return Complaint(SHORT.simplest.claims[0], "proposed position")
+    return Complaint(SHORT.simplest.claims[0])
 
 
 def test_confirming_runs_the_scenario_anew_and_believes_nothing() -> None:
@@ -201,8 +167,8 @@ def test_a_mishap_is_confirmed_by_the_same_mishap_alone(tmp_path: Path) -> None:
     trials = Trials(SHORT, in_pybullet, avoider=str(tmp_path / "mine.py") + ":Crashing")
     front = trials.scenario(np.array([0.5, 0.95, 0.95]), 0)
     seen = trials(np.array([[0.5, 0.95, 0.95]]), 0).mishaps[0]
-    assert Confirm(Complaint(None, seen), in_pybullet)(front)
-    assert not Confirm(Complaint(None, "something else"), in_pybullet)(front)
+    assert Confirm(Complaint(trials.answered, seen), in_pybullet)(front)
+    assert not Confirm(Complaint(trials.answered, "something else"), in_pybullet)(front)
 
 
 def test_other_draws_of_an_avoider_without_any_are_the_same_and_of_a_network_are_not() -> None:

@@ -37,7 +37,7 @@ PROVEN, REFUTED = ("network-certain", "second-hand"), ("fast-reach", "hand-at-th
 
 @lru_cache
 def sound(name: str) -> Trace:
-    return System.of(shipped(name)).run()
+    return System(shipped(name)).run()
 
 
 def by_coal_m(trace: Trace, tick: int) -> float:
@@ -89,7 +89,7 @@ def test_where_compliance_is_proven_a_harmless_change_raises_no_alarm(fault: Fau
     assert rung.geometry is not None
     assert (rung.geometry.runs, rung.geometry.contradicted) == (2, ())
     assert rung.geometry.kept > 0
-    trace = fault.seed_into(System.of(shipped(name)), fault.ladder.values[0]).run()
+    trace = fault.seed_into(System(shipped(name)), fault.ladder.values[0]).run()
     ways = tuple(trace.ticks[field].tobytes() for field in ("joint_position_rad", *BODIES))
     if ways not in PROVEN_BY_COAL:  # most of these changes change no bit
         assert_proven_by_coal(trace)

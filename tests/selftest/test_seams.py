@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from small import shipped
 
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.asking import Answer, Elsewhere, Question
 from safety_harness.avoidance.gate import Gate
 from safety_harness.selftest.system import Delayed, Records, System
 from safety_harness.settings import GateKind
@@ -24,16 +19,16 @@ def same(records: Records) -> Records:
 
 def test_the_sound_system_gives_the_bits_of_a_plain_run() -> None:
     admitted = shipped("network-certain")
-    assert first_difference(System.of(admitted).run(), run_kinematic(admitted)) is None
+    assert first_difference(System(admitted).run(), run_kinematic(admitted)) is None
 
 
 def test_in_pybullet_too() -> None:
     admitted = shipped("network-certain")
-    assert first_difference(System.of(admitted).run(in_pybullet=True), run_trial(admitted)) is None
+    assert first_difference(System(admitted).run(in_pybullet=True), run_trial(admitted)) is None
 
 
 def test_seams_that_change_nothing_change_no_bit() -> None:
-    sound = System.of(shipped("network-certain"))
+    sound = System(shipped("network-certain"))
     seamed = (
         sound.with_avoider(lambda avoider: avoider)
         .with_gate(Gate)
@@ -46,7 +41,7 @@ def test_seams_that_change_nothing_change_no_bit() -> None:
 
 
 def test_an_edit_reaches_its_own_run_and_no_other() -> None:
-    sound = System.of(shipped("network-certain"))
+    sound = System(shipped("network-certain"))
     before = sound.run()
 
     def blinder(records: object) -> None:
@@ -55,29 +50,6 @@ def test_an_edit_reaches_its_own_run_and_no_other() -> None:
     assert len(sound.with_records(blinder).run().decisions) == 0
     assert len(sound.with_gate(kind=GateKind.REACH).run().decisions) == len(before.decisions)
     assert first_difference(before, sound.run()) is None
-
-
-def test_decisions_of_our_own_avoiders_are_not_timed() -> None:
-    assert np.isnan(System.of(shipped("network-certain")).run().decision_latency_s).all()
-
-
-class InAnotherProcess(Elsewhere):
-    """Where an avoider of a user's runs: whether it takes many is known of it, not seen."""
-
-    name = "isolated"
-
-    def __init__(self, takes_many: bool) -> None:
-        self.takes_many = takes_many
-
-    def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        raise AssertionError("nobody asks")
-
-
-@pytest.mark.parametrize("takes_many", [True, False])
-def test_an_avoider_in_another_process_is_timed_only_if_it_is_asked_in_turn(takes_many: bool) -> None:
-    isolated = InAnotherProcess(takes_many)
-    admitted = replace(shipped("network-certain"), avoider=isolated)  # type: ignore[arg-type]
-    assert System.of(admitted).timed is not takes_many
 
 
 def test_what_is_delayed_comes_out_once_and_the_last_of_several() -> None:
@@ -97,6 +69,6 @@ def test_ctrl_c_in_a_run_passes_through() -> None:
     def interrupted(records: Records) -> Records:
         raise KeyboardInterrupt
 
-    system = System.of(shipped("network-certain")).obeying(lambda admitted: interrupted)
+    system = System(shipped("network-certain")).obeying(lambda admitted: interrupted)
     with pytest.raises(KeyboardInterrupt):
         system.run()

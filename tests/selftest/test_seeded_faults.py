@@ -81,7 +81,7 @@ def test_at_its_gravest_it_is_caught_where_it_shows(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(BIT_FOR_BIT))
 def test_what_is_said_not_to_matter_at_all_changes_no_bit(name: str) -> None:
     fault = fault_named(name)
-    sound = System.of(shipped(where_it_acts(name)))
+    sound = System(shipped(where_it_acts(name)))
     assert first_difference(sound.run(), fault.seed_into(sound, 1.0).run()) is None
 
 
@@ -121,7 +121,7 @@ def what_it_changes(fault: Fault) -> set[str]:
 
         return look
 
-    sound = System.of(shipped(where_it_acts(fault.name)))
+    sound = System(shipped(where_it_acts(fault.name)))
     within = sound.with_world(lambda world: Between(world, see=note(shown), obey=note(obeyed)))
     within = within.with_records(lambda records: before.append(said(records.parameters)))
     changed = fault.seed_into(within, 1.0)
@@ -170,7 +170,7 @@ def test_the_look_for_changes_sees_none_where_there_is_none() -> None:
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_no_fault_is_caught_for_a_run_that_could_not_be_carried_through(fault: Fault) -> None:
     """What a fault raises would be an alarm, and so would a mistake in how it is seeded."""
-    system = fault.circumstance.bring_about(System.of(shipped("network-certain")))
+    system = fault.circumstance.bring_about(System(shipped("network-certain")))
     fault.seed_into(system, fault.ladder.values[0]).run()
 
 
@@ -180,5 +180,5 @@ def test_no_fault_is_caught_for_a_run_that_could_not_be_carried_through(fault: F
 def test_the_other_harmless_changes_do_something(fault: Fault) -> None:
     """Else it would be no wonder that they raise no alarm."""
     scenario = "second-hand" if fault.name == "boxes in another order" else "network-certain"
-    sound = System.of(shipped(scenario))
+    sound = System(shipped(scenario))
     assert first_difference(sound.run(), fault.seed_into(sound, 1.0).run()) is not None

@@ -32,8 +32,8 @@ def digest(trace: Trace) -> str:
 
 
 def alone(admitted: Admitted) -> Trace:
-    """Tick by tick; no decision is late by the clock, as none of a batch is."""
-    return run_kinematic(admitted, controller=admitted.controller((False,) * (admitted.scenario.ticks + 1)))
+    """Tick by tick."""
+    return run_kinematic(admitted)
 
 
 def print_digests() -> None:

@@ -11,15 +11,33 @@ from safety_harness.statistics.sample import Declaration, IndependentSample, Out
 
 
 def declared(planned: int, **changes: Any) -> Declaration:
-    fields: dict[str, Any] = {"plan_sha256": "0" * 64, "stratum": "seen", "seed": 1, "planned": planned}
+    hashes = {"plan_sha256": "0" * 64, "draws_sha256": "1" * 64}
+    fields: dict[str, Any] = hashes | {"stratum": "seen", "seed": 1, "planned": planned}
     return Declaration(**(fields | changes))
 
 
-def sample_of(outcomes: ArrayLike, margins: ArrayLike | None = None, **changes: Any) -> IndependentSample:
+def margins_of(outcomes: ArrayLike) -> np.ndarray:
+    """Whatever suits them: one of 0.1 where they hold, of -0.1 where they are violated."""
     codes = np.asarray(outcomes)
-    signed = np.full(len(codes), np.nan) if margins is None else np.asarray(margins, float)
+    return np.select([codes == Outcome.HOLDS, codes == Outcome.VIOLATED], [0.1, -0.1], np.nan)
+
+
+def told(outcomes: ArrayLike, *, seeds: ArrayLike | None = None) -> dict[str, np.ndarray]:
+    """A seed for each, and an occasion for each that was tested."""
+    codes = np.asarray(outcomes)
+    roots = np.arange(codes.size).reshape(codes.shape) if seeds is None else np.asarray(seeds)
+    return {"seeds": roots, "exercised": (codes != Outcome.UNTESTED).astype(np.int64)}
+
+
+def sample_of(
+    outcomes: ArrayLike, margins: ArrayLike | None = None, seeds: ArrayLike | None = None, **changes: Any
+) -> IndependentSample:
+    codes = np.asarray(outcomes)
+    signed = margins_of(codes) if margins is None else np.asarray(margins, float)
     declaration = declared(**({"planned": len(codes)} | changes))
-    return IndependentSample.of_stream(declaration, np.arange(len(codes)), codes, signed, claim="a claim")
+    return IndependentSample.of_stream(
+        declaration, np.arange(len(codes)), codes, signed, **told(codes, seeds=seeds), claim="a claim"
+    )
 
 
 def violations(count: int, trials: int, **changes: Any) -> IndependentSample:

@@ -100,6 +100,36 @@ def test_bonferroni_shares_the_error_among_all_bounds() -> None:
     assert both[0].high == pytest.approx(1 - 0.0125 ** (1 / 100))
 
 
+@pytest.mark.parametrize(("sides", "least"), [(Sides.UPPER, 10), (Sides.BOTH, 20)])
+def test_a_family_smaller_than_the_bounds_that_are_made_is_refused(sides: Sides, least: int) -> None:
+    samples = [violations(0, 100)] * 10
+    for family in (1, least - 1):
+        with pytest.raises(
+            StatisticsError, match=f"family: expected a family of at least {least}"
+        ) as refused:
+            bounds_of(samples, 0.95, sides, family=family)
+        assert refused.value.got == str(family)
+    more = bounds_of(samples, 0.95, sides, family=2 * least)
+    assert more[0].high > bounds_of(samples, 0.95, sides)[0].high
+
+
+@pytest.mark.parametrize(("sides", "confidence"), [(Sides.UPPER, 0.9), (Sides.BOTH, 0.9), (Sides.BOTH, 0.5)])
+@pytest.mark.parametrize("family", [1, 3])
+def test_an_interval_alone_covers_as_often_as_its_confidence_says(
+    sides: Sides, confidence: float, family: int
+) -> None:
+    """Every count of 60 trials enumerated, whatever the truth; the family's errors are the plan's."""
+    made = [
+        bounds_of([violations(k, 60)], confidence, sides, family=family * sides.value)[0] for k in range(61)
+    ]
+    single = made[0].confidence
+    assert family * (1.0 - single) == pytest.approx(1.0 - confidence)
+    low, high = (np.array([getattr(one, end) for one in made]) for end in ("low", "high"))
+    for share in np.concatenate([np.linspace(0.001, 0.999, 333), low + 1e-12, high - 1e-12]):
+        chances = scipy.stats.binom.pmf(np.arange(61), 60, share)
+        assert chances[(low <= share) & (share <= high)].sum() >= single - 1e-9
+
+
 def test_all_bounds_hold_together_as_often_as_they_say_even_of_dependent_claims() -> None:
     """Four claims of the same 60 runs, nested in each other."""
     rng, shares, missed = np.random.default_rng(5), np.array([0.02, 0.05, 0.1, 0.2]), 0

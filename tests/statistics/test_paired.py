@@ -106,13 +106,32 @@ def test_episodes_without_a_margin_are_left_out_and_counted() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"seed": 2}, {"stratum": "unseen"}, {"world": "kinematic"}, {"planned": 3}, {"stop_early": True}],
+    [
+        {"seed": 2},
+        {"stratum": "unseen"},
+        {"world": "kinematic"},
+        {"planned": 3},
+        {"stop_early": True},
+        {"draws_sha256": "2" * 64},
+        {"seeds": [0, 1, 2, 7]},
+    ],
 )
 def test_samples_of_other_episodes_are_refused(changes: dict[str, Any]) -> None:
     codes = [H] * changes.get("planned", 4)
     for comparison in (compare, compare_margins):
         with pytest.raises(StatisticsError):
             comparison(sample_of([H] * 4), sample_of(codes, **changes))
+
+
+def test_two_plans_are_compared_only_where_episode_by_episode_they_draw_the_same() -> None:
+    """Another avoider is another plan; another space, or other seeds, are other scenarios."""
+    mine = sample_of([H, V, H, H])
+    assert compare(mine, sample_of([H, H, V, H], plan_sha256="3" * 64)).episodes == 4
+    with pytest.raises(StatisticsError, match="draws_sha256: expected two samples of the same episodes"):
+        compare(mine, sample_of([H] * 4, draws_sha256="2" * 64))
+    with pytest.raises(StatisticsError, match="seeds: expected the same seed of each episode") as refused:
+        compare(mine, sample_of([H] * 4, seeds=[0, 1, 5, 3]))
+    assert refused.value.got == "2 and 5 in episode 2"
 
 
 def test_the_mean_s_interval_holds_as_often_as_it_says_where_students_does_not() -> None:

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import scipy.stats
-from acceptance import misses_are_no_more_than
+from acceptance import misses_are, misses_are_no_more_than
 from scipy.special import ndtri
 
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.rare import Margins, Splitting, split
+from safety_harness.statistics.rare import Margins, Splitting, interval_of, split
 from safety_harness.statistics.sample import Floats
 
 QUICK = Splitting(particles=150, steps=6, replications=12)
@@ -69,6 +69,31 @@ def test_estimates_are_right_on_average_and_intervals_hold_as_often_as_they_say(
     assert misses_are_no_more_than(missed, runs, 0.1)
     error = np.std(values, ddof=1) / np.sqrt(runs)
     assert abs(np.mean(values) - truth) < 4.0 * error
+
+
+def test_the_upper_end_is_too_low_no_more_often_than_it_says() -> None:
+    """What matters for safety; Student's upper end, over the same replications, is too low too often."""
+    truth, runs, missed, student = float(scipy.stats.norm.sf(4.0)), 400, 0, 0
+    how = Splitting(particles=100, steps=3, replications=8)
+    for seed in range(runs):
+        found = split(tail(4.0), 2, seed=seed, how=how)
+        replicates = np.array(found.replicates)
+        half = scipy.stats.t.ppf(0.975, 7) * replicates.std(ddof=1) / np.sqrt(8)
+        missed += found.high < truth
+        student += replicates.mean() + half < truth
+    assert misses_are_no_more_than(missed, runs, 0.025)
+    assert not misses_are_no_more_than(student, runs, 0.025)
+
+
+@pytest.mark.parametrize(("replications", "deviation"), [(8, 0.6), (20, 0.35)])
+def test_of_lognormal_replicates_the_upper_end_misses_as_often_as_it_says(
+    replications: int, deviation: float
+) -> None:
+    rng, runs = np.random.default_rng(19), 1500
+    mean = 1e-5 * np.exp(deviation**2 / 2.0)
+    drawn = 1e-5 * rng.lognormal(sigma=deviation, size=(runs, replications))
+    missed = sum(interval_of(one, 0.025, rng)[1] < mean for one in drawn)
+    assert misses_are(missed, runs, 0.025)
 
 
 def test_brute_force_agrees_where_it_can() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from acceptance import misses_are, misses_are_no_more_than
-from streams import declared, violations
+from streams import declared, margins_of, told, violations
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.sample import Outcome
@@ -21,7 +21,7 @@ def nested(margins: Any, outcomes: Any = None, **changes: Any) -> NestedSample:
     signed = np.asarray(margins, float)
     codes = np.where(signed < 0.0, V, H) if outcomes is None else np.asarray(outcomes)
     declaration = declared(len(signed), **changes)
-    return NestedSample.of_design(declaration, np.arange(len(signed)), codes, signed)
+    return NestedSample.of_design(declaration, np.arange(len(signed)), codes, signed, **told(codes))
 
 
 def drawn(rng: np.random.Generator, m: int, k: int, share: float) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_the_bootstrap_holds_about_as_often_as_it_says_where_the_f_interval_does
 
 def test_scenarios_that_always_sometimes_and_never_violate() -> None:
     codes = [[V, V, V]] * 2 + [[V, H, H], [V, H, U], [V, F, H]] + [[H, H, H]] * 90 + [[H, H, I], [V, V, U]]
-    found = violation_split(nested(np.full((97, 3), np.nan), codes))
+    found = violation_split(nested(margins_of(codes), codes))
     assert (found.always.count, found.sometimes.count, found.never.count, found.unclear) == (2, 3, 90, 2)
     for share in (found.always, found.sometimes, found.never):
         assert share.low < share.count / 97 < share.high
@@ -90,7 +90,8 @@ def test_the_three_shares_hold_together_as_often_as_they_say() -> None:
     rng, missed, truth = np.random.default_rng(13), 0, np.array([0.1, 0.2, 0.7])
     rows = np.array([[V, V], [V, H], [H, H]])
     for _ in range(600):
-        found = violation_split(nested(np.full((50, 2), np.nan), rows[rng.choice(3, 50, p=truth)]), 0.9)
+        drawn = rows[rng.choice(3, 50, p=truth)]
+        found = violation_split(nested(margins_of(drawn), drawn), 0.9)
         shares = (found.always, found.sometimes, found.never)
         missed += any(not one.low <= p <= one.high for one, p in zip(shares, truth, strict=True))
     assert misses_are_no_more_than(missed, 600, 0.1)
@@ -115,10 +116,15 @@ def test_what_is_no_design_is_refused() -> None:
             variance_split(nested([[1.0, 4.0], [2.0, 3.0]], [[H, unsaid], [H, H]]))
     with pytest.raises(StatisticsError, match="all the same"):
         variance_split(nested(np.ones((3, 3))))
+    held = np.zeros((2, 2), int)
     with pytest.raises(StatisticsError, match="some are missing"):
-        NestedSample.of_design(declared(2), [0, 2], np.zeros((2, 2), int), np.ones((2, 2)))
+        NestedSample.of_design(declared(2), [0, 2], held, np.ones((2, 2)), **told(held))
     with pytest.raises(StatisticsError, match="as many episodes"):
-        NestedSample.of_design(declared(2), [0, 1], np.zeros((3, 2), int), np.ones((3, 2)))
+        NestedSample.of_design(declared(2), [0, 1], held[[0, 0, 1]], np.ones((3, 2)), **told(held))
+    with pytest.raises(StatisticsError, match="a seed of its own"):
+        NestedSample.of_design(
+            declared(2), [0, 1], held, np.ones((2, 2)), **told(held, seeds=[[1, 2], [3, 1]])
+        )
 
 
 def test_only_a_design_is_split() -> None:

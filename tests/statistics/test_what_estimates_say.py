@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from scipy.stats import t as student
-from streams import declared, violations, with_margins
+from streams import declared, told, violations, with_margins
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.binomial import bounds_of, chance_of_each
@@ -25,7 +25,7 @@ AIM = Aim(target=0.2, confidence=0.9)
 def nested(margins: np.ndarray) -> NestedSample:
     codes = np.where(margins < 0.0, Outcome.VIOLATED, Outcome.HOLDS)
     return NestedSample.of_design(
-        declared(len(margins)), np.arange(len(margins)), codes, margins, claim="a claim"
+        declared(len(margins)), np.arange(len(margins)), codes, margins, **told(codes), claim="a claim"
     )
 
 
@@ -89,14 +89,14 @@ def test_the_deviations_of_scenarios_and_draws_are_those_of_the_mean_squares() -
     assert variance_split(nested(alike)).scenario_deviation == 0.0
 
 
-def test_a_rare_event_s_interval_is_student_s_over_the_replications() -> None:
+def test_a_rare_event_s_lower_end_is_student_s_over_the_replications_and_its_upper_end_higher() -> None:
     how = Splitting(particles=60, steps=2, replications=8)
     found = split(lambda points: points[:, 0] - 0.03, 2, seed=3, how=how, confidence=0.9)
     replicates = np.array(found.replicates)
     half = student.ppf(0.95, 7) * replicates.std(ddof=1) / sqrt(8)
     assert found.reached == 8
     assert found.low == pytest.approx(max(replicates.mean() - half, 0.0))
-    assert found.high == pytest.approx(replicates.mean() + half)
+    assert found.high > replicates.mean() + half
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """What runs in the process of a user's file: it makes its avoiders and answers questions.
 
-The same functions ask here as at home, so that an answer, a fault and a deadline are the same in both.
+The same functions ask here as at home, so that an answer and a fault are the same in both.
 It must start quickly: nothing imported here waits for a compiler.
 """
 
@@ -14,14 +14,19 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from safety_harness.avoidance.asking import Answer, Question, ask
-from safety_harness.avoidance.avoider import Avoider, described, printable, spread_threshold_of
+from safety_harness.avoidance.avoider import (
+    Avoider,
+    decision_time_of,
+    described,
+    printable,
+    spread_threshold_of,
+)
 from safety_harness.avoidance.batches import answers_together, takes_many
 from safety_harness.avoidance.isolation.frames import (
     HEADER,
@@ -124,13 +129,13 @@ class _Child:
         sys.path[:] = asked["sys_path"]
         try:
             os.chdir(asked["folder"])
-            avoider, seen = _avoider(path, source, asked)
+            avoider = _avoider(path, source, asked)
             self._avoiders[frame.number] = avoider, str(path)
             made = {
                 "name": str(avoider.name),
                 "spread_threshold_m": spread_threshold_of(avoider),
+                "decision_time_s": decision_time_of(avoider),
                 "takes_many": takes_many(avoider),
-                "seen": seen,
             }
             return packed(Kind.MADE, frame.number, json.dumps(made).encode())
         except InputError as error:
@@ -162,14 +167,13 @@ class _Child:
             yield _answer(avoider, question, file)
 
 
-def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> tuple[Avoider, dict[str, Any] | None]:
-    """What a program has under a name, or what a model is, and what that has seen."""
+def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
+    """What a program has under a name, or what a model is."""
     if "attribute" in asked:
-        return PythonFile(path, source, Place(field="avoider")).avoider(asked["attribute"]), None
+        return PythonFile(path, source, Place(field="avoider")).avoider(asked["attribute"])
     from safety_harness.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
 
-    model = OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))
-    return model, None if model.seen is None else asdict(model.seen)
+    return OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
@@ -179,8 +183,7 @@ def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
             hand_position_in_base_m=question.hand_position_in_base_m,
             tcp_position_in_base_m=question.tcp_position_in_base_m,
             seed=question.seed,
-            deadline_s=question.deadline_s,
-            late=None if question.timed else False,
+            limit_s=np.inf,  # the other side keeps it
         )
     except BaseException as error:  # SystemExit, or the user's own: no reason to end
         return Answer(fault=described(error, file))

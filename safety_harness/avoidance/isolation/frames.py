@@ -26,8 +26,7 @@ QUESTION = np.dtype(
         ("hand_position_in_base_m", "<f8", (3,)),
         ("tcp_position_in_base_m", "<f8", (3,)),
         ("seed", "<u8"),
-        ("deadline_s", "<f8"),
-        ("timed", "?"),  # False: waited for, however long
+        ("limit_s", "<f8"),
     ]
 )
 ANSWER = np.dtype(
@@ -36,7 +35,6 @@ ANSWER = np.dtype(
         ("spread_m", "<f8", (3,)),
         ("spread_threshold_m", "<f8"),
         ("latency_s", "<f8"),
-        ("late", "?"),
         ("fault", f"S{MOST_ANSWER_WORDS}"),
     ]
 )
@@ -95,8 +93,7 @@ def questions_from(payload: bytes) -> list[Question]:
             record["hand_position_in_base_m"].astype(np.float64),
             record["tcp_position_in_base_m"].astype(np.float64),
             int(record["seed"]),
-            float(record["deadline_s"]),
-            bool(record["timed"]),
+            float(record["limit_s"]),
         )
         for record in np.frombuffer(payload, QUESTION)
     ]
@@ -107,7 +104,7 @@ def answer_as_bytes(answer: Answer) -> bytes:
     record = np.zeros(1, ANSWER)
     record["position_in_base_m"] = answer.proposal.position_in_base_m
     record["spread_m"] = answer.proposal.spread_m
-    for name in ("spread_threshold_m", "latency_s", "late"):
+    for name in ("spread_threshold_m", "latency_s"):
         record[name] = getattr(answer, name)
     record["fault"] = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS]
     return record.tobytes()
@@ -122,8 +119,7 @@ def answer_from(payload: bytes) -> Answer:
         Proposal(record["position_in_base_m"].copy(), record["spread_m"].copy()),
         float(record["spread_threshold_m"]),
         printable(bytes(record["fault"]).decode(errors="ignore")),
-        bool(record["late"]),
-        float(record["latency_s"]),
+        latency_s=float(record["latency_s"]),
     )
 
 

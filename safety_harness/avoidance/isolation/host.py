@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import multiprocessing
 import os
 import sys
 import threading
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from safety_harness.avoidance.asking import Answer, Question
 from safety_harness.avoidance.avoider import printable
+from safety_harness.avoidance.batches import limit_of
 from safety_harness.avoidance.isolation.frames import (
     Kind,
     NonsenseError,
@@ -24,11 +26,10 @@ from safety_harness.avoidance.isolation.frames import (
     words_from,
 )
 from safety_harness.avoidance.isolation.process import GoneError, Process
+from safety_harness.scenario.decision_times import LONGEST_S as LONGEST_DECISION_S
 from safety_harness.scenario.fields import is_sentence
 
-GRACE_S = 2.0  # beyond a deadline, at which an avoider is interrupted if it can be
 LONGEST_S = 300.0  # for a program to be imported, and to answer for the first time
-UNTIMED_S = 30.0  # to answer where there is no deadline
 SEND_S = 10.0
 MOST_LINES, MOST_CHARACTERS = 5, 200
 KEPT = 2  # processes that are kept though no avoider lives in them
@@ -41,8 +42,8 @@ class Made:
 
     name: str
     spread_threshold_m: float | None
+    decision_time_s: float
     takes_many: bool
-    seen: Mapping[str, object] | None  # of a model that says what it was trained on, not yet looked at
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class Host:
     def make(self, number: int, wanted: Wanted) -> Made:
         """An avoider of the file; RefusedError, GoneError."""
         if not self.alive:
+            _say_it_is_executed(self.path, self._source)
             try:
                 self._process = Process(self._hear)
             except OSError as error:
@@ -118,9 +120,8 @@ class Host:
         kind = Kind.ASK_TOGETHER if together else Kind.ASK_IN_TURN
         self._send(packed(kind, number, questions_as_bytes(questions)))
         assert self._process is not None
-        whole_s = sum(limit_s(question) for question in questions)
         for k, question in enumerate(questions):
-            frame = self._process.receive(whole_s if together else limit_s(question))
+            frame = self._process.receive(limit_of(questions) if together else question.limit_s)
             if frame.kind is not Kind.ANSWER or frame.number != k:
                 raise GoneError("its process answered nonsense")
             try:
@@ -160,22 +161,31 @@ class Host:
             LOGGER.warning("%s wrote: %s", self.path.name, text)
 
 
-def limit_s(question: Question) -> float:
-    """How long an answer is waited for before the process is ended."""
-    return question.deadline_s + GRACE_S if question.timed else UNTIMED_S
-
-
 def _made(words: dict[str, object]) -> Made:
-    name, threshold_m, many, seen = (
-        words[key] for key in ("name", "spread_threshold_m", "takes_many", "seen")
-    )
+    keys = ("name", "spread_threshold_m", "decision_time_s", "takes_many")
+    name, threshold_m, time_s, many = (words[key] for key in keys)
     if not isinstance(name, str) or not is_sentence(name) or not isinstance(many, bool):
         raise NonsenseError
     if threshold_m is not None and not (isinstance(threshold_m, float) and 0.0 <= threshold_m < float("inf")):
         raise NonsenseError
-    if not (seen is None or isinstance(seen, dict)):
+    if not (isinstance(time_s, float) and 0.0 <= time_s <= LONGEST_DECISION_S):
         raise NonsenseError
-    return Made(name, threshold_m, many, seen)
+    return Made(name, threshold_m, time_s, many)
+
+
+executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
+
+
+def _say_it_is_executed(path: Path, source: bytes) -> None:
+    """Before a file is executed for the first time by this command; its workers do not say it again."""
+    key = path, hashlib.sha256(source).hexdigest()
+    if key in executed:
+        return
+    here = Path.cwd()
+    shown = printable(str(path.relative_to(here) if here in path.parents else path))
+    executed[key] = f"{shown} (sha256 {key[1][:12]}), in a process of its own, as you"
+    if multiprocessing.parent_process() is None:
+        LOGGER.warning("executes %s", executed[key])
 
 
 _hosts: OrderedDict[tuple[Path, str], Host] = OrderedDict()

@@ -1,34 +1,30 @@
 """An avoider of a user's file, asked in a process of its own: whatever it does there, we go on.
 
-It keeps its memory, if it has one, as long as its process lives.  What does not answer within the grace
-after its deadline is killed with all that it forked; that decision is a fault which says so, and the next
-question goes to a new process, in which the avoider is made anew from the same text.
+It keeps its memory, if it has one, as long as its process lives.  What does not answer within the wall
+limit is killed with all that it forked, and ends the run.  One whose process ends by itself has not
+answered, a decision fault; the next question goes to a new process, in which the avoider is made anew from
+the same text.
 """
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
 import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from safety_harness.avoidance.asking import Answer, Elsewhere, Question, answer_of, late_fault
+from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, Elsewhere, Question, answer_of
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.host import (
-    GRACE_S,
-    UNTIMED_S,
     Host,
     Made,
     RefusedError,
     Wanted,
 )
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.exceptions import AvoiderError, SimulationError
+from safety_harness.exceptions import AvoiderError, NoAnswerError, SimulationError
 
 ATTEMPTS = 3  # to make it anew, one after another
 
@@ -46,8 +42,8 @@ class IsolatedAvoider(Elsewhere):
     def __init__(self, host: Host, number: int, wanted: Wanted, made: Made) -> None:
         self.name = made.name
         self.spread_threshold_m = made.spread_threshold_m
+        self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
-        self.seen = made.seen
         self._host = host
         self._number = number
         self._wanted = wanted
@@ -59,13 +55,9 @@ class IsolatedAvoider(Elsewhere):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """As any avoider; AvoiderError says what was wrong there.
-
-        Within another's deadline (a wrapper of this one is asked) that deadline holds.
-        """
-        with _others_deadline() as deadline_s:
-            question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, deadline_s, True)
-            answer = self.answers([question], together=False)[0]
+        """As any avoider; AvoiderError says what was wrong there."""
+        question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S)
+        answer = self.answers([question], together=False)[0]
         if answer.fault:
             raise AvoiderError(answer.fault)
         return answer.proposal
@@ -87,9 +79,10 @@ class IsolatedAvoider(Elsewhere):
                 except GoneError as gone:
                     self._host.end()
                     survived = False
+                    if not together and gone.hung:
+                        raise NoAnswerError(self.name, rest[0].limit_s) from None
                     if not together:
-                        answer = _gone(questions[len(found)], gone)
-                        found.append(replace(answer, latency_s=time.perf_counter() - begun_s))
+                        found.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
                     together = False
                 except BaseException:  # Ctrl-C: its answer would be taken for that to the next question
                     self._host.end()
@@ -109,7 +102,7 @@ class IsolatedAvoider(Elsewhere):
                 self._host.make(self._number, self._wanted)
                 self._generation = self._host.generation
                 if self._rehearsal is not None:
-                    again = self._rehearsal._replace(deadline_s=self._wanted.within_s, timed=True)
+                    again = self._rehearsal._replace(limit_s=self._wanted.within_s)
                     list(self._host.ask(self._number, [again], together=False))
                 return
             except RefusedError as error:
@@ -141,31 +134,9 @@ def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
 def _looked_at(answer: Answer) -> Answer:
     """What came from there, believed no more than what an avoider returns here."""
     latency_s = answer.latency_s if answer.latency_s >= 0.0 else np.nan
-    if answer.late or answer.fault:
-        return Answer(fault=answer.fault or "late", late=answer.late, latency_s=latency_s)
+    if answer.fault:
+        return Answer(fault=answer.fault, latency_s=latency_s)
     threshold_m = answer.spread_threshold_m
     if not (np.isnan(threshold_m) or 0.0 <= threshold_m < np.inf):
         return Answer(fault=f"spread_threshold_m must be a length; got {threshold_m}", latency_s=latency_s)
     return replace(answer_of(answer.proposal, threshold_m), latency_s=latency_s)
-
-
-def _gone(question: Question, gone: GoneError) -> Answer:
-    """The fault of a question that the process did not survive."""
-    if gone.hung and question.timed:
-        late = late_fault(question.deadline_s)
-        return Answer(fault=f"{late}, nor {GRACE_S:g} s later: its process was ended", late=True)
-    never = f"no answer within {UNTIMED_S:g} s: its process was ended"
-    return Answer(fault=never if gone.hung else str(gone))
-
-
-@contextmanager
-def _others_deadline() -> Iterator[float]:
-    """Hold the timer of the one who asks, and yield what is left of it [s]."""
-    timer = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
-    left_s = signal.setitimer(signal.ITIMER_REAL, 0.0)[0] if timer else 0.0
-    begun_s = time.perf_counter()
-    try:
-        yield left_s or UNTIMED_S
-    finally:
-        if left_s:
-            signal.setitimer(signal.ITIMER_REAL, max(left_s - (time.perf_counter() - begun_s), 1e-6))

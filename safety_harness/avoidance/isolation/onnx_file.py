@@ -5,22 +5,21 @@ Loading is enough for that: the runtime computes at once what depends on no inpu
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from safety_harness.avoidance.isolation.host import RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.avoidance.json_fields import Fields, refuse
-from safety_harness.avoidance.model_file import SeenSpace, model_bytes, seen_of
+from safety_harness.avoidance.json_fields import refuse
+from safety_harness.avoidance.model_file import model_bytes
 from safety_harness.settings import Settings
 
 LARGEST_BYTES = 256 * 2**20
 LONGEST_S = 60.0  # to be loaded and asked twice
 
 
-def isolated_onnx(path: Path, settings: Settings) -> tuple[IsolatedAvoider, SeenSpace | None]:
-    """The avoider of the file, and what it was trained on, if it says so; ModelError says what is wrong.
+def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
+    """The avoider of the file; ModelError says what is wrong.
 
     It is tried with the cell's own desired TCP and nominal hand.
     """
@@ -30,12 +29,9 @@ def isolated_onnx(path: Path, settings: Settings) -> tuple[IsolatedAvoider, Seen
         "tcp": settings.cell.desired_tcp_position_in_base_m,
     }
     try:
-        avoider = IsolatedAvoider.of(host, Wanted(question, LONGEST_S))
+        return IsolatedAvoider.of(host, Wanted(question, LONGEST_S))
     except RefusedError as error:
         refuse(path, error.field or None, error.expected, error.got, error.hint)
     except GoneError as error:
         within = f" within {LONGEST_S:g} s" if error.hung else ""
         refuse(path, None, f"an ONNX file that can be loaded and answers twice{within}", str(error))
-    if avoider.seen is None:
-        return avoider, None
-    return avoider, seen_of(Fields(path, json.dumps({"seen": avoider.seen})))

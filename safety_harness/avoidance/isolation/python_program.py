@@ -7,10 +7,8 @@ from pathlib import Path
 from safety_harness.avoidance.isolation.host import LONGEST_S, RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
 from safety_harness.avoidance.isolation.process import GoneError
+from safety_harness.avoidance.python_text import source_of
 from safety_harness.exceptions import InadmissibleError, Place
-from safety_harness.scenario.files import read_bytes
-
-MOST_SOURCE = 10_000_000
 
 
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
@@ -18,10 +16,7 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     InadmissibleError at ``place`` if there is none, or the process does not live to say so.
     """
-    source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
-    if len(source) > MOST_SOURCE:
-        expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
-        raise InadmissibleError(place=place, expected=expected, got="a larger one")
+    source = source_of(path, place)
     try:
         return IsolatedAvoider.of(host_of(path, source), Wanted({"attribute": name}, LONGEST_S))
     except RefusedError as error:

@@ -278,7 +278,7 @@
       this.now = time;
       this.scrub.value = time;
       this.figure.dataset.time = time.toFixed(3);
-      const moment = this.at(time), tick = moment[0];
+      const moment = this.at(time), tick = moment[2] > 0.5 ? moment[1] : moment[0];
       this.clock.textContent = `${time.toFixed(2)} s`;
       const parts = this.data.hands.map((name, k) => {
         const distance = this.columns.hand_distance_m[tick * this.data.hands.length + k];

@@ -1,0 +1,63 @@
+"""One self-contained HTML page about the reproduction, in the style of the reports."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from safety_harness.report.page_parts import render_page
+from safety_harness.whole_file import write_whole
+from safety_harness_paper.choices import CHOICES
+from safety_harness_paper.document import About, comparison_words
+from safety_harness_paper.plots import side_by_side, svg
+from safety_harness_paper.result import Result, State, Word
+
+WORD_CLASS = {
+    Word.REPRODUCED: "holds",
+    Word.DIRECTION_ONLY: "inconclusive",
+    Word.NOT_REPRODUCED: "violated",
+    Word.NO_VERDICT: "none",
+}
+STATE_CLASS = {
+    State.HOLDS: "holds",
+    State.CONTRADICTED: "violated",
+    State.UNDECIDED: "inconclusive",
+}
+
+
+def write_page(path: Path, results: Sequence[Result], about: About) -> None:
+    """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
+    write_whole(path, render(results, about))
+
+
+def render(results: Sequence[Result], about: About) -> str:
+    """The page as text; the same arguments give the same bytes."""
+    return render_page(
+        "reproduction.html.j2",
+        of="safety_harness_paper",
+        style="tables.css",
+        results=results,
+        about=about,
+        choices=CHOICES,
+        counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
+        word_class=WORD_CLASS,
+        state_class=STATE_CLASS,
+        words=comparison_words,
+        drawings={result.name: _drawings(result) for result in results},
+    )
+
+
+def _drawings(result: Result) -> list[tuple[Markup, str]]:
+    """Each with its caption."""
+    drawn = []
+    beside = side_by_side(result.comparisons, prefix=f"{result.name}-beside-", title=result.title)
+    if beside:
+        caption = (
+            "Our means with 95 % intervals, divided by the paper's figures: on the line they are the same."
+        )
+        drawn.append((Markup(beside), caption))
+    for number, plot in enumerate(result.plots):
+        drawn.append((Markup(svg(plot, prefix=f"{result.name}-{number}-")), f"{plot.title}. {plot.caption}"))
+    return drawn

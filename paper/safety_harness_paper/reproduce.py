@@ -1,0 +1,145 @@
+"""``safety-harness reproduce``: the paper's tables and figures measured again, on one page beside its own."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+from safety_harness.campaign.pool import one_thread_each
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.compiled import source_hash_of
+from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
+from safety_harness.report.words import count_words
+from safety_harness_paper.document import About, write_document
+from safety_harness_paper.part import Part
+from safety_harness_paper.plan import measuring_order, parts_named
+from safety_harness_paper.result import Result
+from safety_harness_paper.scale import Scale, scale_named
+from safety_harness_paper.work import Done, Task, Workshop, in_order
+
+PAGE, DATA, WORK = "reproduction.html", "reproduction.json", "work"
+LIBRARIES = ("numpy", "numba", "torch", "pybullet", "eaik")
+
+
+def reproduce(
+    what: Sequence[str],
+    *,
+    scale: str = "default",
+    out: Path = Path("reports/reproduction"),
+    seed: int = 0,
+    jobs: int = 2,
+) -> int:
+    """Measure what is missing, then write page and JSON about the parts that are complete.
+
+    One line a verdict goes to standard output.  Exit code 0; 1 if a step failed; 2 for bad input, nothing was
+    measured; 130 after Ctrl-C: finished steps are kept, and the page says what is missing.
+    """
+    one_thread_each()
+    try:
+        parts, chosen = parts_named(what), scale_named(scale)
+        _check(seed, jobs)
+    except InputError as error:
+        explain(error)
+        return BAD_INPUT
+    tasks = {part.name: part.tasks(chosen, seed) for part in parts}
+    workshop = Workshop(out / WORK, jobs, say)
+    wanted = [task for part in measuring_order(parts) for task in tasks[part.name].values()]
+    interrupted = False
+    try:
+        done = workshop.run(wanted)
+    except OutputError as error:
+        explain(error)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        interrupted = True
+        done = {task: kept for task in in_order(wanted) if (kept := workshop.kept(task)) is not None}
+    results, missing = _results(parts, chosen, tasks, done, workshop.failed)
+    command = _command(what, scale, out, seed, jobs)
+    about = About(
+        scale=chosen.name,
+        seed=seed,
+        trainings=chosen.seeds,
+        command=command,
+        package_version=metadata.version("safety-harness"),
+        source_hash=source_hash_of(*Path(__file__).parent.glob("*.py")),
+        software=tuple((name, metadata.version(name)) for name in LIBRARIES),
+        platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
+        generated_at=datetime.now(UTC),
+        keys=tuple((task.label, task.key) for task in in_order(wanted) if task in done),
+        missing=tuple(missing),
+    )
+    try:
+        _write(out, results, about)
+    except OSError as error:
+        explain(OutputError.of(out, error))
+        return BAD_INPUT
+    for one in results:
+        result(f"{one.word.value:<24} {one.name:<12} {one.why}")
+    for name, why in missing:
+        say(f"missing: {name}: {why}")
+    say(f"page: {out / PAGE} (for programs: {DATA})")
+    if interrupted:
+        say(f"interrupted; finished steps are kept. To go on: {command}")
+        return INTERRUPTED
+    return DIFFERS if missing else AS_EXPECTED
+
+
+def _check(seed: int, jobs: int) -> None:
+    for name, value, least in (("--seed", seed, 0), ("--jobs", jobs, 1)):
+        if value < least:
+            raise SettingsError(
+                place=Place(field=name), expected=f"a number of at least {least}", got=str(value)
+            )
+    if find_spec("torch") is None:
+        raise ModelError(
+            place=Place(field="reproduce"),
+            expected="PyTorch, which training needs",
+            got="none installed",
+            hint="pip install safety-harness-paper",
+        )
+
+
+def _results(
+    parts: Sequence[Part],
+    scale: Scale,
+    tasks: dict[str, dict[str, Task]],
+    done: dict[Task, Done],
+    failed: dict[Task, str],
+) -> tuple[list[Result], list[tuple[str, str]]]:
+    """The parts whose measurements are all there, and the others with the reason."""
+    results: list[Result] = []
+    missing: list[tuple[str, str]] = []
+    for part in parts:
+        lost = [task for task in tasks[part.name].values() if task not in done]
+        if lost:
+            why = next((f"{task.label}: {failed[task]}" for task in lost if task in failed), "")
+            missing.append(
+                (
+                    part.name,
+                    why or f"{count_words(len(lost), 'measurement is', 'measurements are')} still to be made",
+                )
+            )
+        else:
+            found = {name: done[task] for name, task in tasks[part.name].items()}
+            try:
+                results.append(part.result(scale, found))
+            except Exception as error:  # hours of measuring are not lost for one part of the page
+                missing.append((part.name, f"{type(error).__name__}: {error}, a defect of safety-harness"))
+    return results, missing
+
+
+def _write(out: Path, results: Sequence[Result], about: About) -> None:
+    from safety_harness_paper.page import write_page  # matplotlib is slow to import
+
+    write_page(out / PAGE, results, about)
+    write_document(out / DATA, results, about)
+
+
+def _command(what: Sequence[str], scale: str, out: Path, seed: int, jobs: int) -> str:
+    command = ["safety-harness", "reproduce", *what, "--scale", scale, "--out", str(out)]
+    return shlex.join([*command, "--seed", str(seed), "--jobs", str(jobs)])

@@ -1,0 +1,103 @@
+"""What ``certify declare`` writes down and hashes: plan, seed, avoider, targets and software, by name.
+
+The hash is to be lodged where its day cannot be changed.  A report whose ledger gives the same hash was
+declared on that day at the latest; that nobody had made the same runs before, no hash can show: they repeat
+themselves.  So whoever doubts names the seed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.plan import Plan
+from safety_harness.certification.json_file import part, read_object
+from safety_harness.certification.lodged import Lodged, write_once
+from safety_harness.exceptions import InputError, Place
+
+FORMAT = "safety-harness declaration 1"
+SUFFIX = ".declared.json"
+
+
+@dataclass(frozen=True)
+class PlanDeclaration(Lodged):
+    """Everything that was declared, by name, and the hash of it all."""
+
+    parts: dict[str, Any]
+
+    @property
+    def as_json(self) -> str:
+        """One text for one content."""
+        found = {"format": FORMAT, "declared": self.parts}
+        return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
+
+    def changes(self, now: PlanDeclaration) -> Iterator[str]:
+        """What is otherwise now, in words."""
+        for name in sorted(self.parts.keys() | now.parts.keys()):
+            then, new = (one.parts.get(name, "nothing") for one in (self, now))
+            if then != new:
+                yield f"{name}: {_short(then)} was declared, and it is {_short(new)} now"
+
+
+def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclaration:
+    """Of a plan with the software that is here, or with the ``identity`` that a ledger was begun with."""
+    parts: dict[str, Any] = {
+        "plan": plan.title,
+        "avoider": plan.avoider or "what the spaces name",
+        "world": plan.world.value,
+        "seed": plan.seed,
+        "confidence": plan.confidence,
+        "stop early": plan.stop_early,
+        "search": plan.search_runs,
+        "traces kept": [plan.random_traces, plan.violations_kept],
+    }
+    for stratum in plan.strata:
+        parts[f"runs of the stratum {stratum.name!r}"] = stratum.runs
+    for claim in plan.claims:
+        parts[f"target of {claim.sentence!r}"] = "none" if claim.target is None else claim.target
+    return PlanDeclaration(parts | dict((identity or plan.identity).parts))
+
+
+def beside(plan: Path) -> Path:
+    """Where the declaration of a plan lies if nobody says otherwise."""
+    return plan.with_suffix(SUFFIX)
+
+
+def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
+    """Beside the plan, or wherever; InputError if another one is there, which was perhaps lodged."""
+    expected = "no file there yet, or this very declaration"
+    return write_once(declaration_of(plan), file, read_declaration, expected=expected)
+
+
+def read_declaration(file: Path) -> PlanDeclaration:
+    """InputError for what ``certify declare`` did not write."""
+    return PlanDeclaration(part(file, read_object(file, FORMAT), "declared", dict))
+
+
+def declared_sha256(plan: Plan, file: Path | None) -> str:
+    """Of the declaration in ``file``, or beside the plan; empty if none is there.
+
+    InputError that names what is not as it was declared.
+    """
+    path = file or beside(plan.file)
+    if file is None and not path.exists():
+        return ""
+    then, now = read_declaration(path), declaration_of(plan)
+    changes = list(then.changes(now))
+    if changes:
+        raise InputError(
+            place=Place(file=path),
+            expected="the plan, seed, avoider, targets and software that it declares",
+            got="; ".join(changes),
+            hint="put them back, or move it away: the report says then that nothing was declared",
+        )
+    return now.sha256
+
+
+def _short(value: Any) -> str:
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:12]}..."

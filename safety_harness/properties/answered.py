@@ -1,0 +1,137 @@
+"""The avoider is what answers: where it does not, the fallback stands in for it, and is what is shown.
+
+The one claim that is judged of every run, whether its scenario makes it or not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.properties.base import ENDLESS, Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.entry import Entry
+from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.trace.records import Check
+from safety_harness.trace.trace import Trace
+
+_NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
+
+
+@dataclass(frozen=True, kw_only=True)
+class AvoiderAnswered:
+    """Minus the number of questions that got no usable answer.
+
+    No answer is an exception, what is no proposal, a NaN, an answer that came too late, a process that
+    ended.  One that the gate refuses is an answer.  A fault of the scenario that keeps the avoider from
+    answering is not the avoider's: such questions do not count.
+    """
+
+    unit: Unit = Unit.COUNT
+    sentence: str = "the avoider answered"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every decision."""
+        problem = unreadable(trace, ())
+        if problem is not None:
+            return inconclusive(self, problem)
+        own, silent = _own(trace), unanswered(trace)
+        asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
+        if asked == 0:
+            return inconclusive(self, "never asked")
+        first = int(np.argmax(silent if missing else own))
+        why = f"; first: {_words(trace, first)}" if missing else ""
+        return judged(
+            self,
+            trace,
+            margin=float(-missing),
+            worst_time_s=float(trace.decisions["time_s"][first]),
+            reason=f"{missing} of {asked} questions without a usable answer{why}",
+            exercised=asked,
+        )
+
+
+def unanswered(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) decisions without a usable answer for which no fault of the scenario accounts."""
+    decisions = trace.decisions
+    none: NDArray[np.bool_] = decisions["fault"] != ""
+    none |= ~(np.abs(decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
+    return none & _own(trace)
+
+
+def fault_of(trace: Trace) -> str:
+    """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
+    silent = unanswered(trace)
+    if not silent.any():
+        return ""
+    return f"the avoider gave no answer: {_NUMBER.sub('...', _words(trace, int(np.argmax(silent))))}"
+
+
+def fallback_words(unanswered: int, decisions: int) -> str:
+    """For headlines, of an avoider that gave no usable answer to some questions; empty if it always did."""
+    if not unanswered:
+        return ""
+    never = "did not answer" if unanswered == decisions else "did not always answer"
+    made = f"{unanswered:,} of {decisions:,} {'decision' if decisions == 1 else 'decisions'}"
+    return f"the avoider {never}: with the fallback in its place in {made}"
+
+
+def _own(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick."""
+    slow = nan = 0
+    for k, fault in enumerate(trace.scenario.faults):
+        slow |= (1 << k) * isinstance(fault, AvoiderLate | AvoiderSilent)
+        nan |= (1 << k) * isinstance(fault, AvoiderNaN)
+    decisions, count = trace.decisions, len(trace.ticks)
+    acted = np.append(trace.ticks["faults"], 0)[np.clip(decisions["tick"], 0, count)]  # of any trace at all
+    late = decisions["proposed_failed"] & Check.LATE != 0
+    own: NDArray[np.bool_] = ~((acted & nan != 0) | (late & (acted & slow != 0)))
+    return own
+
+
+def _words(trace: Trace, number: int) -> str:
+    return str(trace.decisions["fault"][number]) or "a position that is not finite"
+
+
+ANSWERED = Entry(
+    example="the avoider answered",
+    pattern="the avoider answered",
+    make=lambda *_: AvoiderAnswered(),
+    unit=Unit.COUNT,
+    rationale="where the avoider gives no answer the fallback stands in for it, and whatever holds then was "
+    "shown of the fallback. It is judged of every run; a scenario that does not claim it expects it to hold",
+    source="the seam of the avoider: one proposal of finite numbers for each question, in time",
+    margin="minus the number of questions without a usable answer: an exception, what is no proposal, NaN, "
+    "an answer that came too late, a process that ended; 0 holds",
+    parameters="the decision deadline of the settings",
+    exercised="the avoider was asked while no fault of the scenario kept it from answering",
+    inconclusive="-",
+    scenario="hand-visits-and-leaves",
+    broken_by="an avoider that raises at every question",
+)
+DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
+
+
+def is_claimed(claims: Iterable[Claim]) -> bool:
+    """Do ``claims`` say anything of it themselves?"""
+    return any(ANSWERED.understands(claim.sentence) for claim in claims)
+
+
+def with_expectation(claims: tuple[Claim, ...], scenario: Scenario) -> tuple[Claim, ...]:
+    """``claims`` with what the scenario itself expects of the avoider's answering, unless they say it."""
+    if is_claimed(claims):
+        return claims
+    return claims + tuple(claim for claim in scenario.claims if is_claimed([claim]))
+
+
+def by_default(trace: Trace) -> Evaluation | None:
+    """The word on a run that the avoider did not answer in, although nobody expects that; else None."""
+    expected = (c.expected for c in trace.scenario.claims if ANSWERED.understands(c.sentence))
+    if next(expected, Verdict.HOLDS) is not Verdict.HOLDS:
+        return None
+    evaluation = AvoiderAnswered().evaluate(trace)
+    return evaluation if evaluation.verdict is Verdict.VIOLATED else None

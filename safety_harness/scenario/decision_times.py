@@ -1,0 +1,136 @@
+"""The setting ``decision time``: what a decision costs in simulated time, and profiles measured of it.
+
+A profile is a JSON file, from ``safety-harness time``; a scenario that names one is written with what
+stands in it, so that a trace is complete in itself.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.fields import Field, is_sentence
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.units import TIME, format_quantity, parse_quantity
+from safety_harness.settings import DecisionCost, DecisionTimes, Measured
+
+if TYPE_CHECKING:
+    from safety_harness.scenario.model import Scenario
+
+FORMAT = "safety-harness decision times 1"
+LONGEST_S = 60.0
+MOST_QUANTILES = 1_001
+MOST_BYTES = 1_000_000
+PROFILE = ".json"
+KEYS = ("quantiles", "avoider", "sha256", "machine", "questions")
+FORM = (
+    f"a time from 0 s to {LONGEST_S:g} s; `between 5 ms and 40 ms`; `FILE{PROFILE}`, a measured profile; "
+    f"`{DecisionCost.AS_DECLARED.value}` or `{DecisionCost.WALL_CLOCK.value}`"
+)
+_EXPECTED = FORM.replace("`", '"')
+
+
+def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
+    """Any of the forms; ScenarioError."""
+    if isinstance(field.node, Mapping):
+        return _inline(field)
+    text = " ".join(field.scalar(_EXPECTED).split())
+    for cost in DecisionCost:
+        if text == cost.value:
+            return cost
+    if text.endswith(PROFILE):
+        place = field.place
+        return _profile((place.file.parent if place.file else Path()) / Path(text).expanduser(), place)
+    low, _, high = text.removeprefix("between ").partition(" and ")
+    if not text.startswith("between "):
+        return DecisionTimes(quantiles_s=(field.quantity(TIME, least=0.0, most=LONGEST_S),))
+    return _checked(field, tuple(parse_quantity(one, TIME, field.place) for one in (low, high)), None)
+
+
+def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str]:
+    """From which the same is read again."""
+    if isinstance(value, DecisionCost):
+        return value.value
+    texts = [format_quantity(one, TIME) for one in value.quantiles_s]
+    if value.measured is None:
+        return texts[0] if len(texts) == 1 else f"between {texts[0]} and {texts[1]}"
+    own = {key: json.dumps(text) for key, text in asdict(value.measured).items()}
+    return {"quantiles": f"[{', '.join(texts)}]"} | own
+
+
+def profile_text(times: DecisionTimes) -> str:
+    """The file of a measured profile."""
+    assert times.measured is not None
+    whole = {"format": FORMAT, **asdict(times.measured), "quantiles_s": list(times.quantiles_s)}
+    return json.dumps(whole, indent=1) + "\n"
+
+
+def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, whose: str) -> None:
+    """``error`` for a scenario whose runs do not repeat, where ``whose`` runs have to."""
+    if scenario.settings.avoidance.decision_time is DecisionCost.WALL_CLOCK:
+        raise error(
+            place=scenario.place("settings.avoidance.decision time"),
+            expected=f"a time that does not depend on the machine: {whose} have to repeat",
+            got=DecisionCost.WALL_CLOCK.value,
+            hint="safety-harness run takes it for one scenario; a measured profile is taken here too",
+        )
+
+
+def _inline(field: Field) -> DecisionTimes:
+    given = field.fields(KEYS)
+    items = given.required("quantiles").items("a list of times", least=2, most=MOST_QUANTILES)
+    measured = Measured(
+        avoider=given.required("avoider").sentence("the avoider that was measured"),
+        sha256=given.required("sha256").scalar("the hash of its file, or nothing"),
+        machine=given.required("machine").sentence("the machine that it was measured on"),
+        questions=given.required("questions").integer(least=1, most=10**9),
+    )
+    return _checked(field, tuple(item.quantity(TIME) for item in items), measured)
+
+
+def _checked(field: Field, times_s: tuple[float, ...], measured: Measured | None) -> DecisionTimes:
+    if not (times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S and tuple(sorted(times_s)) == times_s):
+        raise field.error(f"times that rise, from 0 s to {LONGEST_S:g} s")
+    return DecisionTimes(quantiles_s=times_s, measured=measured)
+
+
+def _profile(path: Path, place: Place) -> DecisionTimes:
+    data = read_bytes(path, most=MOST_BYTES, place=place, error=ScenarioError)
+    text = decode(data, most=MOST_BYTES, file=path, error=ScenarioError)
+    found = _parsed(text)
+    if found is None:
+        raise ScenarioError(
+            place=place,
+            expected=f"a profile of decision times ({FORMAT!r})",
+            got=f"another file: {path.name}",
+            hint='"safety-harness time AVOIDER --out FILE.json" measures one',
+        )
+    return found
+
+
+@lru_cache(maxsize=16)  # the scenarios of a space name the same one over and over
+def _parsed(text: str) -> DecisionTimes | None:
+    try:
+        found = json.loads(text)
+        measured = Measured(**{key: found[key] for key in ("avoider", "sha256", "machine", "questions")})
+        times_s = tuple(map(float, found["quantiles_s"]))
+        whole = found["format"] == FORMAT and 2 <= len(times_s) <= MOST_QUANTILES and _plain(measured)
+        rising = all(map(math.isfinite, times_s)) and times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S
+        whole = whole and rising and tuple(sorted(times_s)) == times_s
+    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
+        return None
+    return DecisionTimes(quantiles_s=times_s, measured=measured) if whole else None
+
+
+def _plain(measured: Measured) -> bool:
+    """Texts of one line, and a count."""
+    texts: list[Any] = [measured.avoider, measured.machine, measured.sha256 or "none"]
+    return all(isinstance(text, str) and is_sentence(text) for text in texts) and (
+        type(measured.questions) is int and measured.questions > 0
+    )

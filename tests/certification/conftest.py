@@ -1,8 +1,0 @@
-"""What tests of other folders have made up: runs for the page, a parser of pages."""
-
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "report"))

@@ -1,0 +1,112 @@
+"""fuzz tells one story once: what shrinks to one structure is one counterexample, however it was met."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli import fuzz as fuzz_module
+from safety_harness.cli.console import DIFFERS
+from safety_harness.cli.fuzz import fuzz
+
+# A hand on either side is too fast to be given way to: one story, met from the right and from the left.
+TWO_SIDES = """\
+scenario space: a hand nearby, on either side
+duration: 400 ms
+avoider: opposite pose
+choices:
+  side: one of right, left
+tcp start:
+  offset: [0 mm, from -40 mm to 40 mm, 20 mm]
+hands:
+  - hand: a hand
+    starts at:
+      by: side
+      right: [from 700 mm to 900 mm, -500 mm, 400 mm]
+      left: [from 700 mm to 900 mm, 500 mm, 400 mm]
+    elbow towards:
+      by: side
+      right: [1000 mm, -1200 mm, 500 mm]
+      left: [1000 mm, 1200 mm, 500 mm]
+    moves:
+      - reach for tcp: from 1 m/s to 2 m/s
+        until: 50 mm
+        at most: 2 s
+claims:
+  hand distance never below 150 mm: holds
+"""
+TWO_BUGS = """\
+from safety_harness import Proposal
+
+
+class TwoBugs:
+    name = "two bugs"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        if hand_position_in_base_m[1] > 0.0:
+            raise ZeroDivisionError(f"at {hand_position_in_base_m[1]}")
+        return list(tcp_position_in_base_m)
+"""
+
+
+@pytest.fixture
+def space(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("two.yaml").write_text(TWO_SIDES)
+    return Path("two.yaml")
+
+
+def found_in(out: Path) -> dict[str, object]:
+    found: dict[str, object] = json.loads((out / "findings.json").read_text())
+    return found
+
+
+def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
+    space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fuzz_module, "_SHRINKING", 60)
+    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 2)
+    assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
+    (file,) = Path("out").glob("*.yaml")
+    distinct = found_in(Path("out"))["distinct"]
+    assert isinstance(distinct, list)
+    assert {group["kind"].split(",")[0] for group in distinct} == {"right", "left"}
+    shrunk = [group for group in distinct if group["counterexample"]]
+    assert {group["counterexample"] for group in shrunk} == {file.name}
+    assert {group["kind"].split(",")[0] for group in shrunk} == {"right", "left"}
+    runs = sum(group["runs"] for group in shrunk)
+    out, err = capsys.readouterr()
+    assert f"{runs} runs led to it in {len(shrunk)} groups that lie apart" in out
+    assert out.count("violated  ") == 1
+    left = len(distinct) - len(shrunk)
+    assert (f"{left} more groups of violations" in err) is (left > 0)
+    page = Path("out/fuzz.html").read_text()
+    assert f"{runs} runs of searcher default led to it, in {len(shrunk)} groups that lie apart" in page
+
+
+def test_two_ways_not_to_answer_are_two_stories(space: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fuzz_module, "_SHRINKING", 8)
+    Path("mine.py").write_text(TWO_BUGS)
+    claims = ["joint speeds within limits"]
+    assert fuzz(space, out=Path("out"), avoider="mine.py:TwoBugs", budget=12, claims=claims) == DIFFERS
+    texts = [file.read_text() for file in Path("out").glob("*.yaml")]
+    assert len(texts) == 2
+    assert sum("ZeroDivisionError" in text for text in texts) == 1
+    assert sum("got list" in text for text in texts) == 1
+
+
+def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
+    space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(fuzz_module, "_SHRINKING", 2)
+    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+    assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
+    distinct = found_in(Path("out"))["distinct"]
+    assert isinstance(distinct, list)
+    left = [group for group in distinct if group["counterexample"] is None]
+    assert left
+    runs = sum(group["runs"] for group in left)
+    said = f"{len(left)} more groups of violations ({runs} runs) were not shrunk; they may be the same or"
+    assert said in capsys.readouterr().err

@@ -1,0 +1,154 @@
+"""What is said of the software is what was loaded, whatever installers noted down."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import safety_harness.simulation.pybullet_world  # loads every library
+from safety_harness.campaign.identity import identity_of
+from safety_harness.cli.certify import certify
+from safety_harness.cli.console import BAD_INPUT
+from safety_harness.cli.run import run
+from safety_harness.exceptions import InstallationError
+from safety_harness.trace import provenance as software
+from safety_harness.trace.provenance import provenance, refuse_shared_modules, shared_modules
+
+REPOSITORY = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def forgetful() -> Iterator[None]:
+    """Packages that a test installs are seen, and forgotten after it."""
+    caches = (software._installed, software._owners, provenance)
+    for one in caches:
+        one.cache_clear()
+    yield
+    for one in caches:
+        one.cache_clear()
+
+
+def installed(folder: Path, name: str, version: str, *, record: str = "", names: str = "") -> None:
+    """Metadata of a package, without the package."""
+    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "RECORD").write_text(record)
+    (info / "top_level.txt").write_text(names)
+
+
+def opencv_file() -> tuple[str, str]:
+    return next(pair for pair in provenance("world", "avoider").files if pair[0].startswith("cv2/"))
+
+
+def recorded(sha256: str) -> str:
+    return base64.urlsafe_b64encode(bytes.fromhex(sha256)).decode().rstrip("=")
+
+
+def test_each_compiled_file_is_named_with_the_hash_of_what_is_loaded() -> None:
+    files = dict(provenance("world", "avoider").files)
+    assert len(files) == len(software.LIBRARIES)
+    import pybullet
+
+    name = Path(pybullet.__file__).name
+    assert files[name] == hashlib.sha256(Path(pybullet.__file__).read_bytes()).hexdigest()
+    assert not any(Path(name).is_absolute() for name in files)
+
+
+def test_the_version_is_that_of_the_package_whose_file_is_loaded_not_of_another_that_owns_the_module(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    name, _ = opencv_file()
+    installed(tmp_path, "opencv-python", "9.9.9", record=f"{name},sha256={recorded('00' * 32)},1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
+    libraries = dict(provenance("world", "avoider").libraries)
+    assert "opencv-python-headless" in libraries
+    assert "opencv-python" not in libraries
+
+
+def test_the_package_of_the_other_name_is_believed_where_its_file_is_the_loaded_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    name, sha256 = opencv_file()
+    installed(tmp_path, "opencv-python", "9.9.9", record=f"{name},sha256={recorded(sha256)},1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
+    assert dict(provenance("world", "avoider").libraries)["opencv-python"] == "9.9.9"
+
+
+def test_a_file_that_no_package_records_has_the_version_that_its_module_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(software, "_owners", lambda module: {})
+    libraries = dict(provenance("world", "avoider").libraries)
+    assert libraries["numpy"] == sys.modules["numpy"].__version__
+    assert libraries["pybullet"] == "of a version that it does not say"
+
+
+def test_what_is_not_loaded_is_said_to_be_not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "pybullet")
+    found = provenance("kinematic", "avoider")
+    assert dict(found.libraries)["pybullet"] == "not loaded"
+    assert not any(name.startswith("pybullet") for name, _ in found.files)
+
+
+@pytest.mark.parametrize("how", [{"names": "cv2\n"}, {"record": "cv2/__init__.py,,\n"}])
+def test_two_packages_that_own_one_module_are_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: dict[str, str]
+) -> None:
+    assert shared_modules() == {}
+    refuse_shared_modules()
+    installed(tmp_path, "opencv-python", "9.9.9", **how)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
+    first, second = shared_modules()["cv2"]
+    assert first == "opencv-python 9.9.9"
+    assert second.startswith("opencv-python-headless ")
+    with pytest.raises(InstallationError, match=r"the module cv2: .*opencv-python 9\.9\.9 and opencv-"):
+        refuse_shared_modules()
+
+
+def test_the_same_package_found_twice_is_no_second_owner(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    installed(tmp_path, "opencv-python-headless", "1.0", names="cv2\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    forget()
+    assert shared_modules() == {}
+
+
+def test_certify_refuses_two_owners_of_a_module_and_run_warns(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    installed(tmp_path / "site", "onnxruntime-gpu", "2.0", names="onnxruntime\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    forget()
+    assert certify(REPOSITORY / "plans" / "quick.yaml", out=tmp_path / "report") == BAD_INPUT
+    refused = capsys.readouterr().err
+    assert "the module onnxruntime" in refused
+    assert "onnxruntime-gpu 2.0" in refused
+    assert not (tmp_path / "report").exists()
+    run([tmp_path / "none.yaml"], tmp_path / "out")
+    assert "warning: onnxruntime " in capsys.readouterr().err
+
+
+def test_a_campaign_s_identity_is_of_versions_and_not_of_a_machine_s_files() -> None:
+    parts = dict(identity_of([], [], None, "PyBullet").parts)
+    assert parts["the library numpy"] == sys.modules["numpy"].__version__
+    files = provenance("PyBullet", "").files
+    assert files
+    assert not any(name in f"{parts}" or sha256 in f"{parts}" for name, sha256 in files)
+
+
+def forget() -> None:
+    for one in (software._installed, software._owners, provenance):
+        one.cache_clear()
+
+
+assert safety_harness.simulation.pybullet_world
