@@ -76,7 +76,11 @@ def test_one_missing_answer_leaves_doubt_unless_the_plan_says_how_many_there_may
     assert "fallback" not in why[0]
     assert words in why[1]
     assert findings == [f"nearer: {words}; most often: {WHY}"]
-    assert counts == [FallbackTally(1, 100, 1, WHY), FallbackTally(0, 60, 0, ""), FallbackTally(1, 40, 1, WHY)]
+    assert counts == [
+        FallbackTally(1, 100, 1, WHY),
+        FallbackTally(0, 60, 0, ""),
+        FallbackTally(1, 40, 1, WHY),
+    ]
 
 
 @pytest.mark.parametrize("claimed", [False, True])
