@@ -25,7 +25,13 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.agreement import AGREEMENT_FILE, Agreement, Difference, present_source, to_json
+from safety_harness.admission.agreement import (
+    AGREEMENT_FILE,
+    Agreement,
+    LargestDifference,
+    present_source,
+    to_json,
+)
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import admit_points
@@ -55,7 +61,7 @@ class Tally:
     near_agreed: int = 0
     disagreements: list[str] = field(default_factory=list)
     optimistic: list[str] = field(default_factory=list)
-    largest: dict[str, Difference] = field(default_factory=dict)
+    largest: dict[str, LargestDifference] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
 
     def take(self, admitted: Admitted, engine: Trace, kinematic: Trace) -> None:
@@ -66,7 +72,7 @@ class Tally:
             self._compare(name, prop.evaluate(engine), prop.evaluate(kinematic))
         for what, difference in differences(engine, kinematic).items():
             if what not in self.largest or difference > self.largest[what].largest:
-                self.largest[what] = Difference(what, difference, name)
+                self.largest[what] = LargestDifference(what, difference, name)
 
     def _compare(self, name: str, engine: Evaluation, kinematic: Evaluation) -> None:
         same = engine.verdict is kinematic.verdict

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Processes
-from safety_harness.campaign.runner import Progress, run_campaign
+from safety_harness.campaign.runner import RunnerProgress, run_campaign
 from safety_harness.campaign.session import processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from tests.campaign.benches import Plain, row_of
@@ -58,7 +58,7 @@ def run(plan: Plan, path: Path, crew: Processes) -> tuple[float, float, float]:
     """Episodes a second from the first to the last that arrives, the runner's and the workers' seconds."""
     arrived: list[tuple[float, int]] = []
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: RunnerProgress) -> None:
         arrived.append((time.monotonic(), progress.tally.done))
 
     with Ledger.create(path, plan) as ledger, closing(crew):

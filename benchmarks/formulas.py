@@ -20,7 +20,7 @@ from ratios import Ratio
 
 from safety_harness.formulas.formula import Comparison, Formula, Truth
 from safety_harness.formulas.language import always, eventually, hand_distance, mm, s
-from safety_harness.formulas.semantics import Bounds, comparison_bounds, margins
+from safety_harness.formulas.semantics import MarginBounds, comparison_bounds, margins
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -51,7 +51,7 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
 def measured(formula: Formula, text: str, x: np.ndarray) -> tuple[list[float], list[float]]:
     """Seconds of one evaluation in each round, ours and rtamt's."""
 
-    def atoms(atom: Comparison | Truth) -> Bounds:
+    def atoms(atom: Comparison | Truth) -> MarginBounds:
         assert isinstance(atom, Comparison)
         return comparison_bounds(atom, x, x)
 

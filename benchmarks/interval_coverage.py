@@ -29,12 +29,12 @@ from safety_harness.statistics.distances import distribution_of, tolerance_bound
 from safety_harness.statistics.model_gap import bridged_bound
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.rare import Splitting, split
-from safety_harness.statistics.sample import Declaration, IndependentSample, Outcome
+from safety_harness.statistics.sample import Declaration, EpisodeOutcome, IndependentSample
 from safety_harness.statistics.sequential import evidence_apart, evidence_below
 from safety_harness.statistics.variance import NestedSample, variance_split
 
 Floats = NDArray[np.float64]
-HELD, VIOLATED = int(Outcome.HOLDS), int(Outcome.VIOLATED)
+HELD, VIOLATED = int(EpisodeOutcome.HOLDS), int(EpisodeOutcome.VIOLATED)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def declared(planned: int, **changes: object) -> Declaration:
 def told(codes: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
     """A seed for each run, and an occasion for each that was tested."""
     seeds = np.arange(codes.size).reshape(codes.shape)
-    return {"seeds": seeds, "exercised": (codes != Outcome.UNTESTED).astype(np.int64)}
+    return {"seeds": seeds, "exercised": (codes != EpisodeOutcome.UNTESTED).astype(np.int64)}
 
 
 def sample_of(
@@ -350,7 +350,9 @@ def gaps(times: int) -> Iterator[Row]:
             codes = []
             for n in (3000, 600):
                 u = rng.random(n)
-                there = np.where(u < 0.04 * scale, VIOLATED, np.where(u < 0.8, HELD, int(Outcome.UNTESTED)))
+                there = np.where(
+                    u < 0.04 * scale, VIOLATED, np.where(u < 0.8, HELD, int(EpisodeOutcome.UNTESTED))
+                )
                 codes += [np.where(u < 0.02 * scale, VIOLATED, HELD), there]
             samples = [sample_of(code, world="kinematic") for code in (codes[0], codes[2])]
             found = bridged_bound(samples[0], samples[1], sample_of(codes[3]))

@@ -30,11 +30,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.runner import Progress
+from safety_harness.campaign.runner import RunnerProgress
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.campaign.worker import resident_bytes
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
 STRATA = ("unseen-both", "unseen-hand", "unseen-tcp")
@@ -73,7 +73,7 @@ class Watch:
     last_s: float = 0.0
     most_bytes: int = 0
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: RunnerProgress) -> None:
         """Told of every batch that was committed."""
         since_s = time.monotonic() - self.begun_s
         if since_s - self.last_s >= 30.0:
@@ -104,7 +104,7 @@ def told(path: Path, plan: Plan) -> None:
         print(f"  {done + judged:,} rows, {bytes_:,} bytes, {bytes_ / done:.0f} an episode")
         for number, claim in enumerate(CLAIMS):
             rows = ledger.all("SELECT outcome, count(*) FROM judgement WHERE claim = ? GROUP BY 1", number)
-            counts = ", ".join(f"{count:,} {Outcome(outcome).name.lower()}" for outcome, count in rows)
+            counts = ", ".join(f"{count:,} {EpisodeOutcome(outcome).name.lower()}" for outcome, count in rows)
             print(f"  {claim}: {counts}")
         timed("counts and worst margins", lambda: tally_of(ledger))
         timed("one sample for an estimate", lambda: ledger.sample("unseen both", plan.claims[0].sentence))

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from safety_harness.space.read import parse_space, read_space
     from safety_harness.space.space import ScenarioSpace
     from safety_harness.space.strategy import strategy
-    from safety_harness.space.typed import By, OneOf, Repeat, The, space_from
+    from safety_harness.space.typed import OneOf, Ref, Repeat, Switch, space_from
     from safety_harness.space.writing import write_space
     from safety_harness.trace.compare import first_difference
     from safety_harness.trace.store import load_trace, save_trace
@@ -56,7 +56,6 @@ __all__ = [
     "Admitted",
     "AdmittedDraws",
     "Avoider",
-    "By",
     "Column",
     "Coverage",
     "Cube",
@@ -73,12 +72,13 @@ __all__ = [
     "Outcomes",
     "Property",
     "Proposal",
+    "Ref",
     "Repeat",
     "SafetyHarnessError",
     "Scenario",
     "ScenarioSpace",
     "Settings",
-    "The",
+    "Switch",
     "Trace",
     "Trials",
     "TruncatedNormal",
@@ -139,7 +139,7 @@ _HOMES = {
     "space.read": ("parse_space", "read_space"),
     "space.space": ("ScenarioSpace",),
     "space.strategy": ("strategy",),
-    "space.typed": ("By", "OneOf", "Repeat", "The", "space_from"),
+    "space.typed": ("OneOf", "Ref", "Repeat", "Switch", "space_from"),
     "space.writing": ("write_space",),
     "trace.compare": ("first_difference",),
     "trace.store": ("load_trace", "save_trace"),

@@ -120,7 +120,7 @@ def compiled(function: F) -> F:
     return _compiled(function, _nrt=True)  # said, for it would be taken over from the first caller
 
 
-def arrayless(function: F) -> F:
+def njit_no_nrt(function: F) -> F:
     """As ``compiled``, for a function that makes no array.
 
     Views of arrays are then not counted, which takes longer than what small functions do with them.
@@ -129,7 +129,7 @@ def arrayless(function: F) -> F:
 
 
 def inlined(function: F) -> F:
-    """As ``arrayless``, and always part of its callers' machine code: for small steps of many arrays."""
+    """As ``njit_no_nrt``, and always part of its callers' machine code: for small steps of many arrays."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safety_harness import compiled as module
-from safety_harness.compiled import arrayless, cache_folder, compiled, source_hash
+from safety_harness.compiled import cache_folder, compiled, njit_no_nrt, source_hash
 from safety_harness.controller import stack
 
 
@@ -163,7 +163,7 @@ def test_a_function_without_arrays_may_call_one_that_makes_them() -> None:
     def total(n: int) -> float:
         return float(np.full(n, 2.0).sum())
 
-    @arrayless
+    @njit_no_nrt
     def twice(n: int) -> float:
         return 2.0 * total(n)
 

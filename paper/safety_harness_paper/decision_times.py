@@ -9,7 +9,7 @@ from safety_harness_paper.avoiders import BAYESIAN, DNN
 from safety_harness_paper.intervals import median_of
 from safety_harness_paper.measurements import systems
 from safety_harness_paper.part import Found, Part
-from safety_harness_paper.result import Claim, Result, State, Table, judge, number
+from safety_harness_paper.result import ClaimState, PaperClaim, Result, Table, judge, number
 from safety_harness_paper.scale import Scale
 from safety_harness_paper.timing import EXACT, RASTER, RENDERED, measurement
 from safety_harness_paper.work import Task
@@ -80,11 +80,17 @@ def result(scale: Scale, found: Found) -> Result:
     )
 
 
-def quicker(sentence: str, first: list[float], second: list[float]) -> Claim:
+def quicker(sentence: str, first: list[float], second: list[float]) -> PaperClaim:
     """By the intervals of the two medians: apart, or undecided."""
     a, b = median_of(first), median_of(second)
-    state = State.HOLDS if a.high < b.low else State.CONTRADICTED if a.low > b.high else State.UNDECIDED
-    return Claim(sentence, state, f"medians {1e6 * a.value:,.1f} and {1e6 * b.value:,.1f} \u00b5s")
+    state = (
+        ClaimState.HOLDS
+        if a.high < b.low
+        else ClaimState.CONTRADICTED
+        if a.low > b.high
+        else ClaimState.UNDECIDED
+    )
+    return PaperClaim(sentence, state, f"medians {1e6 * a.value:,.1f} and {1e6 * b.value:,.1f} \u00b5s")
 
 
 def _micro(values: list[float]) -> str:

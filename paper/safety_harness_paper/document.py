@@ -13,7 +13,7 @@ from typing import Any
 
 from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
-from safety_harness_paper.result import Comparison, Result, estimate_words
+from safety_harness_paper.result import FigureComparison, Result, estimate_words
 
 FORMAT = "safety-harness reproduction 1"
 
@@ -52,7 +52,7 @@ def write_document(path: Path, results: Sequence[Result], about: About) -> None:
     )
 
 
-def comparison_words(one: Comparison) -> tuple[str, str, str]:
+def comparison_words(one: FigureComparison) -> tuple[str, str, str]:
     """The paper's figure, ours with its interval, and whether they agree, as texts."""
     paper = "\u2013"
     if one.paper is not None:

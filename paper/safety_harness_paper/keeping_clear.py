@@ -12,11 +12,11 @@ from safety_harness_paper.intervals import Estimate, Paired, mean_of, share_of
 from safety_harness_paper.measurements import in_seeds, systems
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.result import (
-    Claim,
+    ClaimState,
+    PaperClaim,
+    PaperVerdict,
     Result,
-    State,
     Table,
-    Word,
     estimate_words,
     every,
     fewer,
@@ -65,7 +65,7 @@ def result(scale: Scale, found: Found) -> Result:
         key: sum(one[BAYESIAN]["near"][key] for one in ways)
         for key in ("pairs", "farther", "farther_all_along")
     }
-    claims: list[Claim] = []
+    claims: list[PaperClaim] = []
     if total["pairs"]:
         claims += [
             every(
@@ -85,14 +85,14 @@ def result(scale: Scale, found: Found) -> Result:
             if exercised:
                 claims.append(every(f"{name}: {claim}", one["holds"], exercised))
             else:
-                claims.append(Claim(f"{name}: {claim}", State.UNDECIDED, "exercised in no episode"))
+                claims.append(PaperClaim(f"{name}: {claim}", ClaimState.UNDECIDED, "exercised in no episode"))
     without = episodes[-1]["episodes"]
     for claim in (DISTANCE, OWN_SPEEDS):
         pairs = Paired.of(_violated(episodes[0]["episodes"], claim), _violated(without, claim))
         sentence = f"{SYSTEMS[0][0]}: {claim} in more episodes than without avoidance"
         claims.append(fewer(sentence, "giving way", "no avoidance", pairs))
-    broken = sum(claim.state is State.CONTRADICTED for claim in claims)
-    undecided = sum(claim.state is State.UNDECIDED for claim in claims)
+    broken = sum(claim.state is ClaimState.CONTRADICTED for claim in claims)
+    undecided = sum(claim.state is ClaimState.UNDECIDED for claim in claims)
     answer = "Not always" if broken else "Not shown" if undecided else "In all that was tried"
     why = f"{answer}: {broken} of {len(claims)} claims are contradicted, {undecided} undecided"
     return Result(
@@ -100,7 +100,7 @@ def result(scale: Scale, found: Found) -> Result:
         title="Does giving way keep the arm clear of the hand?",
         source="Section 1, safety",
         paper_says=SAYS,
-        word=Word.NO_VERDICT,
+        word=PaperVerdict.NO_VERDICT,
         why=f"{why}. They are ours; the paper has no figure.",
         claims=tuple(claims),
         tables=(

@@ -12,10 +12,10 @@ from safety_harness_paper.networks import inter
 from safety_harness_paper.outlook import IMAGE, POSE, measurement
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.result import (
-    Claim,
+    PaperClaim,
+    PaperVerdict,
     Result,
     Table,
-    Word,
     below_zero,
     estimate_words,
     every,
@@ -46,7 +46,7 @@ def result(scale: Scale, found: Found) -> Result:
     """No figure of the paper: what we found."""
     one = found["pose"].result
     upright = one["selections"][0]
-    claims: list[Claim] = [
+    claims: list[PaperClaim] = [
         every(
             "with exact images of an upright camera both select the same candidate",
             upright["same"],
@@ -103,7 +103,7 @@ def result(scale: Scale, found: Found) -> Result:
         title="Ground truth by object-pose error; a plane for two hands",
         source="Section 6, outlook",
         paper_says=SAYS,
-        word=Word.NO_VERDICT,
+        word=PaperVerdict.NO_VERDICT,
         why="A proposal of the paper, tried: "
         + ("nothing changes" if upright["same"] == upright["tcps"] else "the selection changes")
         + " while the tool is upright and images are exact. The claims below are ours.",

@@ -12,18 +12,18 @@ from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
 from safety_harness_paper.plots import side_by_side, svg
-from safety_harness_paper.result import Result, State, Word
+from safety_harness_paper.result import ClaimState, PaperVerdict, Result
 
 WORD_CLASS = {
-    Word.REPRODUCED: "holds",
-    Word.DIRECTION_ONLY: "inconclusive",
-    Word.NOT_REPRODUCED: "violated",
-    Word.NO_VERDICT: "none",
+    PaperVerdict.REPRODUCED: "holds",
+    PaperVerdict.DIRECTION_ONLY: "inconclusive",
+    PaperVerdict.NOT_REPRODUCED: "violated",
+    PaperVerdict.NO_VERDICT: "none",
 }
 STATE_CLASS = {
-    State.HOLDS: "holds",
-    State.CONTRADICTED: "violated",
-    State.UNDECIDED: "inconclusive",
+    ClaimState.HOLDS: "holds",
+    ClaimState.CONTRADICTED: "violated",
+    ClaimState.UNDECIDED: "inconclusive",
 }
 
 
@@ -41,7 +41,9 @@ def render(results: Sequence[Result], about: About) -> str:
         results=results,
         about=about,
         choices=CHOICES,
-        counts=[(word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in Word],
+        counts=[
+            (word.value, WORD_CLASS[word], sum(r.word is word for r in results)) for word in PaperVerdict
+        ],
         word_class=WORD_CLASS,
         state_class=STATE_CLASS,
         words=comparison_words,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from safety_harness.report.palette import Ink
 from safety_harness.report.panels import DASHES
 from safety_harness.report.svg import drawing, new_figure, to_svg
-from safety_harness_paper.result import Comparison, Panel, Plot
+from safety_harness_paper.result import FigureComparison, Panel, Plot
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,7 +147,7 @@ def _map(axes: Axes, panel: Panel) -> None:
 DRAW: dict[str, Callable[[Axes, Panel], None]] = {"lines": _lines, "intervals": _intervals, "map": _map}
 
 
-def side_by_side(comparisons: Sequence[Comparison], *, prefix: str, title: str) -> str:
+def side_by_side(comparisons: Sequence[FigureComparison], *, prefix: str, title: str) -> str:
     """Ours with its interval against the paper's figure, one row each, in units of the paper's figure.
 
     Rows without a figure of the paper that is compared, or with one that is 0, are left out; empty if none is

@@ -27,7 +27,7 @@ from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import GateKind, Settings
 from safety_harness.space.regions import paper_seen
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness_paper.avoiders import with_networks
 from safety_harness_paper.work import Done, Json, Task
 
@@ -152,7 +152,7 @@ def _asked(
         )
         for kind, gate in gates.items():
             ruling = gate.rule(avoider, query)
-            outcomes[kind.value].append(Outcome(ruling.outcome).name.lower())
+            outcomes[kind.value].append(DecisionOutcome(ruling.outcome).name.lower())
         unreachable.append(bool(ruling.proposed_failed & Check.UNREACHABLE))
         uncertain.append(bool(ruling.proposed_failed & Check.UNCERTAIN))
     return {"unreachable": unreachable, "uncertain": uncertain} | outcomes

@@ -26,7 +26,7 @@ CLOSE, NEAR = 0.1, 0.25  # of our mean
 SIGNIFICANT = 0.05
 
 
-class Word(Enum):
+class PaperVerdict(Enum):
     """The verdict on a table or figure of the paper."""
 
     REPRODUCED = "reproduced"
@@ -35,7 +35,7 @@ class Word(Enum):
     NO_VERDICT = "no figure of the paper"  # a question that the paper does not answer with numbers
 
 
-class State(Enum):
+class ClaimState(Enum):
     """What became of one claim."""
 
     HOLDS = "holds"
@@ -44,16 +44,16 @@ class State(Enum):
 
 
 @dataclass(frozen=True)
-class Claim:
+class PaperClaim:
     """One sentence of the paper, and the evidence for or against it in words."""
 
     sentence: str
-    state: State
+    state: ClaimState
     evidence: str
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class FigureComparison:
     """One number: the paper's (None where it has none) and ours; ``scale`` turns SI into ``unit``."""
 
     label: str
@@ -129,10 +129,10 @@ class Result:
     title: str
     source: str  # where in the paper
     paper_says: str
-    word: Word
+    word: PaperVerdict
     why: str
-    claims: tuple[Claim, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
+    claims: tuple[PaperClaim, ...] = ()
+    comparisons: tuple[FigureComparison, ...] = ()
     tables: tuple[Table, ...] = ()
     plots: tuple[Plot, ...] = ()
     notes: tuple[str, ...] = field(default=())
@@ -140,47 +140,51 @@ class Result:
 
 def below_zero(
     sentence: str, difference: Estimate, *, unit: str = "", scale: float = 1.0, digits: int = 2
-) -> Claim:
+) -> PaperClaim:
     """A claim that a difference is negative."""
     return _claim(sentence, difference, difference.high < 0.0, difference.low > 0.0, unit, scale, digits)
 
 
 def above_zero(
     sentence: str, difference: Estimate, *, unit: str = "", scale: float = 1.0, digits: int = 2
-) -> Claim:
+) -> PaperClaim:
     """A claim that a difference is positive."""
     return _claim(sentence, difference, difference.low > 0.0, difference.high < 0.0, unit, scale, digits)
 
 
 def within(
     sentence: str, difference: Estimate, bound: float, *, unit: str = "", scale: float = 1.0, digits: int = 2
-) -> Claim:
+) -> PaperClaim:
     """A claim that two things are the same up to ``bound``: the whole interval lies within it."""
     same = -bound < difference.low and difference.high < bound
     apart = difference.low > bound or difference.high < -bound
     return _claim(sentence, difference, same, apart, unit, scale, digits)
 
 
-def fewer(sentence: str, first: str, second: str, pairs: Paired) -> Claim:
+def fewer(sentence: str, first: str, second: str, pairs: Paired) -> PaperClaim:
     """A claim that fewer trials have it with the first than with the second (McNemar's exact test)."""
     decided = pairs.p_value < SIGNIFICANT
     holds, opposite = pairs.first_only < pairs.second_only, pairs.first_only > pairs.second_only
     state = (
-        State.HOLDS if decided and holds else State.CONTRADICTED if decided and opposite else State.UNDECIDED
+        ClaimState.HOLDS
+        if decided and holds
+        else ClaimState.CONTRADICTED
+        if decided and opposite
+        else ClaimState.UNDECIDED
     )
     evidence = (
         f"of {pairs.trials} pairs {pairs.second_only} with {second} alone, "
         f"{pairs.first_only} with {first} alone; "
         f"p = {pairs.p_value:.2g} (McNemar, exact)"
     )
-    return Claim(sentence, state, evidence)
+    return PaperClaim(sentence, state, evidence)
 
 
 def _claim(
     sentence: str, difference: Estimate, holds: bool, fails: bool, unit: str, scale: float, digits: int
-) -> Claim:
-    state = State.HOLDS if holds else State.CONTRADICTED if fails else State.UNDECIDED
-    return Claim(
+) -> PaperClaim:
+    state = ClaimState.HOLDS if holds else ClaimState.CONTRADICTED if fails else ClaimState.UNDECIDED
+    return PaperClaim(
         sentence, state, "difference " + estimate_words(difference, unit=unit, scale=scale, digits=digits)
     )
 
@@ -201,7 +205,7 @@ def number(value: float, digits: int) -> str:
     return text
 
 
-def judge(claims: Sequence[Claim], comparisons: Sequence[Comparison]) -> tuple[Word, str]:
+def judge(claims: Sequence[PaperClaim], comparisons: Sequence[FigureComparison]) -> tuple[PaperVerdict, str]:
     """The word by the rule of this module, and why; ValueError where there is nothing to judge."""
     if not claims:
         raise ValueError("a verdict takes at least one claim")
@@ -209,31 +213,37 @@ def judge(claims: Sequence[Claim], comparisons: Sequence[Comparison]) -> tuple[W
     figures = (
         f"{sum(agreeing)} of {len(agreeing)} figures agree" if agreeing else "there is no figure to compare"
     )
-    lost = [one for one in claims if one.state is not State.HOLDS]
+    lost = [one for one in claims if one.state is not ClaimState.HOLDS]
     if lost:
         reasons = "; ".join(f"{one.sentence} ({one.state.value})" for one in lost)
         verb = "does" if len(lost) == 1 else "do"
         some = f"{len(lost)} of {len(claims)} claims {verb}" if len(claims) > 1 else "the claim does"
-        return Word.NOT_REPRODUCED, f"{_upper(some)} not hold: {reasons}. {_upper(figures)}."
+        return PaperVerdict.NOT_REPRODUCED, f"{_upper(some)} not hold: {reasons}. {_upper(figures)}."
     all_hold = "the claim holds" if len(claims) == 1 else f"all {len(claims)} claims hold"
     if not agreeing or sum(agreeing) >= AGREEING_SHARE * len(agreeing):
-        return Word.REPRODUCED, f"{_upper(all_hold)}, and {figures}."
-    return Word.DIRECTION_ONLY, f"{_upper(all_hold)}, but only {figures}."
+        return PaperVerdict.REPRODUCED, f"{_upper(all_hold)}, and {figures}."
+    return PaperVerdict.DIRECTION_ONLY, f"{_upper(all_hold)}, but only {figures}."
 
 
 def _upper(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
-def every(sentence: str, having: int, trials: int) -> Claim:
+def every(sentence: str, having: int, trials: int) -> PaperClaim:
     """A claim about all of them: one that has it not is enough against it.  ValueError without any trial."""
     if not 0 <= having <= trials or not trials:
         raise ValueError(f"{having} of {trials} cannot be judged")
-    state = State.HOLDS if having == trials else State.CONTRADICTED
-    return Claim(sentence, state, f"{having:,} of {trials:,}")
+    state = ClaimState.HOLDS if having == trials else ClaimState.CONTRADICTED
+    return PaperClaim(sentence, state, f"{having:,} of {trials:,}")
 
 
-def most(sentence: str, share: Estimate) -> Claim:
+def most(sentence: str, share: Estimate) -> PaperClaim:
     """A claim about the greater part: the share's exact interval lies above one half."""
-    state = State.HOLDS if share.low > 0.5 else State.CONTRADICTED if share.high < 0.5 else State.UNDECIDED
-    return Claim(sentence, state, "share " + estimate_words(share))
+    state = (
+        ClaimState.HOLDS
+        if share.low > 0.5
+        else ClaimState.CONTRADICTED
+        if share.high < 0.5
+        else ClaimState.UNDECIDED
+    )
+    return PaperClaim(sentence, state, "share " + estimate_words(share))

@@ -20,15 +20,15 @@ from safety_harness_paper.part import Found, Part
 from safety_harness_paper.predictions import SEEN, TCP
 from safety_harness_paper.predictions import measure as evaluate
 from safety_harness_paper.result import (
-    Claim,
+    PaperClaim,
+    PaperVerdict,
     Result,
     Table,
-    Word,
     above_zero,
     below_zero,
 )
 from safety_harness_paper.scale import Scale
-from safety_harness_paper.variants import BASE, VARIANTS, Variant
+from safety_harness_paper.variants import BASE, VARIANTS, RecipeVariant
 from safety_harness_paper.work import Done, Json, Task
 
 SAYS = (
@@ -49,7 +49,7 @@ def tasks(scale: Scale, root: int) -> dict[str, Task]:
     }
 
 
-def _measurement(variant: Variant, scale: Scale, root: int, k: int) -> Task:
+def _measurement(variant: RecipeVariant, scale: Scale, root: int, k: int) -> Task:
     # What only concerns the robot's time or the reading of intervals needs no networks of its own.
     trained_with = replace(variant.settings, clock=BASE.settings.clock)
     networks = tuple(
@@ -141,7 +141,7 @@ def result(scale: Scale, found: Found) -> Result:
         title="What hangs on what the paper leaves open",
         source="Sensitivity",
         paper_says=SAYS,
-        word=Word.NO_VERDICT,
+        word=PaperVerdict.NO_VERDICT,
         why=f"{why}.",
         tables=(
             Table("The paper's conclusions under each variant, by the rule of the verdicts.", head, rows),
@@ -162,7 +162,7 @@ def result(scale: Scale, found: Found) -> Result:
     )
 
 
-def conclusions(rows: list[dict[str, Any]], picp: str) -> list[Claim]:
+def conclusions(rows: list[dict[str, Any]], picp: str) -> list[PaperClaim]:
     """The paper's six, from one variant's measurements."""
     dnn = [row["models"][0] for row in rows]
     bayesian = [row["models"][1] for row in rows]
@@ -173,7 +173,7 @@ def conclusions(rows: list[dict[str, Any]], picp: str) -> list[Claim]:
     def share(one: str, axis: int) -> list[float]:
         return [model[one]["10"]["picp"][picp][axis] for model in bayesian]
 
-    def lower(sentence: str, first: list[float], second: list[float]) -> Claim:
+    def lower(sentence: str, first: list[float], second: list[float]) -> PaperClaim:
         return below_zero(sentence, mean_of(differences(first, second)), unit="mm", scale=1e3)
 
     took = {name: [row["iterations"][name] for row in rows] for name in (BAYESIAN, OPPOSITE)}

@@ -15,7 +15,7 @@ from safety_harness_paper.measurements import (
 )
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.result import (
-    Comparison,
+    FigureComparison,
     Result,
     Table,
     above_zero,
@@ -41,7 +41,7 @@ def result(scale: Scale, found: Found) -> Result:
     """Claims by pairs of the same training and draw."""
     by_passes = {passes: figures(found, "main", INTER, passes=passes) for passes in PASSES}
     comparisons = [
-        Comparison(
+        FigureComparison(
             label=f"PICP ({axis}), T = {passes}",
             ours=mean_of(picp(by_passes[passes], number)),
             paper=PAPER_PICP[axis][column],
@@ -50,7 +50,7 @@ def result(scale: Scale, found: Found) -> Result:
         for column, passes in enumerate(PASSES)
     ]
     comparisons += [
-        Comparison(
+        FigureComparison(
             label=f"RMSE, T = {passes}",
             ours=mean_of(rmse(by_passes[passes])),
             paper=PAPER_RMSE_MM[column],

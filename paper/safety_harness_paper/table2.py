@@ -14,7 +14,7 @@ from safety_harness_paper.measurements import (
     rmse,
 )
 from safety_harness_paper.part import Found, Part
-from safety_harness_paper.result import Comparison, Result, above_zero, below_zero, judge
+from safety_harness_paper.result import FigureComparison, Result, above_zero, below_zero, judge
 from safety_harness_paper.scale import Scale
 from safety_harness_paper.work import Task
 
@@ -42,7 +42,7 @@ def result(scale: Scale, found: Found) -> Result:
     for name, one in rows.items():
         paper = PAPER.get(name)
         comparisons += [
-            Comparison(
+            FigureComparison(
                 label=f"{name}: PICP ({axis})",
                 ours=mean_of(picp(one, number)),
                 paper=None if paper is None else paper[number],
@@ -50,7 +50,7 @@ def result(scale: Scale, found: Found) -> Result:
             for number, axis in enumerate(AXES)
         ]
         comparisons.append(
-            Comparison(
+            FigureComparison(
                 label=f"{name}: RMSE",
                 ours=mean_of(rmse(one)),
                 paper=None if paper is None else paper[3],

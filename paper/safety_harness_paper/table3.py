@@ -17,8 +17,8 @@ from safety_harness_paper.measurements import (
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.predictions import BOTH, HAND, SEEN, TCP
 from safety_harness_paper.result import (
-    Claim,
-    Comparison,
+    FigureComparison,
+    PaperClaim,
     Result,
     Table,
     above_zero,
@@ -58,7 +58,7 @@ def result(scale: Scale, found: Found) -> Result:
             for column, one in enumerate(SETS)
         ]
     comparisons += [
-        Comparison(
+        FigureComparison(
             label=f"Bayesian DNN: PICP ({axis}), {one}",
             ours=mean_of(picp(bayesian[one], number)),
             paper=PAPER_PICP[axis][column],
@@ -89,7 +89,7 @@ def result(scale: Scale, found: Found) -> Result:
 
 def _claims(
     dnn: dict[str, list[dict[str, float]]], bayesian: dict[str, list[dict[str, float]]]
-) -> list[Claim]:
+) -> list[PaperClaim]:
     claims = []
     for name, rows in (("DNN", dnn), ("Bayesian DNN", bayesian)):
         bound = COMPARABLE * mean_of(rmse(rows[SEEN])).value
@@ -119,8 +119,8 @@ def _claims(
     return claims
 
 
-def _rmse(label: str, values: list[float], paper: float | None) -> Comparison:
-    return Comparison(label=label, ours=mean_of(values), paper=paper, unit="mm", scale=1e3)
+def _rmse(label: str, values: list[float], paper: float | None) -> FigureComparison:
+    return FigureComparison(label=label, ours=mean_of(values), paper=paper, unit="mm", scale=1e3)
 
 
 def _ours(found: Found) -> Table:

@@ -12,7 +12,7 @@ from safety_harness_paper.measurements import in_seeds, reaches
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.reach import EDGE, SETS
 from safety_harness_paper.result import (
-    Comparison,
+    FigureComparison,
     Result,
     Table,
     below_zero,
@@ -51,7 +51,7 @@ def result(scale: Scale, found: Found) -> Result:
         ),
     ]
     comparisons = [
-        Comparison(
+        FigureComparison(
             label=f"{name}: share out of reach",
             ours=mean_of([float(np.mean(one)) for one in values]),
             paper=100.0 * count / PAPER_TRIALS,

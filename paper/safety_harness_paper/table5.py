@@ -13,10 +13,10 @@ from safety_harness_paper.intervals import Estimate, bootstrap_of, mean_of
 from safety_harness_paper.measurements import all_trials, in_seeds
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.result import (
-    Claim,
-    Comparison,
+    ClaimState,
+    FigureComparison,
+    PaperClaim,
     Result,
-    State,
     Table,
     below_zero,
     estimate_words,
@@ -47,11 +47,11 @@ def result(scale: Scale, found: Found) -> Result:
     if by_seed:
         claims = [below_zero(sentence, mean_of(by_seed), digits=1)]
     else:
-        claims = [Claim(sentence, State.UNDECIDED, "no trial converged with both")]
+        claims = [PaperClaim(sentence, ClaimState.UNDECIDED, "no trial converged with both")]
     comparisons = []
     if ratios:  # a training that always arrives below the switch has none
         comparisons.append(
-            Comparison(
+            FigureComparison(
                 label="opposite / Bayesian DNN, ratio of the means",
                 ours=mean_of(ratios),
                 paper=round(PAPER_OPPOSITE / PAPER_BAYESIAN, 2),
@@ -61,7 +61,7 @@ def result(scale: Scale, found: Found) -> Result:
         if not by_seed:
             break
         comparisons.append(
-            Comparison(
+            FigureComparison(
                 label=f"{name}: mean iterations",
                 ours=mean_of([float(one[:, column].mean()) for one in pairs if len(one)]),
                 paper=paper,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.controller.around import Around
+from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import Controller
 from safety_harness.learning.evaluation_sets import leaf
 from safety_harness.properties.hand_distance import HandDistance
@@ -104,7 +104,7 @@ def _about(trace: Trace, claim: HandDistance) -> Json:
     }
 
 
-class _PlaneTriggered(Around):
+class _PlaneTriggered(ControllerWrapper):
     """The system with its critical distance open while the TCP is near the plane, and shut while it is not.
 
     The hands are those predicted at the tick before, 8 ms ago.

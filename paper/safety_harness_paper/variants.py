@@ -18,7 +18,7 @@ def _as_it_is(recipe: Recipe) -> Recipe:
 
 
 @dataclass(frozen=True)
-class Variant:
+class RecipeVariant:
     """``recipe`` bends a training recipe; ``picp`` is the reading of the PICP; dt is in the settings."""
 
     name: str
@@ -75,28 +75,28 @@ def _by_sample(recipe: Recipe) -> Recipe:
     return replace(recipe, split="by sample")
 
 
-BASE = Variant("the default", "nothing is changed")
+BASE = RecipeVariant("the default", "nothing is changed")
 VARIANTS = (
     BASE,
-    Variant("dt 4 ms", "control period", _period(0.004)),
-    Variant("dt 16 ms", "control period", _period(0.016)),
-    Variant("R 75 mm", "radius of the sphere of candidates", _avoidance(radius_m=0.075)),
-    Variant("R 150 mm", "radius of the sphere of candidates", _avoidance(radius_m=0.150)),
-    Variant("sigma 30 deg", "spread of the candidates", _avoidance(candidate_sigma_rad=pi / 6)),
-    Variant("sigma 60 deg", "spread of the candidates", _avoidance(candidate_sigma_rad=pi / 3)),
-    Variant(
+    RecipeVariant("dt 4 ms", "control period", _period(0.004)),
+    RecipeVariant("dt 16 ms", "control period", _period(0.016)),
+    RecipeVariant("R 75 mm", "radius of the sphere of candidates", _avoidance(radius_m=0.075)),
+    RecipeVariant("R 150 mm", "radius of the sphere of candidates", _avoidance(radius_m=0.150)),
+    RecipeVariant("sigma 30 deg", "spread of the candidates", _avoidance(candidate_sigma_rad=pi / 6)),
+    RecipeVariant("sigma 60 deg", "spread of the candidates", _avoidance(candidate_sigma_rad=pi / 3)),
+    RecipeVariant(
         "triangle of 120 x 90 mm",
         "the object",
         _polygon((-0.040, -0.030), (0.080, -0.030), (-0.040, 0.060)),
     ),
-    Variant("no weight decay", "weight decay 1e-12", recipe=_decay(1e-12)),
-    Variant("eq. 12 read literally", f"weight decay {LITERAL_EQ12}", recipe=_decay(LITERAL_EQ12)),
-    Variant("dropout 0.05", "probability to drop a unit", recipe=_drop(0.05)),
-    Variant("dropout 0.2", "probability to drop a unit", recipe=_drop(0.2)),
-    Variant("dropout before every layer", "places of dropout", recipe=_full),
-    Variant("raw millimetres", "no normalisation", recipe=_raw),
-    Variant("split by sample", "the paper's split", recipe=_by_sample),
-    Variant("PICP with residuals", "residuals' variance added", picp="spread and residuals"),
-    Variant("PICP with 1/tau", "1/tau added to the variance", picp="spread and 1/tau"),
-    Variant("PICP by eq. 11 as printed", "no mean taken off", picp="eq. 11 as printed"),
+    RecipeVariant("no weight decay", "weight decay 1e-12", recipe=_decay(1e-12)),
+    RecipeVariant("eq. 12 read literally", f"weight decay {LITERAL_EQ12}", recipe=_decay(LITERAL_EQ12)),
+    RecipeVariant("dropout 0.05", "probability to drop a unit", recipe=_drop(0.05)),
+    RecipeVariant("dropout 0.2", "probability to drop a unit", recipe=_drop(0.2)),
+    RecipeVariant("dropout before every layer", "places of dropout", recipe=_full),
+    RecipeVariant("raw millimetres", "no normalisation", recipe=_raw),
+    RecipeVariant("split by sample", "the paper's split", recipe=_by_sample),
+    RecipeVariant("PICP with residuals", "residuals' variance added", picp="spread and residuals"),
+    RecipeVariant("PICP with 1/tau", "1/tau added to the variance", picp="spread and 1/tau"),
+    RecipeVariant("PICP by eq. 11 as printed", "no mean taken off", picp="eq. 11 as printed"),
 )

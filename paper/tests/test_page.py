@@ -16,7 +16,7 @@ from safety_harness_paper.document import About, comparison_words, document
 from safety_harness_paper.intervals import Estimate, mean_of
 from safety_harness_paper.page import render
 from safety_harness_paper.plots import side_by_side
-from safety_harness_paper.result import Comparison, Result, Word
+from safety_harness_paper.result import FigureComparison, PaperVerdict, Result
 from safety_harness_paper.scale import DEFAULT
 
 ABOUT = About(
@@ -101,13 +101,13 @@ def test_the_json_is_one_that_everybody_can_read(results: list[Result]) -> None:
 
 
 def test_numbers_that_are_not_finite_are_null() -> None:
-    lonely = Comparison(label="", ours=mean_of([1.0]), paper=2.0)
+    lonely = FigureComparison(label="", ours=mean_of([1.0]), paper=2.0)
     only = Result(
         name="one",
         title="",
         source="",
         paper_says="",
-        word=Word.NO_VERDICT,
+        word=PaperVerdict.NO_VERDICT,
         why="",
         comparisons=(lonely,),
     )
@@ -123,12 +123,13 @@ def test_no_digit_of_the_paper_is_lost(paper: float | None, unit: str, words: st
     ours = Estimate(value=1.0, low=0.5, high=1.5)
     digits = 1 if paper == 869.28 else 2
     assert (
-        comparison_words(Comparison(label="", ours=ours, paper=paper, unit=unit, digits=digits))[0] == words
+        comparison_words(FigureComparison(label="", ours=ours, paper=paper, unit=unit, digits=digits))[0]
+        == words
     )
 
 
 def test_without_a_figure_of_the_paper_nothing_is_drawn_beside_it() -> None:
     ours = Estimate(value=1.0, low=-math.inf, high=math.inf)
-    assert side_by_side([Comparison(label="a", ours=ours)], prefix="p-", title="t") == ""
-    assert side_by_side([Comparison(label="a", ours=ours, paper=0.0)], prefix="p-", title="t") == ""
-    assert "<svg" in side_by_side([Comparison(label="a", ours=ours, paper=2.0)], prefix="p-", title="t")
+    assert side_by_side([FigureComparison(label="a", ours=ours)], prefix="p-", title="t") == ""
+    assert side_by_side([FigureComparison(label="a", ours=ours, paper=0.0)], prefix="p-", title="t") == ""
+    assert "<svg" in side_by_side([FigureComparison(label="a", ours=ours, paper=2.0)], prefix="p-", title="t")

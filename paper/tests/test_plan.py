@@ -13,7 +13,7 @@ from safety_harness.settings import DEFAULTS
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE
 from safety_harness_paper.plan import PARTS, measuring_order, parts_named
 from safety_harness_paper.predictions import SEEN, TCP
-from safety_harness_paper.result import State, Word
+from safety_harness_paper.result import ClaimState, PaperVerdict
 from safety_harness_paper.scale import DEFAULT, PAPER, QUICK, scale_named
 from safety_harness_paper.sensitivity import PART as SENSITIVITY
 from safety_harness_paper.sensitivity import conclusions
@@ -118,11 +118,11 @@ def measured(k: int, *, opposite: float = 220.0, tcp_mm: float = 22.0) -> Done:
 
 def test_six_conclusions_that_hold_and_one_that_does_not() -> None:
     rows = [measured(k).result for k in range(3)]
-    assert [claim.state for claim in conclusions(rows, "spread")] == [State.HOLDS] * 6
+    assert [claim.state for claim in conclusions(rows, "spread")] == [ClaimState.HOLDS] * 6
     slow = [measured(k, opposite=50.0).result for k in range(3)]
-    assert [claim.state for claim in conclusions(slow, "spread")][-1] is State.CONTRADICTED
+    assert [claim.state for claim in conclusions(slow, "spread")][-1] is ClaimState.CONTRADICTED
     by_residuals = conclusions(rows, "spread and residuals")
-    assert by_residuals[1].state is State.UNDECIDED  # 0.95 on every axis
+    assert by_residuals[1].state is ClaimState.UNDECIDED  # 0.95 on every axis
 
 
 def test_the_sensitivity_study_says_which_conclusions_change() -> None:
@@ -132,7 +132,7 @@ def test_the_sensitivity_study_says_which_conclusions_change() -> None:
         for k in range(DEFAULT.sensitivity_seeds)
     }
     result = sensitivity(DEFAULT, found)
-    assert result.word is Word.NO_VERDICT
+    assert result.word is PaperVerdict.NO_VERDICT
     assert "raw millimetres: Bayesian DNN better with the TCP unseen (contradicted)" in result.why
     assert "dropout 0.2" not in result.why
     assert len(result.tables[0].rows) == len(VARIANTS)

@@ -8,10 +8,10 @@ import pytest
 
 from safety_harness_paper.intervals import Estimate, Paired, mean_of, share_of
 from safety_harness_paper.result import (
-    Claim,
-    Comparison,
-    State,
-    Word,
+    ClaimState,
+    FigureComparison,
+    PaperClaim,
+    PaperVerdict,
     above_zero,
     below_zero,
     estimate_words,
@@ -23,38 +23,38 @@ from safety_harness_paper.result import (
     within,
 )
 
-HOLDS = Claim("it falls", State.HOLDS, "")
-OTHER_WAY = Claim("it falls", State.CONTRADICTED, "")
-UNDECIDED = Claim("it falls", State.UNDECIDED, "")
+HOLDS = PaperClaim("it falls", ClaimState.HOLDS, "")
+OTHER_WAY = PaperClaim("it falls", ClaimState.CONTRADICTED, "")
+UNDECIDED = PaperClaim("it falls", ClaimState.UNDECIDED, "")
 OURS = mean_of([9.9, 10.0, 10.1, 10.0, 10.0])
 
 
-def figure(paper: float) -> Comparison:
-    return Comparison(label="a figure", ours=OURS, paper=paper)
+def figure(paper: float) -> FigureComparison:
+    return FigureComparison(label="a figure", ours=OURS, paper=paper)
 
 
 def test_claims_that_hold_and_figures_that_agree_are_reproduced() -> None:
     word, why = judge([HOLDS, HOLDS], [figure(10.0)] * 9 + [figure(20.0)])
-    assert word is Word.REPRODUCED
+    assert word is PaperVerdict.REPRODUCED
     assert why == "All 2 claims hold, and 9 of 10 figures agree."
 
 
 def test_claims_that_hold_without_the_figures_are_the_direction_only() -> None:
     word, why = judge([HOLDS], [figure(10.0)] * 8 + [figure(20.0)] * 2)
-    assert word is Word.DIRECTION_ONLY
+    assert word is PaperVerdict.DIRECTION_ONLY
     assert why == "The claim holds, but only 8 of 10 figures agree."
 
 
 @pytest.mark.parametrize("lost", [OTHER_WAY, UNDECIDED])
-def test_one_claim_that_does_not_hold_is_enough_against_it(lost: Claim) -> None:
+def test_one_claim_that_does_not_hold_is_enough_against_it(lost: PaperClaim) -> None:
     word, why = judge([HOLDS, lost], [figure(10.0)])
-    assert word is Word.NOT_REPRODUCED
+    assert word is PaperVerdict.NOT_REPRODUCED
     assert why.startswith(f"1 of 2 claims does not hold: it falls ({lost.state.value})")
     assert judge([lost], [])[1].startswith("The claim does not hold: it falls")
 
 
 def test_claims_without_figures_can_be_reproduced() -> None:
-    assert judge([HOLDS], [])[0] is Word.REPRODUCED
+    assert judge([HOLDS], [])[0] is PaperVerdict.REPRODUCED
 
 
 def test_without_a_claim_there_is_no_verdict() -> None:
@@ -72,51 +72,52 @@ def test_a_figure_agrees_within_a_tenth(paper: float, agrees: bool) -> None:
 def test_a_wide_prediction_interval_counts_up_to_a_quarter_and_no_further() -> None:
     wide = mean_of([6.0, 14.0, 10.0, 8.0, 12.0])
     assert wide.next_low < 5.0
-    assert Comparison(label="", ours=wide, paper=12.4).agrees is True
-    assert Comparison(label="", ours=wide, paper=12.6).agrees is False
+    assert FigureComparison(label="", ours=wide, paper=12.4).agrees is True
+    assert FigureComparison(label="", ours=wide, paper=12.6).agrees is False
     assert figure(12.4).agrees is False
 
 
 def test_a_single_training_agrees_only_when_it_is_close() -> None:
     one = mean_of([10.0])
-    assert Comparison(label="", ours=one, paper=12.0).agrees is True  # anything may be the next one
-    assert Comparison(label="", ours=one, paper=13.0).agrees is False
+    assert FigureComparison(label="", ours=one, paper=12.0).agrees is True  # anything may be the next one
+    assert FigureComparison(label="", ours=one, paper=13.0).agrees is False
 
 
 def test_a_count_agrees_if_ours_lies_in_its_own_interval() -> None:
     for share, agrees in ((0.05, True), (0.08, False)):
         ours = Estimate(value=share, low=share, high=share)
-        none = Comparison(label="", ours=ours, paper=0.0, scale=100.0, paper_ends=(0.0, 7.1))
+        none = FigureComparison(label="", ours=ours, paper=0.0, scale=100.0, paper_ends=(0.0, 7.1))
         assert none.agrees is agrees
 
 
 def test_what_is_not_compared_has_no_say() -> None:
-    silent = Comparison(label="", ours=OURS, paper=99.0, counts=False)
+    silent = FigureComparison(label="", ours=OURS, paper=99.0, counts=False)
     assert silent.agrees is None
-    assert judge([HOLDS], [silent])[0] is Word.REPRODUCED
-    assert Comparison(label="", ours=OURS).agrees is None
+    assert judge([HOLDS], [silent])[0] is PaperVerdict.REPRODUCED
+    assert FigureComparison(label="", ours=OURS).agrees is None
 
 
 @pytest.mark.parametrize(
     ("values", "below", "above"),
     [
-        ([-1.0, -1.1, -0.9], State.HOLDS, State.CONTRADICTED),
-        ([1.0, 1.1, 0.9], State.CONTRADICTED, State.HOLDS),
-        ([-1.0, 1.0, 0.5], State.UNDECIDED, State.UNDECIDED),
-        ([-1.0], State.UNDECIDED, State.UNDECIDED),
+        ([-1.0, -1.1, -0.9], ClaimState.HOLDS, ClaimState.CONTRADICTED),
+        ([1.0, 1.1, 0.9], ClaimState.CONTRADICTED, ClaimState.HOLDS),
+        ([-1.0, 1.0, 0.5], ClaimState.UNDECIDED, ClaimState.UNDECIDED),
+        ([-1.0], ClaimState.UNDECIDED, ClaimState.UNDECIDED),
     ],
 )
 def test_a_direction_is_decided_by_the_whole_interval(
-    values: list[float], below: State, above: State
+    values: list[float], below: ClaimState, above: ClaimState
 ) -> None:
     assert below_zero("", mean_of(values)).state is below
     assert above_zero("", mean_of(values)).state is above
 
 
 @pytest.mark.parametrize(
-    ("middle", "state"), [(0.0, State.HOLDS), (3.0, State.CONTRADICTED), (1.0, State.UNDECIDED)]
+    ("middle", "state"),
+    [(0.0, ClaimState.HOLDS), (3.0, ClaimState.CONTRADICTED), (1.0, ClaimState.UNDECIDED)],
 )
-def test_the_same_up_to_a_bound(middle: float, state: State) -> None:
+def test_the_same_up_to_a_bound(middle: float, state: ClaimState) -> None:
     difference = mean_of([middle - 0.1, middle, middle + 0.1])
     assert within("", difference, 1.0).state is state
 
@@ -124,13 +125,13 @@ def test_the_same_up_to_a_bound(middle: float, state: State) -> None:
 @pytest.mark.parametrize(
     ("pairs", "state"),
     [
-        (Paired(0, 22, 50), State.HOLDS),
-        (Paired(22, 0, 50), State.CONTRADICTED),
-        (Paired(0, 0, 50), State.UNDECIDED),
-        (Paired(2, 5, 50), State.UNDECIDED),
+        (Paired(0, 22, 50), ClaimState.HOLDS),
+        (Paired(22, 0, 50), ClaimState.CONTRADICTED),
+        (Paired(0, 0, 50), ClaimState.UNDECIDED),
+        (Paired(2, 5, 50), ClaimState.UNDECIDED),
     ],
 )
-def test_fewer_takes_an_exact_test(pairs: Paired, state: State) -> None:
+def test_fewer_takes_an_exact_test(pairs: Paired, state: ClaimState) -> None:
     claim = fewer("", "the one", "the other", pairs)
     assert claim.state is state
     assert (
@@ -139,14 +140,14 @@ def test_fewer_takes_an_exact_test(pairs: Paired, state: State) -> None:
 
 
 def test_one_exception_is_enough_against_every() -> None:
-    assert every("", 50, 50).state is State.HOLDS
-    assert every("", 49, 50).state is State.CONTRADICTED
+    assert every("", 50, 50).state is ClaimState.HOLDS
+    assert every("", 49, 50).state is ClaimState.CONTRADICTED
     with pytest.raises(ValueError, match="0 of 0"):
         every("", 0, 0)
 
 
 def test_most_is_decided_by_the_exact_interval() -> None:
-    for count, state in ((150, State.HOLDS), (104, State.UNDECIDED), (50, State.CONTRADICTED)):
+    for count, state in ((150, ClaimState.HOLDS), (104, ClaimState.UNDECIDED), (50, ClaimState.CONTRADICTED)):
         assert most("", share_of([k < count for k in range(200)])).state is state
 
 

@@ -6,14 +6,14 @@ import made_up
 import pytest
 
 from safety_harness_paper import figure6, figure7, figure8, table1, table2, table3, table4, table5
-from safety_harness_paper.result import Result, State, Word
+from safety_harness_paper.result import ClaimState, PaperVerdict, Result
 from safety_harness_paper.scale import DEFAULT
 
-REPRODUCED, DIRECTION, NOT = Word.REPRODUCED, Word.DIRECTION_ONLY, Word.NOT_REPRODUCED
+REPRODUCED, DIRECTION, NOT = PaperVerdict.REPRODUCED, PaperVerdict.DIRECTION_ONLY, PaperVerdict.NOT_REPRODUCED
 
 
 def lost(result: Result) -> list[str]:
-    return [claim.sentence for claim in result.claims if claim.state is not State.HOLDS]
+    return [claim.sentence for claim in result.claims if claim.state is not ClaimState.HOLDS]
 
 
 def test_table_1_from_the_papers_own_figures_is_reproduced() -> None:
@@ -67,14 +67,14 @@ def test_table_3_has_the_seen_row_the_ensemble_and_the_floor_beside_the_papers()
     ("dnn", "bayesian", "word"),
     [(22, 0, REPRODUCED), (8, 0, DIRECTION), (0, 0, NOT), (3, 9, NOT), (22, 21, NOT)],
 )
-def test_table_4_in_all_three_words(dnn: int, bayesian: int, word: Word) -> None:
+def test_table_4_in_all_three_words(dnn: int, bayesian: int, word: PaperVerdict) -> None:
     assert table4.result(DEFAULT, made_up.reaches(dnn=dnn, bayesian=bayesian)).word is word
 
 
 def test_one_training_that_fails_is_no_evidence_about_trainings() -> None:
     found = made_up.reaches(dnn=0) | {"reach 4": made_up.reaches(dnn=22)["reach 4"]}
     result = table4.result(DEFAULT, found)
-    assert [claim.state for claim in result.claims] == [State.HOLDS, State.UNDECIDED]
+    assert [claim.state for claim in result.claims] == [ClaimState.HOLDS, ClaimState.UNDECIDED]
     assert result.word is NOT
 
 
@@ -89,7 +89,7 @@ def test_table_4_counts_exactly() -> None:
     ("bayesian", "opposite", "word"),
     [(201.3, 869.28, REPRODUCED), (100.0, 180.0, DIRECTION), (180.0, 100.0, NOT), (180.0, 180.0, NOT)],
 )
-def test_table_5_in_all_three_words(bayesian: float, opposite: float, word: Word) -> None:
+def test_table_5_in_all_three_words(bayesian: float, opposite: float, word: PaperVerdict) -> None:
     assert table5.result(DEFAULT, made_up.trials(bayesian=bayesian, opposite=opposite)).word is word
 
 
@@ -140,4 +140,4 @@ def test_nothing_that_converged_is_no_verdict_for_either() -> None:
             system["iterations"] = [None] * len(system["iterations"])
             system["fates"] = ["never"] * len(system["fates"])
     result = table5.result(DEFAULT, found)
-    assert (result.word, [claim.state for claim in result.claims]) == (NOT, [State.UNDECIDED])
+    assert (result.word, [claim.state for claim in result.claims]) == (NOT, [ClaimState.UNDECIDED])

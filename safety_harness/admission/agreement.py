@@ -19,7 +19,7 @@ FORMAT = "safety-harness agreement 1"
 
 
 @dataclass(frozen=True)
-class Difference:
+class LargestDifference:
     """The largest difference of one quantity between the two worlds, and the scenario in which it was."""
 
     what: str  # with its unit
@@ -46,7 +46,7 @@ class Agreement:
     agreed_near: int
     optimistic: tuple[str, ...]
     disagreements: tuple[str, ...]
-    differences: tuple[Difference, ...]
+    differences: tuple[LargestDifference, ...]
     left_out: tuple[str, ...]
 
     @property
@@ -83,7 +83,7 @@ def from_json(text: str) -> Agreement:
         if read["format"] != FORMAT:
             raise ValueError(f"expected {FORMAT!r}, got {read['format']!r}")
         del read["format"]
-        read["differences"] = [Difference(**one) for one in read["differences"]]
+        read["differences"] = [LargestDifference(**one) for one in read["differences"]]
         fields: dict[str, Any] = {
             name: tuple(one) if isinstance(one, list) else one for name, one in read.items()
         }

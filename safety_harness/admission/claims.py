@@ -11,7 +11,7 @@ from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.parse import looks_like_formula, parse_formula
 from safety_harness.properties.base import Property
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Claim, Scenario
 
 
@@ -41,7 +41,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
 
 
 @lru_cache(maxsize=256)  # the scenarios of a space claim the same
-def _entry_of(sentence: str) -> tuple[Entry, re.Match[str]] | None:
+def _entry_of(sentence: str) -> tuple[CatalogueEntry, re.Match[str]] | None:
     """Which entry of the catalogue a sentence is, and its parts."""
     for entry in CATALOGUE:
         match = entry.understands(sentence)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.avoidance.asking import Elsewhere
+from safety_harness.avoidance.asking import OutOfProcessAvoider
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.batches import takes_many
 from safety_harness.controller.controller import Controller
@@ -59,7 +59,7 @@ def run_many(scenarios: Iterable[Admitted], *, ticks_at_once: int = TICKS_AT_ONC
 
 def slower_because(avoider: Avoider) -> str:
     """What keeps ``run_many`` from asking an avoider for all decisions at once; empty if nothing does."""
-    if avoider.takes_many if isinstance(avoider, Elsewhere) else takes_many(avoider):
+    if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
         return ""
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 

@@ -19,7 +19,7 @@ from safety_harness.exceptions import InadmissibleError, InputError, ModelError
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
-HOPELESS = 200  # draws of which not one was admitted; later, of which less than one in as many was
+MAX_REJECTION_RATIO = 200  # draws of which not one was admitted; later, of which less than one in as many was
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def draw_admissible(
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
-        if drawn >= HOPELESS * (len(scenarios) + 1):
+        if drawn >= MAX_REJECTION_RATIO * (len(scenarios) + 1):
             assert last is not None
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
@@ -110,7 +110,7 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
     simplest = space.simplest
     return InadmissibleError(
         place=simplest.place(reason.partition(":")[0]),
-        expected=f"a space of which at least one draw in {HOPELESS} can be tried",
+        expected=f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried",
         got=f"{admitted} of {drawn} draws",
         hint=f"{count} times it was {reason}",
     )

@@ -9,7 +9,7 @@ from safety_harness.avoidance.avoider import Proposal, Vector
 
 
 @dataclass(frozen=True, eq=False)
-class Asked(AvoiderAround):
+class DelayedQuery(AvoiderAround):
     """Answers the question that was asked earlier, whatever it is asked now."""
 
     hand_position_in_base_m: Vector

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from safety_harness.avoidance.asked import Asked
+from safety_harness.avoidance.asked import DelayedQuery
 from safety_harness.avoidance.avoider import (
     Avoider,
     Proposal,
@@ -33,7 +33,7 @@ from safety_harness.exceptions import AvoiderError, NoAnswerError
 from safety_harness.settings import DEFAULTS
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
-NOWHERE = Proposal(np.full(3, np.nan), np.full(3, np.nan))
+NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Answer:
     decision deadline, and is not asked for.
     """
 
-    proposal: Proposal = field(default=NOWHERE)
+    proposal: Proposal = field(default=NAN_PROPOSAL)
     spread_threshold_m: float = np.nan
     fault: str = ""
     late: bool = False
@@ -60,7 +60,7 @@ class Question(NamedTuple):
     limit_s: float
 
 
-class Elsewhere(ABC):
+class OutOfProcessAvoider(ABC):
     """An avoider in another process, which keeps the wall limit itself."""
 
     takes_many: bool  # in one call
@@ -92,7 +92,7 @@ def ask(
     interrupted then, anything else in this process is waited for.
     """
     one, hand, tcp = addressed(avoider, hand_position_in_base_m, tcp_position_in_base_m)
-    if isinstance(one, Elsewhere):
+    if isinstance(one, OutOfProcessAvoider):
         return one.answers([Question(hand, tcp, seed, limit_s)], together=False)[0]
     begun_s = time.perf_counter()
     with interrupted_after(limit_s, avoider.name):
@@ -102,7 +102,7 @@ def ask(
 
 def addressed(avoider: Avoider, hand: Vector, tcp: Vector) -> tuple[Avoider, Vector, Vector]:
     """Who is asked, and of which hand and TCP, where a fault has the answer to an earlier question count."""
-    if isinstance(avoider, Asked):
+    if isinstance(avoider, DelayedQuery):
         return avoider.avoider, avoider.hand_position_in_base_m, avoider.tcp_position_in_base_m
     return avoider, hand, tcp
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from safety_harness.avoidance.asking import Answer, Elsewhere, Question, addressed
+from safety_harness.avoidance.asking import Answer, OutOfProcessAvoider, Question, addressed
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.batches import answers_together, takes_many
 from safety_harness.avoidance.gate import Query, answer_to
@@ -21,7 +21,7 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
     together: dict[int, tuple[Avoider, list[tuple[int, Question]]]] = {}
     for k, (avoider, query) in enumerate(zip(avoiders, queries, strict=True)):
         one, hand, tcp = addressed(avoider, query.hand_position_in_base_m, query.tcp_position_in_base_m)
-        if (takes_many(one) or isinstance(one, Elsewhere)) and not query.late:
+        if (takes_many(one) or isinstance(one, OutOfProcessAvoider)) and not query.late:
             question = Question(hand, tcp, query.seed, query.limit_s)
             together.setdefault(id(one), (one, []))[1].append((k, question))
         else:
@@ -35,6 +35,6 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
 
 def _answers(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
     """To all of them; none where they have to be asked in turn."""
-    if isinstance(avoider, Elsewhere):
+    if isinstance(avoider, OutOfProcessAvoider):
         return avoider.answers(questions, together=True)
     return answers_together(avoider, questions) if takes_many(avoider) else []

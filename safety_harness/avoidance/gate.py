@@ -12,14 +12,14 @@ from math import ceil
 
 import numpy as np
 
-from safety_harness.avoidance.asking import NOWHERE, WALL_LIMIT_S, Answer, ask
+from safety_harness.avoidance.asking import NAN_PROPOSAL, WALL_LIMIT_S, Answer, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import GateKind, Settings
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 
 REACH_MARGIN_M = 0.010  # how far beyond the position the straight way must go on being reachable
 OWN_CLEARANCE_M = 0.020  # how near the wrist's capsules may come to those of base, shoulder and upper arm
@@ -44,14 +44,14 @@ class Query:
 
 
 @dataclass(frozen=True, eq=False)
-class Ruling:
+class GateDecision:
     """What the gate decided, and on what grounds.  Positions are NaN where there is none.
 
     ``fault`` says why the avoider gave no usable answer; it is empty if it gave one.
     ``latency_s`` is how long it took, on the wall's clock.
     """
 
-    outcome: Outcome
+    outcome: DecisionOutcome
     chosen_position_in_base_m: Vector
     proposed: Proposal
     opposite: Proposal
@@ -87,21 +87,21 @@ class Gate:
             capsules=load_capsules(kinematics.arm.name),
         )
 
-    def rule(self, avoider: Avoider, query: Query) -> Ruling:
+    def rule(self, avoider: Avoider, query: Query) -> GateDecision:
         """Ask the avoider, then ``rule_on`` its answer."""
         return self.rule_on(answer_to(avoider, query), query)
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """Check the avoider's answer, fall back to the opposite pose, else stop."""
         opposite = answer_to(self.fallback, replace(query, late=""))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:
-            outcome, chosen = Outcome.PROPOSED, proposed.proposal
+            outcome, chosen = DecisionOutcome.PROPOSED, proposed.proposal
         elif not opposite_failed:
-            outcome, chosen = Outcome.OPPOSITE, opposite.proposal
+            outcome, chosen = DecisionOutcome.OPPOSITE, opposite.proposal
         else:
-            outcome, chosen = Outcome.STOP, NOWHERE
-        return Ruling(
+            outcome, chosen = DecisionOutcome.STOP, NAN_PROPOSAL
+        return GateDecision(
             outcome,
             chosen.position_in_base_m,
             proposed.proposal,

@@ -13,7 +13,7 @@ from safety_harness.exceptions import ModelError, Place
 
 
 @dataclass(frozen=True)
-class Bounds:
+class NumberRange:
     """What a number may be: finite, within [low, high], and not ``low`` itself if ``open``."""
 
     low: float = -inf
@@ -32,9 +32,9 @@ class Bounds:
         return " ".join(parts)
 
 
-ANY = Bounds()
-POSITIVE = Bounds(low=0.0, open=True)
-NOT_NEGATIVE = Bounds(low=0.0)
+ANY = NumberRange()
+POSITIVE = NumberRange(low=0.0, open=True)
+NOT_NEGATIVE = NumberRange(low=0.0)
 
 
 def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
@@ -42,7 +42,7 @@ def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = ""
     raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
-class Fields:
+class JsonFields:
     """The fields of a JSON object; a name with a dot means a field of an object in it."""
 
     def __init__(self, path: Path, text: str) -> None:
@@ -99,11 +99,11 @@ class Fields:
             self.refuse(name, f"a whole number, {some}", value)
         return value
 
-    def number(self, name: str, bounds: Bounds = ANY) -> float:
+    def number(self, name: str, bounds: NumberRange = ANY) -> float:
         """A number within ``bounds``."""
         return self._checked(name, self.get(name), bounds)
 
-    def vector(self, name: str, length: int, bounds: Bounds = ANY) -> tuple[float, ...]:
+    def vector(self, name: str, length: int, bounds: NumberRange = ANY) -> tuple[float, ...]:
         """``length`` numbers, each within ``bounds``."""
         value = self.get(name)
         if not isinstance(value, list) or len(value) != length:
@@ -116,7 +116,7 @@ class Fields:
             if key not in known:
                 self.refuse(name, "only fields of this format: " + ", ".join(known), key)
 
-    def _checked(self, name: str, value: object, bounds: Bounds) -> float:
+    def _checked(self, name: str, value: object, bounds: NumberRange) -> float:
         try:
             if isinstance(value, int | float) and not isinstance(value, bool) and float(value) in bounds:
                 return float(value)

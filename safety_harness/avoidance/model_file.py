@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, deserialize
 from safetensors.numpy import save
 
-from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, Bounds, Fields, refuse
+from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, JsonFields, NumberRange, refuse
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
@@ -214,7 +214,7 @@ def _parse(data: bytes, path: Path) -> Model:
     text = (header.get("__metadata__") or {}).get(KEY)
     if text is None:
         refuse(path, KEY, "the metadata of a model of this package", "none")
-    fields = Fields(path, text)
+    fields = JsonFields(path, text)
     for name, only in (("format", FORMAT), ("kind", KIND)):
         fields.one_of(name, (only,))
     for name, size in (("width", WIDTH), ("stages", STAGES), ("blocks", BLOCKS)):
@@ -225,7 +225,9 @@ def _parse(data: bytes, path: Path) -> Model:
     members = fields.whole("members", 1, 1 if drops else MOST_MEMBERS)
     model = Model(
         dropout=dropout,
-        dropout_probability=fields.number("dropout_probability", Bounds(0.0, LARGEST_DROPOUT, open=drops)),
+        dropout_probability=fields.number(
+            "dropout_probability", NumberRange(0.0, LARGEST_DROPOUT, open=drops)
+        ),
         members=members,
         passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
         input_mean=fields.vector("input_mean", INPUTS - 1),
@@ -242,12 +244,12 @@ def _parse(data: bytes, path: Path) -> Model:
     return model
 
 
-def seen_of(fields: Fields) -> SeenSpace:
+def seen_of(fields: JsonFields) -> SeenSpace:
     """The seen space in a model's metadata."""
     corners: dict[str, Vector3] = {}
     for name in ("hand", "tcp"):
         for corner in (f"{name}_low_m", f"{name}_high_m"):
-            x, y, z = fields.vector(f"seen.{corner}", 3, Bounds(-FARTHEST_M, FARTHEST_M))
+            x, y, z = fields.vector(f"seen.{corner}", 3, NumberRange(-FARTHEST_M, FARTHEST_M))
             corners[corner] = x, y, z
         low, high = corners[f"{name}_low_m"], corners[f"{name}_high_m"]
         if not all(a < b for a, b in zip(low, high, strict=True)):
@@ -256,7 +258,7 @@ def seen_of(fields: Fields) -> SeenSpace:
     return SeenSpace(**corners)
 
 
-def calibration_of(fields: Fields) -> Calibration | None:
+def calibration_of(fields: JsonFields) -> Calibration | None:
     """The calibration in a model's metadata, if there is one."""
     if fields.get("calibration") is None:
         return None
@@ -272,10 +274,10 @@ def calibration_of(fields: Fields) -> Calibration | None:
     return replace(calibration, more={key: value for key, value in more.items() if key not in own})
 
 
-def card_time_of(fields: Fields) -> float:
+def card_time_of(fields: JsonFields) -> float:
     """What the card in a model's metadata declares that a decision costs [s]; 0 where it does not."""
     name = f"card.{CARD_TIME}"
-    return fields.number(name, Bounds(0.0, LONGEST_S)) if name in fields else 0.0
+    return fields.number(name, NumberRange(0.0, LONGEST_S)) if name in fields else 0.0
 
 
 def _tensors(

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector, described
 from safety_harness.avoidance.folding import PLACES
-from safety_harness.avoidance.json_fields import Bounds, Fields, refuse
+from safety_harness.avoidance.json_fields import JsonFields, NumberRange, refuse
 from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import (
     CARD_TIME,
@@ -69,14 +69,14 @@ class Exported:
     @classmethod
     def of(cls, path: Path, text: str) -> Exported:
         """From their JSON; ModelError for the first field that is wrong."""
-        fields = Fields(path, text)
+        fields = JsonFields(path, text)
         fields.one_of("format", (EXPORT_FORMAT,))
         dropout = Dropout(fields.one_of("dropout", [one.value for one in Dropout]))
         drops = dropout is not Dropout.NONE
         calibration = calibration_of(fields)
         return cls(
             dropout=dropout,
-            probability=fields.number("dropout_probability", Bounds(0.0, LARGEST_DROPOUT, open=drops)),
+            probability=fields.number("dropout_probability", NumberRange(0.0, LARGEST_DROPOUT, open=drops)),
             passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
             seen=seen_of(fields),
             spread_threshold_m=None if calibration is None else calibration.spread_threshold_m,

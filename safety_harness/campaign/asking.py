@@ -21,7 +21,7 @@ from safety_harness.scenario.units import (
     near_miss,
     parse_quantity,
 )
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 _DIMENSIONS = {
     Unit.LENGTH: LENGTH,
@@ -56,7 +56,7 @@ def question_of(
     if claim is not None:
         filters.append(("claim = ?", _meant(declared.claims, claim, "--claim")))
     if outcome is not None:
-        names = tuple(one.name.lower() for one in Outcome)
+        names = tuple(one.name.lower() for one in EpisodeOutcome)
         filters.append(("outcome = ?", _meant(names, outcome, "--outcome")))
     if below is not None:
         units = {

@@ -28,7 +28,7 @@ from typing import Any
 
 from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.files import PlanFile, unpacked
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import Plan
@@ -78,14 +78,14 @@ def run_chunk(shipment: Shipment, chunk: Chunk) -> list[Row] | Mistake | Unable:
         return Unable(described(error))
 
 
-def _bench(shipment: Shipment) -> Bench:
+def _bench(shipment: Shipment) -> EpisodeRunner:
     """Made once for a plan; its files stay until the thread ends or takes up another plan."""
     if getattr(_OF_THREAD, "plan", "") != shipment.identity.sha256:
         _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
         file = unpacked(shipment.files, Path(_OF_THREAD.folder.name))
         _OF_THREAD.bench = PlanFromFile(file, shipment.identity)()
         _OF_THREAD.plan = shipment.identity.sha256
-    bench: Bench = _OF_THREAD.bench
+    bench: EpisodeRunner = _OF_THREAD.bench
     return bench
 
 
@@ -101,7 +101,7 @@ class _Task:
 
 @dataclass(eq=False)
 class DaskCrew:
-    """A Crew of the workers of a Dask scheduler; ``address`` is tcp://... or the path of a scheduler file.
+    """A WorkerPool of a Dask scheduler's workers; ``address`` is tcp://... or a scheduler file's path.
 
     A chunk that takes too long is lost, and the worker that has it is restarted.  InputError if there is no
     such scheduler.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
-from safety_harness.statistics.paired import Comparison, compare
+from safety_harness.statistics.paired import PairedComparison, compare
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Worse:
     after: float | None
 
 
-def compare_ledgers(first: Ledger, second: Ledger) -> tuple[Comparison, ...]:
+def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ...]:
     """For each claim and stratum that both have: second minus first, exactly, at the first's confidence.
 
     The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,

@@ -42,7 +42,7 @@ class Lost:
 Event = Arrived | Lost
 
 
-class Crew(Protocol):
+class WorkerPool(Protocol):
     """Workers.  ``give`` while ``free``, then ``take``."""
 
     @property
@@ -77,7 +77,7 @@ class Crew(Protocol):
 
 
 class RunsEpisodes(Protocol):
-    """What a worker has: ``Bench``, or another in its place."""
+    """What a worker has: ``EpisodeRunner``, or another in its place."""
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
         """A row for each, in their order."""

@@ -17,11 +17,11 @@ from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.kinematic import run_many
-from safety_harness.admission.spaces import HOPELESS, why_refused
+from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.plan import Plan, PlannedWorld
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.exceptions import CampaignError, InputError
 from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
@@ -30,10 +30,10 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.coverage import cell_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import Check
-from safety_harness.trace.records import Outcome as Decided
+from safety_harness.trace.records import DecisionOutcome as Decided
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
@@ -64,7 +64,7 @@ class Drawn:
 
 
 @dataclass(eq=False)
-class Bench:
+class EpisodeRunner:
     """Runs a plan's episodes in this process.
 
     Avoiders of files are made once: one that remembers earlier runs gives episodes that are not independent,
@@ -108,15 +108,15 @@ class Bench:
         """The first draw that admission lets through; after HOPELESS refusals a row that says so."""
         seed = root_seed(self.plan, stratum, episode)
         refused: Counter[str] = Counter()
-        for k in range(HOPELESS):
+        for k in range(MAX_REJECTION_RATIO):
             try:
                 scenario = self.scenario(stratum, episode, k)
                 return Drawn(episode, seed, k + 1, self._admit(scenario))
             except InputError as error:
                 refused[why_refused(error)] += 1
         reason, count = refused.most_common(1)[0]
-        failure = f"none of {HOPELESS} draws can be tried; {count} times: {reason}"
-        return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=HOPELESS)
+        failure = f"none of {MAX_REJECTION_RATIO} draws can be tried; {count} times: {reason}"
+        return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=MAX_REJECTION_RATIO)
 
     def _admit(self, scenario: Scenario) -> Admitted:
         if not self.programs and is_executed(scenario.avoider):
@@ -216,24 +216,24 @@ def why_broken(trace: Trace) -> str:
     return ""
 
 
-def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> Judgement:
+def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
     """The outcome for estimates.
 
     Only a whole run in which the claim was not put to the test says nothing of it; one that is broken counts
     as a violation in upper bounds, whatever it would have shown.
     """
     if evaluation.verdict is Verdict.VIOLATED:
-        outcome = Outcome.VIOLATED
+        outcome = EpisodeOutcome.VIOLATED
     elif broken and not trace.complete:
-        outcome = Outcome.FAILED
+        outcome = EpisodeOutcome.FAILED
     elif evaluation.verdict is Verdict.HOLDS:
-        outcome = Outcome.HOLDS
+        outcome = EpisodeOutcome.HOLDS
     elif evaluation.exercised or broken:
-        outcome = Outcome.INCONCLUSIVE
+        outcome = EpisodeOutcome.INCONCLUSIVE
     else:
-        outcome = Outcome.UNTESTED
+        outcome = EpisodeOutcome.UNTESTED
     margin, worst_s = evaluation.margin, evaluation.worst_time_s
-    return Judgement(
+    return ClaimJudgement(
         outcome,
         np.nan if margin is None else float(margin),
         np.nan if worst_s is None else float(worst_s),

@@ -10,7 +10,7 @@ from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.exceptions import OutputError, Place, ScenarioError
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.whole_file import replacing
 
 # Name, where it is, and its type in Parquet.
@@ -80,7 +80,7 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
 
 
 def _lines(ledger: Ledger) -> Iterator[list[Any]]:
-    words = {int(outcome): outcome.name.lower() for outcome in Outcome}
+    words = {int(outcome): outcome.name.lower() for outcome in EpisodeOutcome}
     for row in ledger.all(_QUESTION):
         line = list(row)
         line[_OUTCOME] = words[line[_OUTCOME]]

@@ -19,7 +19,7 @@ from multiprocessing.context import ForkServerProcess
 from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost, MakesBench
 from safety_harness.campaign.pool import one_thread_each
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.worker import Done, Mistake, Ready, resident_bytes, work
+from safety_harness.campaign.worker import ChunkDone, Mistake, Ready, resident_bytes, work
 from safety_harness.exceptions import CampaignError, InputError
 
 _MOST_FALSE_STARTS = 10
@@ -65,7 +65,7 @@ class _Worker:
 
 @dataclass(eq=False)
 class Processes:
-    """A Crew of ``size`` processes, each with a bench that ``make`` makes."""
+    """A WorkerPool of ``size`` processes, each with a bench that ``make`` makes."""
 
     make: MakesBench
     size: int
@@ -155,7 +155,7 @@ class Processes:
                         self._send(worker, worker.chunk)
                 elif isinstance(message, Row):
                     rows.append(message)
-                elif isinstance(message, Done) and worker.chunk is not None:
+                elif isinstance(message, ChunkDone) and worker.chunk is not None:
                     events.append(Arrived(worker.chunk, tuple(rows), last=True))
                     self._finish_chunk(worker, message)
                     return  # it has nothing more to say, and may be another by now
@@ -167,7 +167,7 @@ class Processes:
         if rows and worker.chunk is not None:
             events.append(Arrived(worker.chunk, tuple(rows), last=False))
 
-    def _finish_chunk(self, worker: _Worker, done: Done) -> None:
+    def _finish_chunk(self, worker: _Worker, done: ChunkDone) -> None:
         assert worker.chunk is not None
         worker.rows += len(worker.chunk.episodes)
         worker.chunks += 1

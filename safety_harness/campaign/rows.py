@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 
 @dataclass(frozen=True)
-class Judgement:
+class ClaimJudgement:
     """One claim's word on one episode; the margin is SI, NaN where there is none."""
 
-    outcome: Outcome
+    outcome: EpisodeOutcome
     margin: float = math.nan
     worst_time_s: float = math.nan
     exercised: int = 0
@@ -31,7 +31,7 @@ class Row:
     stratum: int  # its place in the plan
     episode: int
     seed: int
-    judgements: tuple[Judgement, ...]
+    judgements: tuple[ClaimJudgement, ...]
     draws: int = 0
     decisions: int = 0
     proposed: int = 0
@@ -49,14 +49,14 @@ class Row:
     @property
     def violates(self) -> bool:
         """Any of the claims?"""
-        return any(judgement.outcome is Outcome.VIOLATED for judgement in self.judgements)
+        return any(judgement.outcome is EpisodeOutcome.VIOLATED for judgement in self.judgements)
 
     @classmethod
     def failed(
         cls, stratum: int, episode: int, seed: int, claims: int, failure: str, *, draws: int = 0
     ) -> Row:
         """An episode that could not be run, which counts for none of the claims."""
-        judgements = (Judgement(Outcome.FAILED),) * claims
+        judgements = (ClaimJudgement(EpisodeOutcome.FAILED),) * claims
         return cls(
             stratum=stratum, episode=episode, seed=seed, judgements=judgements, draws=draws, failure=failure
         )

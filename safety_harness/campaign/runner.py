@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 
-from safety_harness.campaign.crew import Arrived, Chunk, Crew, Lost
+from safety_harness.campaign.crew import Arrived, Chunk, Lost, WorkerPool
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedWorld
 from safety_harness.campaign.rows import Row
 from safety_harness.campaign.stopping import Stopping
 from safety_harness.campaign.summary import tally_of
-from safety_harness.campaign.tally import Tally
+from safety_harness.campaign.tally import CampaignTally
 
 ATTEMPTS = 3
 CHUNK_S = 1.0  # of work, so that what it costs to hand it over and to commit is little beside it
@@ -32,10 +32,10 @@ _COMMIT_S = 0.2  # rows that come one by one are committed together
 
 
 @dataclass(frozen=True)
-class Progress:
+class RunnerProgress:
     """What one watches: the tally, episodes a second in this session, and what went wrong."""
 
-    tally: Tally
+    tally: CampaignTally
     done_now: int
     seconds: float
     retried: int
@@ -57,9 +57,9 @@ class Progress:
 def run_campaign(
     plan: Plan,
     ledger: Ledger,
-    crew: Crew,
+    crew: WorkerPool,
     *,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
+    on_progress: Callable[[RunnerProgress], None] = lambda progress: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
 ) -> bool:
@@ -67,8 +67,8 @@ def run_campaign(
 
     ``enough`` is asked in between: once it is true, chunks under way are finished and no more begun.
     ``part`` (k, n) takes every n-th episode only, from k on: for machines that share nothing but the plan.
-    InputError and CampaignError as for ``Crew.take``, OutputError for a ledger that takes no more; every
-    episode that was finished before is in it.
+    InputError and CampaignError as for ``WorkerPool.take``, OutputError for a ledger that takes no more; it
+    has every episode that was finished before.
     """
     runner = _Runner(plan, ledger, crew, on_progress, part)
     try:
@@ -82,8 +82,8 @@ def run_campaign(
 class _Runner:
     plan: Plan
     ledger: Ledger
-    crew: Crew
-    on_progress: Callable[[Progress], None]
+    crew: WorkerPool
+    on_progress: Callable[[RunnerProgress], None]
     part: tuple[int, int]
     _out: dict[Chunk, set[int]] = field(default_factory=dict)  # episodes of which nothing has come yet
     _again: deque[Chunk] = field(default_factory=deque)
@@ -211,7 +211,7 @@ class _Runner:
                 random = random_episodes(self.plan, stratum)
                 self.ledger.drop_traces(stratum, [one for one in surplus if one not in random])
 
-    def _progress(self) -> Progress:
+    def _progress(self) -> RunnerProgress:
         seconds = time.monotonic() - self._begun_s
         crew = self.crew
-        return Progress(self.tally, self._done, seconds, self._retried, crew.replaced, crew.size)
+        return RunnerProgress(self.tally, self._done, seconds, self._retried, crew.replaced, crew.size)

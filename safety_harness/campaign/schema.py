@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sqlite3
 
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
 VERSION = 1
 
-_OUTCOME = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in Outcome)
+_OUTCOME = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
 
 _TABLES = f"""
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -38,7 +38,7 @@ CREATE TABLE judgement (
     outcome INTEGER NOT NULL, margin REAL, worst_time_s REAL, exercised INTEGER NOT NULL,
     PRIMARY KEY (stratum, claim, episode)
 ) WITHOUT ROWID;
-CREATE INDEX violation ON judgement (stratum, claim, episode) WHERE outcome = {int(Outcome.VIOLATED)};
+CREATE INDEX violation ON judgement (stratum, claim, episode) WHERE outcome = {int(EpisodeOutcome.VIOLATED)};
 CREATE TABLE trace (
     stratum INTEGER NOT NULL, episode INTEGER NOT NULL, violation INTEGER NOT NULL, data BLOB NOT NULL,
     PRIMARY KEY (stratum, episode)

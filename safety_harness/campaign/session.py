@@ -11,17 +11,17 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
-from safety_harness.campaign.crew import Crew
+from safety_harness.campaign.crew import WorkerPool
 from safety_harness.campaign.files import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
 from safety_harness.campaign.processes import LIMITS, Limits, Processes
-from safety_harness.campaign.runner import Progress, run_campaign
+from safety_harness.campaign.runner import RunnerProgress, run_campaign
 from safety_harness.campaign.worker import PlanFromFile
 
 LEDGER = "ledger.sqlite"
-MakesCrew = Callable[[Plan], Crew]
+MakesCrew = Callable[[Plan], WorkerPool]
 
 
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
@@ -35,7 +35,7 @@ def carry_on(
     path: Path,
     make_crew: MakesCrew,
     *,
-    on_progress: Callable[[Progress], None] = lambda progress: None,
+    on_progress: Callable[[RunnerProgress], None] = lambda progress: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
 ) -> bool:

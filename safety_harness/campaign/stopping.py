@@ -10,12 +10,12 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
 from safety_harness.statistics.binomial import chance_of_each, ends_of
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
 EVERY = 50  # episodes between looks
 
-_Outcomes = tuple[Outcome, ...]  # of an episode, by claim
+_Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
 
 class Stopping:
@@ -30,7 +30,7 @@ class Stopping:
         self._active = plan.stop_early and None not in self._targets
         self._chance = chance_of_each(plan.confidence, ends_of(len(plan.claims), len(plan.strata)))
         count = len(plan.strata)
-        self._counts = np.zeros((count, len(plan.claims), len(Outcome)), np.int64)
+        self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
         self._decided: dict[int, int] = {}
@@ -55,7 +55,7 @@ class Stopping:
     def _read(self, ledger: Ledger, stratum: int) -> None:
         columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
         for k, episode in enumerate(columns[0][0].tolist()):
-            self._ahead[stratum][episode] = tuple(Outcome(int(codes[k])) for _, codes, _ in columns)
+            self._ahead[stratum][episode] = tuple(EpisodeOutcome(int(codes[k])) for _, codes, _ in columns)
         self._advance(stratum)
 
     def _advance(self, stratum: int) -> None:
@@ -70,9 +70,9 @@ class Stopping:
     def _is_decided(self, stratum: int) -> bool:
         for target, counts in zip(self._targets, self._counts[stratum], strict=True):
             assert target is not None
-            trials = int(counts.sum() - counts[Outcome.UNTESTED])
-            surely = int(counts[Outcome.VIOLATED])
-            perhaps = surely + int(counts[Outcome.INCONCLUSIVE] + counts[Outcome.FAILED])
+            trials = int(counts.sum() - counts[EpisodeOutcome.UNTESTED])
+            surely = int(counts[EpisodeOutcome.VIOLATED])
+            perhaps = surely + int(counts[EpisodeOutcome.INCONCLUSIVE] + counts[EpisodeOutcome.FAILED])
             shown = anytime_upper(perhaps, trials, self._chance) <= target
             if not trials or not (shown or anytime_lower(surely, trials, self._chance) > target):
                 return False

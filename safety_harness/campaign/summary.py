@@ -7,13 +7,14 @@ import math
 from dataclasses import dataclass
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.tally import ClaimTally, StratumTally, Tally
+from safety_harness.campaign.tally import CampaignTally, ClaimCounts, StratumTally
 from safety_harness.properties.answered import fallback_words
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 _COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
 _FAILED = (
-    f"SELECT stratum, count(DISTINCT episode) FROM judgement WHERE outcome = {int(Outcome.FAILED)} GROUP BY 1"
+    "SELECT stratum, count(DISTINCT episode) FROM judgement "
+    f"WHERE outcome = {int(EpisodeOutcome.FAILED)} GROUP BY 1"
 )
 # Everything that is the same wherever an episode runs, in an order that is.
 _SAME = (
@@ -26,20 +27,20 @@ _SAME = (
 )
 
 
-def tally_of(ledger: Ledger) -> Tally:
+def tally_of(ledger: Ledger) -> CampaignTally:
     """Counts and worst margins of what is there now."""
     declared = ledger.declared
-    strata = [StratumTally(planned, [ClaimTally() for _ in declared.claims]) for planned in declared.planned]
+    strata = [StratumTally(planned, [ClaimCounts() for _ in declared.claims]) for planned in declared.planned]
     for stratum, done in ledger.all("SELECT stratum, count(*) FROM episode GROUP BY stratum"):
         strata[stratum].done = done
     for stratum, after in ledger.all("SELECT id, stopped_after FROM stratum"):
         strata[stratum].stopped_after = after
     for stratum, claim, outcome, count, margin, episode in ledger.all(_COUNTS):
         least = math.nan if margin is None else margin
-        strata[stratum].claims[claim].add(Outcome(outcome), least, episode, count)
+        strata[stratum].claims[claim].add(EpisodeOutcome(outcome), least, episode, count)
     for stratum, count in ledger.all(_FAILED):
         strata[stratum].failed = count
-    return Tally(strata)
+    return CampaignTally(strata)
 
 
 @dataclass(frozen=True)

@@ -6,21 +6,21 @@ import math
 from dataclasses import dataclass, field
 
 from safety_harness.campaign.rows import Row
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 
 @dataclass
-class ClaimTally:
+class ClaimCounts:
     """One claim in one stratum: episodes by outcome, and the least margin (SI) with its episode."""
 
-    counts: dict[Outcome, int] = field(default_factory=lambda: dict.fromkeys(Outcome, 0))
+    counts: dict[EpisodeOutcome, int] = field(default_factory=lambda: dict.fromkeys(EpisodeOutcome, 0))
     worst: float = math.nan
     worst_episode: int = -1
 
-    def add(self, outcome: Outcome, margin: float, episode: int, times: int = 1) -> None:
+    def add(self, outcome: EpisodeOutcome, margin: float, episode: int, times: int = 1) -> None:
         """Count; of equal margins the first episode's is kept."""
         self.counts[outcome] += times
-        tested = outcome in (Outcome.HOLDS, Outcome.VIOLATED)
+        tested = outcome in (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
         if tested and not math.isnan(margin):
             known = not math.isnan(self.worst)
             if not known or (margin, episode) < (self.worst, self.worst_episode):
@@ -32,7 +32,7 @@ class StratumTally:
     """One stratum: episodes done of those planned, and how many of them could not be run."""
 
     planned: int
-    claims: list[ClaimTally]
+    claims: list[ClaimCounts]
     done: int = 0
     failed: int = 0
     stopped_after: int | None = None
@@ -45,13 +45,13 @@ class StratumTally:
     def add(self, row: Row) -> None:
         """Count one episode."""
         self.done += 1
-        self.failed += any(one.outcome is Outcome.FAILED for one in row.judgements)
+        self.failed += any(one.outcome is EpisodeOutcome.FAILED for one in row.judgements)
         for claim, judgement in zip(self.claims, row.judgements, strict=True):
             claim.add(judgement.outcome, judgement.margin, row.episode)
 
 
 @dataclass
-class Tally:
+class CampaignTally:
     """All strata, in the plan's order."""
 
     strata: list[StratumTally]
@@ -76,9 +76,9 @@ class Tally:
         """Is there nothing left to run?"""
         return all(stratum.complete for stratum in self.strata)
 
-    def of_claim(self, claim: int) -> ClaimTally:
+    def of_claim(self, claim: int) -> ClaimCounts:
         """One claim over all strata; the worst margin's episode is of whichever stratum it is in."""
-        whole = ClaimTally()
+        whole = ClaimCounts()
         for stratum in self.strata:
             one = stratum.claims[claim]
             for outcome, count in one.counts.items():

@@ -12,7 +12,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from safety_harness.campaign.crew import Chunk, MakesBench
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import read_plan
 from safety_harness.exceptions import InputError, LedgerError, Place
@@ -45,7 +45,7 @@ class Ready:
 
 
 @dataclass(frozen=True)
-class Done:
+class ChunkDone:
     """A chunk is finished; ``resident_bytes`` of the worker now."""
 
     resident_bytes: int
@@ -53,12 +53,12 @@ class Done:
 
 @dataclass(frozen=True)
 class PlanFromFile:
-    """Makes a Bench of the plan in a file; LedgerError if it is not the one that was declared any more."""
+    """Makes an EpisodeRunner of the plan in a file; LedgerError if it is no longer the declared one."""
 
     file: Path
     identity: Identity
 
-    def __call__(self) -> Bench:
+    def __call__(self) -> EpisodeRunner:
         """Read the plan."""
         plan = read_plan(self.file)
         changes = self.identity.changes(plan.identity)
@@ -68,7 +68,7 @@ class PlanFromFile:
                 expected="the plan, files and versions that it was begun with, on every machine",
                 got="; ".join(changes),
             )
-        return Bench(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
+        return EpisodeRunner(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
 
 
 def work(connection: Connection, lifeline: Connection, make: MakesBench) -> None:
@@ -84,7 +84,7 @@ def work(connection: Connection, lifeline: Connection, make: MakesBench) -> None
                 return
             for row in bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations):
                 connection.send(row)
-            connection.send(Done(resident_bytes(os.getpid())))
+            connection.send(ChunkDone(resident_bytes(os.getpid())))
     except InputError as error:
         connection.send(Mistake.of(error))
     except (EOFError, BrokenPipeError):

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from safety_harness.certification.evidence import ClaimEvidence, Outcome, Standing
+from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
@@ -24,7 +24,7 @@ class Turn:
 
     claim: str
     stratum: str
-    standing: Standing
+    standing: ClaimStatus
     rows: int
 
 
@@ -39,20 +39,20 @@ def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...
     return tuple(sorted(turns, key=lambda turn: turn.rows))
 
 
-def rows_to_turn(outcome: Outcome, target: float | None, *, early: bool) -> int | None:
+def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> int | None:
     """The least number of rows with other outcomes that turn the verdict; None where runs are missing.
 
     The quickest way to more violations is from runs that have none, and then from untested ones; the quickest
     to fewer is the way back.
     """
-    if outcome.standing is Standing.UNTESTED:
+    if outcome.standing is ClaimStatus.UNTESTED:
         return 1
     if outcome.bound is None:
         return None
     return min(_ways(outcome, target, 1.0 - outcome.bound.of_one_end, early))
 
 
-def _ways(outcome: Outcome, target: float | None, chance: float, early: bool) -> Iterator[int]:
+def _ways(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
     yield outcome.tested  # all of them, never put to the test
     if target is None:
         return
@@ -72,9 +72,9 @@ def _ways(outcome: Outcome, target: float | None, chance: float, early: bool) ->
         new = max(rows - (tested - bad), 0)
         return upper(bad + rows, tested + new, chance) > target
 
-    if outcome.standing is Standing.REFUTED:
+    if outcome.standing is ClaimStatus.REFUTED:
         yield from _least(lambda rows: lower(violated - rows, tested, chance) <= target, violated)
-    elif outcome.standing in (Standing.SHOWN, Standing.DOUBTED):
+    elif outcome.standing in (ClaimStatus.SHOWN, ClaimStatus.DOUBTED):
         yield from _least(unmet, runs - bad)
     else:
         yield from _least(refuted, runs - violated)

@@ -10,22 +10,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from safety_harness.certification.evidence import ClaimEvidence, Evidence, Standing
+from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
 from safety_harness.certification.verdicts import percent
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
 STATE = {
-    Standing.SHOWN: DONE,
-    Standing.DOUBTED: DOUBT,
-    Standing.NOT_SHOWN: DOUBT,
-    Standing.INCOMPLETE: DOUBT,
-    Standing.UNTESTED: FAILS,
-    Standing.REFUTED: FAILS,
-    Standing.ESTIMATED: OPEN,
+    ClaimStatus.SHOWN: DONE,
+    ClaimStatus.DOUBTED: DOUBT,
+    ClaimStatus.NOT_SHOWN: DOUBT,
+    ClaimStatus.INCOMPLETE: DOUBT,
+    ClaimStatus.UNTESTED: FAILS,
+    ClaimStatus.REFUTED: FAILS,
+    ClaimStatus.ESTIMATED: OPEN,
 }
 
 
-class Kind(Enum):
+class ElementKind(Enum):
     """The elements of the notation; the value is the letter of its keys."""
 
     GOAL = "G"
@@ -36,11 +36,11 @@ class Kind(Enum):
 
 
 KIND_WORDS = {
-    Kind.GOAL: "goal",
-    Kind.STRATEGY: "strategy",
-    Kind.SOLUTION: "solution",
-    Kind.CONTEXT: "context",
-    Kind.ASSUMPTION: "assumption",
+    ElementKind.GOAL: "goal",
+    ElementKind.STRATEGY: "strategy",
+    ElementKind.SOLUTION: "solution",
+    ElementKind.CONTEXT: "context",
+    ElementKind.ASSUMPTION: "assumption",
 }
 
 
@@ -51,7 +51,7 @@ class Element:
     ``below`` supports it, ``beside`` is what it is to be read in.
     """
 
-    kind: Kind
+    kind: ElementKind
     key: str
     text: str
     place: str
@@ -62,17 +62,17 @@ class Element:
     @property
     def undeveloped(self) -> bool:
         """A goal or strategy that nothing supports."""
-        return self.kind in (Kind.GOAL, Kind.STRATEGY) and not self.below
+        return self.kind in (ElementKind.GOAL, ElementKind.STRATEGY) and not self.below
 
 
 @dataclass
 class _Maker:
     """Makes elements, numbered by kind in the order of making."""
 
-    counts: dict[Kind, int] = field(default_factory=dict)
+    counts: dict[ElementKind, int] = field(default_factory=dict)
 
     def __call__(
-        self, kind: Kind, text: str, place: str, state: str = OPEN, *, beside: tuple[Element, ...] = ()
+        self, kind: ElementKind, text: str, place: str, state: str = OPEN, *, beside: tuple[Element, ...] = ()
     ) -> Element:
         self.counts[kind] = self.counts.get(kind, 0) + 1
         key = f"{kind.value}{self.counts[kind]}"
@@ -83,39 +83,43 @@ def argument_of(evidence: Evidence) -> Element:
     """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
     make = _Maker()
     top = make(
-        Kind.GOAL,
+        ElementKind.GOAL,
         f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
         + (f"; {evidence.fallback}" if evidence.fallback else ""),
         "claims",
         STATE[evidence.standing],
         beside=(
-            make(Kind.CONTEXT, _domain(evidence), "strata"),
-            make(Kind.CONTEXT, f"System: {evidence.system.avoider} on {evidence.system.robot}", "system"),
-            make(Kind.ASSUMPTION, "Hands, braking and arm are as the assumptions say", "assumptions"),
+            make(ElementKind.CONTEXT, _domain(evidence), "strata"),
+            make(
+                ElementKind.CONTEXT, f"System: {evidence.system.avoider} on {evidence.system.robot}", "system"
+            ),
+            make(ElementKind.ASSUMPTION, "Hands, braking and arm are as the assumptions say", "assumptions"),
         ),
     )
     by_claims = make(
-        Kind.STRATEGY,
+        ElementKind.STRATEGY,
         "By claim and stratum, with exact bounds from independent runs",
         "results",
-        beside=(make(Kind.CONTEXT, _confidence(evidence), "plan"),),
+        beside=(make(ElementKind.CONTEXT, _confidence(evidence), "plan"),),
     )
     goals = []
     for claim in evidence.claims:
         place, state = f"claim-{claim.number}", STATE[claim.standing]
-        goal = make(Kind.GOAL, f"{claim.sentence}{_target(claim)}", place, state)
+        goal = make(ElementKind.GOAL, f"{claim.sentence}{_target(claim)}", place, state)
         runs = sum(outcome.tested for outcome in claim.outcomes)
         if runs:
             words = f"{runs} runs put it to the test: {claim.standing.value}"
-            goal = replace(goal, below=(make(Kind.SOLUTION, words, place, state),))
+            goal = replace(goal, below=(make(ElementKind.SOLUTION, words, place, state),))
         goals.append(goal)
-    hunted = make(Kind.GOAL, "Ways to violate a claim are known and explained", "counterexamples", DOUBT)
+    hunted = make(
+        ElementKind.GOAL, "Ways to violate a claim are known and explained", "counterexamples", DOUBT
+    )
     hunted = replace(hunted, below=_hunt(evidence, make))
-    believed = make(Kind.GOAL, "The simulator may be believed for these claims", "credibility")
+    believed = make(ElementKind.GOAL, "The simulator may be believed for these claims", "credibility")
     believed = replace(believed, below=_credibility(evidence, make))
-    tools = make(Kind.GOAL, "What judges would notice a fault", "tools")
+    tools = make(ElementKind.GOAL, "What judges would notice a fault", "tools")
     tools = replace(tools, below=_tools(evidence, make))
-    by_means = make(Kind.STRATEGY, "By what could make the bounds misleading", "not-shown")
+    by_means = make(ElementKind.STRATEGY, "By what could make the bounds misleading", "not-shown")
     by_claims = replace(by_claims, below=tuple(goals))
     by_means = replace(by_means, below=(hunted, believed, tools))
     return replace(top, below=(by_claims, by_means))
@@ -141,10 +145,10 @@ def _hunt(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
         state = DOUBT if evidence.counterexamples else OPEN
         distinct = len(evidence.counterexamples)
         words = f"Search of {evidence.search.runs} runs; {distinct} distinct counterexamples in all"
-        found.append(make(Kind.SOLUTION, words, "counterexamples", state))
+        found.append(make(ElementKind.SOLUTION, words, "counterexamples", state))
     if evidence.coverage.runs:
         words = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
-        found.append(make(Kind.SOLUTION, words, "coverage"))
+        found.append(make(ElementKind.SOLUTION, words, "coverage"))
     return tuple(found)
 
 
@@ -154,12 +158,14 @@ def _credibility(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
         agreement = known.agreement
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
         words = f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ"
-        found.append(make(Kind.SOLUTION, words, "agreement", state))
+        found.append(make(ElementKind.SOLUTION, words, "agreement", state))
     for rerun in known.reruns:
         words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-        found.append(make(Kind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE))
+        found.append(make(ElementKind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE))
     if known.oracles:
-        found.append(make(Kind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles"))
+        found.append(
+            make(ElementKind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles")
+        )
     return tuple(found)
 
 
@@ -171,4 +177,4 @@ def _tools(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
     words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
     words += "" if test.whole else ", not all tried"
     fine = every and not test.false_alarms and test.present
-    return (make(Kind.SOLUTION, words, "tools", DONE if fine else DOUBT),)
+    return (make(ElementKind.SOLUTION, words, "tools", DONE if fine else DOUBT),)

@@ -11,7 +11,7 @@ import textwrap
 from dataclasses import dataclass
 from html import escape
 
-from safety_harness.certification.argument import KIND_WORDS, Element, Kind
+from safety_harness.certification.argument import KIND_WORDS, Element, ElementKind
 from safety_harness.report.svg import plain
 
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 46.0
@@ -50,7 +50,7 @@ def _own_width(element: Element) -> float:
 
 def _width(element: Element) -> float:
     """With all that supports it."""
-    if element.kind is Kind.STRATEGY:
+    if element.kind is ElementKind.STRATEGY:
         return max(_own_width(element), 2 * (GAP_X + WIDTH))
     below = sum(map(_width, element.below)) + GAP_X * max(len(element.below) - 1, 0)
     return max(_own_width(element), below)
@@ -70,7 +70,7 @@ class _Layout:
         span = _width(element)
         box = self._box(element, left + (span - _own_width(element)) / 2.0, top)
         bottom = self._beside(box)
-        if element.kind is Kind.STRATEGY:
+        if element.kind is ElementKind.STRATEGY:
             return box, self._rows(box, left, bottom + GAP_Y * 0.6)
         lowest, start = bottom, left
         for one in element.below:
@@ -158,7 +158,7 @@ def _drawn(box: _Box) -> str:
     if element.state == "violated":
         style = style.replace('stroke-width="1.6"', 'stroke-width="3"')
     lines = [f"{element.key} \u00b7 {KIND_WORDS[element.kind]}", *box.lines]
-    x, y = box.x + PAD + (8.0 if element.kind is Kind.STRATEGY else 0.0), box.y + PAD + 11.0
+    x, y = box.x + PAD + (8.0 if element.kind is ElementKind.STRATEGY else 0.0), box.y + PAD + 11.0
     spans = [
         f'<tspan x="{x:.1f}" y="{y + LINE * k:.1f}"{GSN_KEY if k == 0 else ""}>{escape(line)}</tspan>'
         for k, line in enumerate(lines)
@@ -176,13 +176,13 @@ def _drawn(box: _Box) -> str:
 
 def _shape(box: _Box, style: str) -> str:
     x, y, width, height = box.x, box.y, box.width, box.height
-    if box.element.kind is Kind.STRATEGY:
+    if box.element.kind is ElementKind.STRATEGY:
         slant = 9.0
         return (
             f'<path d="M{x + slant:.1f} {y:.1f}h{width - slant:.1f}l{-slant:.1f} {height:.1f}'
             f'h{slant - width:.1f}z" {style}/>'
         )
-    radius = {Kind.GOAL: 0.0, Kind.SOLUTION: min(height / 2.0, 26.0), Kind.CONTEXT: 12.0}
+    radius = {ElementKind.GOAL: 0.0, ElementKind.SOLUTION: min(height / 2.0, 26.0), ElementKind.CONTEXT: 12.0}
     return (
         f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
         f'rx="{radius.get(box.element.kind, 18.0):.1f}" {style}/>'

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from safety_harness.certification.argument import STATE
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 
 DASH = "\u2013"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cell:
+class TableCell:
     """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict."""
 
     text: str
@@ -23,29 +23,29 @@ class Cell:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class CellTable:
     """``head`` names the columns; the first cell of each row names the row."""
 
     caption: str
     head: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[TableCell, ...], ...]
 
 
-def words(text: str, *, href: str = "", note: str = "") -> Cell:
+def words(text: str, *, href: str = "", note: str = "") -> TableCell:
     """A cell of words."""
-    return Cell(text=text, href=href, note=note)
+    return TableCell(text=text, href=href, note=note)
 
 
-def number(text: str, sort: float | None = None) -> Cell:
+def number(text: str, sort: float | None = None) -> TableCell:
     """A cell of a number, sorted by ``sort``."""
-    return Cell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
+    return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
 
 
-def count(value: int) -> Cell:
+def count(value: int) -> TableCell:
     """A cell of a whole number."""
     return number(f"{value:,}".replace(",", "\u202f"), value)
 
 
-def standing(value: Standing) -> Cell:
+def standing(value: ClaimStatus) -> TableCell:
     """A cell of a claim's standing."""
-    return Cell(text=value.value, state=STATE[value])
+    return TableCell(text=value.value, state=STATE[value])

@@ -9,7 +9,7 @@ MOST_NAMED = 10
 
 
 @dataclass(frozen=True)
-class Check:
+class Examination:
     """What was looked at, and in which ways it does not stand.
 
     ``notes`` are no fault; ``unchecked`` says what could not be looked at, which may be anything.

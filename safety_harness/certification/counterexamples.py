@@ -21,7 +21,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import margin_words
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.search.explain import circumstances
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
 
 FOLDER = "counterexamples"
@@ -95,7 +95,7 @@ def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
     """The worst first."""
     kept = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
     found: dict[tuple[int, str], _Kind] = {}
-    for stratum, episode, words, _ in ledger.all(_VIOLATIONS, claim, int(Outcome.VIOLATED)):
+    for stratum, episode, words, _ in ledger.all(_VIOLATIONS, claim, int(EpisodeOutcome.VIOLATED)):
         parts = (words or "no hand").split(", ")
         key = (stratum, f"{parts[0]}, {parts[-1]}")
         kind = found.setdefault(key, _Kind(*key))

@@ -11,7 +11,7 @@ from safety_harness.admission.avoiders import is_a_program
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.certification.stored import Stored
-from safety_harness.certification.tools import Agreement, Credibility, Oracle, Rerun
+from safety_harness.certification.tools import Credibility, Oracle, Rerun, WorldAgreement
 from safety_harness.exceptions import SafetyHarnessError
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.words import with_minus
@@ -54,11 +54,11 @@ def credibility_of(
     )
 
 
-def agreement_of() -> Agreement:
+def agreement_of() -> WorldAgreement:
     """What came with the package; OSError if nothing did."""
     measured = measured_agreement()
     verdicts = measured.compared + measured.compared_near
-    return Agreement(
+    return WorldAgreement(
         scenarios=measured.scenarios,
         verdicts=verdicts,
         disagreements=verdicts - measured.agreed - measured.agreed_near,

@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from safety_harness.certification.tools import Coverage, Credibility, SelfTest
+from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
 from safety_harness.properties.answered import fallback_words
 
 FORMAT = "safety-harness evidence 1"
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
-class Standing(Enum):
+class ClaimStatus(Enum):
     """The word on a claim.  Only the first one is ever shown in green."""
 
     SHOWN = "shown"
@@ -55,7 +55,7 @@ class Quantile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class ClaimResult:
     """One claim in one stratum.
 
     ``runs`` is the sum of the five counts after it.  ``bound`` is None where there are no trials, or too few
@@ -71,7 +71,7 @@ class Outcome:
     failed: int
     untested: int
     bound: Bound | None
-    standing: Standing
+    standing: ClaimStatus
     why: str
     least_margin_si: float | None
     margins_si: tuple[float, ...] = ()
@@ -85,7 +85,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Term:
+class StandardTerm:
     """A term of a standard that a claim is traced to."""
 
     standard: str
@@ -101,18 +101,18 @@ class ClaimEvidence:
     target: float | None
     hazard: str
     hazard_is_authors: bool
-    terms: tuple[Term, ...]
+    terms: tuple[StandardTerm, ...]
     rationale: str
     exercised_when: str
     unit: str
     per_si: float
-    standing: Standing
+    standing: ClaimStatus
     why: str
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[ClaimResult, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stratum:
+class StratumResult:
     """One part of the operational domain, and what came of running it.
 
     ``decisions`` are (what, how many) over all runs; ``refused_draws`` those that admission refused.
@@ -132,7 +132,7 @@ class Stratum:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class DeclaredPlan:
     """The plan that the runs were made by."""
 
     name: str
@@ -151,7 +151,7 @@ class Plan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class System:
+class SystemDescription:
     """The system under test.  Pairs are (label, value) in words."""
 
     avoider: str
@@ -189,7 +189,7 @@ class SeparationCase:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Calibration:
+class CalibrationCheck:
     """How often the avoider's own intervals held their target in a stratum's declared random runs.
 
     ``decided`` is holds, violated or inconclusive.
@@ -220,7 +220,7 @@ class CounterexampleEvidence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchEvidence:
+class SearchSummary:
     """What the hunt for counterexamples did; it never enters a bound."""
 
     runs: int
@@ -229,7 +229,7 @@ class SearchEvidence:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class OpenFinding:
     """Something that is open: an assessor has to look at it."""
 
     text: str
@@ -246,7 +246,7 @@ class StoredFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Provenance:
+class EvidenceProvenance:
     """Where all of it comes from."""
 
     package_version: str
@@ -281,24 +281,24 @@ class Evidence:
 
     format: str
     interrupted: bool
-    plan: Plan
-    standing: Standing
-    strata: tuple[Stratum, ...]
+    plan: DeclaredPlan
+    standing: ClaimStatus
+    strata: tuple[StratumResult, ...]
     claims: tuple[ClaimEvidence, ...]
-    system: System
+    system: SystemDescription
     assumptions: tuple[str, ...]
     exclusions: tuple[str, ...]
     separation: tuple[SeparationCase, ...]
-    calibration: tuple[Calibration, ...]
-    coverage: Coverage
+    calibration: tuple[CalibrationCheck, ...]
+    coverage: CoverageOfRuns
     counterexamples: tuple[CounterexampleEvidence, ...]
-    search: SearchEvidence | None
+    search: SearchSummary | None
     credibility: Credibility
     selftest: SelfTest | None
     selftest_absent: str
-    findings: tuple[Finding, ...]
+    findings: tuple[OpenFinding, ...]
     record: Record
-    provenance: Provenance
+    provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
 
     @property
@@ -309,12 +309,12 @@ class Evidence:
         return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
 
 
-GRAVITY = (
-    Standing.REFUTED,
-    Standing.UNTESTED,
-    Standing.INCOMPLETE,
-    Standing.NOT_SHOWN,
-    Standing.DOUBTED,
-    Standing.ESTIMATED,
-    Standing.SHOWN,
+SEVERITY_ORDER = (
+    ClaimStatus.REFUTED,
+    ClaimStatus.UNTESTED,
+    ClaimStatus.INCOMPLETE,
+    ClaimStatus.NOT_SHOWN,
+    ClaimStatus.DOUBTED,
+    ClaimStatus.ESTIMATED,
+    ClaimStatus.SHOWN,
 )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from safety_harness.certification.evidence import ClaimEvidence, Outcome, SeparationCase
+from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, SeparationCase
 from safety_harness.certification.verdicts import at_least, at_most, percent
 from safety_harness.report.palette import Ink
 from safety_harness.report.panels import DASHES
@@ -91,14 +91,14 @@ def _lanes(count: int) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _least_shown(outcome: Outcome) -> float:
+def _least_shown(outcome: ClaimResult) -> float:
     assert outcome.bound is not None
     share = outcome.violated / outcome.tested if outcome.tested else 0.0
     known = [value for value in (outcome.bound.lower, share) if value > 0.0]
     return max(min(known, default=outcome.bound.upper / 10.0), 1e-9)
 
 
-def _interval(axes: Axes, lane: int, outcome: Outcome, low: float) -> None:
+def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
     """A bar from bound to bound (an arrow to the left where the lower one is zero) and the share as a dot."""
     assert outcome.bound is not None
     start = max(outcome.bound.lower, low)

@@ -7,29 +7,29 @@ from collections.abc import Iterator, Sequence
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.counterexamples import MOST, Example
-from safety_harness.certification.evidence import ClaimEvidence, Finding, Standing, Stratum
+from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, OpenFinding, StratumResult
 from safety_harness.certification.searched import Searched
 from safety_harness.certification.tools import Credibility, SelfTest
 
 _PLAIN = {
-    Standing.REFUTED: "is refuted",
-    Standing.UNTESTED: "was never put to the test",
-    Standing.INCOMPLETE: "has runs missing",
-    Standing.NOT_SHOWN: "is not shown",
-    Standing.DOUBTED: "is shown with doubt only",
-    Standing.ESTIMATED: "is estimated only: the plan sets no target",
+    ClaimStatus.REFUTED: "is refuted",
+    ClaimStatus.UNTESTED: "was never put to the test",
+    ClaimStatus.INCOMPLETE: "has runs missing",
+    ClaimStatus.NOT_SHOWN: "is not shown",
+    ClaimStatus.DOUBTED: "is shown with doubt only",
+    ClaimStatus.ESTIMATED: "is estimated only: the plan sets no target",
 }
 
 
-def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[Finding]:
+def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
     """Whatever is not shown."""
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
-            yield Finding(text=text, place=f"claim-{claim.number}")
+            yield OpenFinding(text=text, place=f"claim-{claim.number}")
 
 
-def of_strata(ledger: Ledger, strata: Sequence[Stratum]) -> Iterator[Finding]:
+def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
     """Runs that could not be carried on, and avoiders that gave no answer."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
@@ -40,75 +40,75 @@ def of_strata(ledger: Ledger, strata: Sequence[Stratum]) -> Iterator[Finding]:
             )
             most = next((f", most often: {reason}" for reason, _ in reasons), "")
             text = f"{stratum.name}: {stratum.failed} of {stratum.made} runs could not be carried on{most}"
-            yield Finding(text=text, place="strata")
+            yield OpenFinding(text=text, place="strata")
         fallback = fallback_of(ledger, place)
         if fallback.words:
             text = f"{stratum.name}: {fallback.words}; most often: {fallback.reason}"
-            yield Finding(text=text, place="strata")
+            yield OpenFinding(text=text, place="strata")
 
 
-def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[Finding]:
+def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFinding]:
     """What of the search that the plan asks for is not there, and what it met that is in no bound."""
     place = "counterexamples"
     if asked and not searches:
-        yield Finding(text="the search that the plan asks for was not made", place=place)
+        yield OpenFinding(text="the search that the plan asks for was not made", place=place)
     for one in searches:
         if one.found is None:
-            yield Finding(text=f"{one.stratum}: the search {one.problem}", place=place)
+            yield OpenFinding(text=f"{one.stratum}: the search {one.problem}", place=place)
             continue
         if one.found.interrupted:
-            yield Finding(text=f"{one.stratum}: the search was interrupted", place=place)
+            yield OpenFinding(text=f"{one.stratum}: the search was interrupted", place=place)
         if one.found.unconfirmed:
             many = one.found.unconfirmed
             text = f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet"
-            yield Finding(text=text, place=place)
+            yield OpenFinding(text=text, place=place)
 
 
-def of_examples(examples: Sequence[Example]) -> Iterator[Finding]:
+def of_examples(examples: Sequence[Example]) -> Iterator[OpenFinding]:
     """What of the counterexamples cannot be shown, or is no part of a bound."""
     place = "counterexamples"
     untraced = sum(one.shown is None and not one.problem for one in examples)
     if untraced:
         text = f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
-        yield Finding(text=text, place=place)
-    yield from (Finding(text=one.problem, place=place) for one in examples if one.problem)
+        yield OpenFinding(text=text, place=place)
+    yield from (OpenFinding(text=one.problem, place=place) for one in examples if one.problem)
     searched = sum(one.shown is not None and not one.shown.independent for one in examples)
     if searched:
         text = f"the search found {searched} counterexamples that the declared runs are no measure of"
-        yield Finding(text=text, place=place)
+        yield OpenFinding(text=text, place=place)
     shown = sum(one.shown is not None for one in examples)
     if shown > MOST:
         text = f"{shown - MOST} of {shown} counterexamples have files but no pictures here"
-        yield Finding(text=text, place=place)
+        yield OpenFinding(text=text, place=place)
 
 
-def of_worlds(credibility: Credibility) -> Iterator[Finding]:
+def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
     """Reasons to doubt the simulator."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
-        yield Finding(text=text, place="credibility")
+        yield OpenFinding(text=text, place="credibility")
     if agreement is not None and agreement.optimistic:
         text = f"{agreement.optimistic} optimistic disagreements of the kinematic world with PyBullet"
-        yield Finding(text=text, place="agreement")
+        yield OpenFinding(text=text, place="agreement")
     for rerun in credibility.reruns:
         if rerun.changed:
             text = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-            yield Finding(text=text, place=rerun.place)
+            yield OpenFinding(text=text, place=rerun.place)
 
 
-def of_selftest(selftest: SelfTest | None) -> Iterator[Finding]:
+def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
     """Reasons to doubt the judges."""
     if selftest is None:
-        yield Finding(text="nothing is said of how well the harness notices faults", place="tools")
+        yield OpenFinding(text="nothing is said of how well the harness notices faults", place="tools")
         return
     if not selftest.whole:
-        yield Finding(text="not every fault of the catalogue was tried on the harness", place="tools")
+        yield OpenFinding(text="not every fault of the catalogue was tried on the harness", place="tools")
     if not selftest.present:
-        yield Finding(text="the harness was on trial with another source", place="tools")
+        yield OpenFinding(text="the harness was on trial with another source", place="tools")
     for alarm in selftest.false_alarms:
-        yield Finding(text=f"the harmless change {alarm!r} raised an alarm", place="tools")
+        yield OpenFinding(text=f"the harmless change {alarm!r} raised an alarm", place="tools")
     for fault in selftest.faults:
         if not fault.caught_by:
             limit = f", a stated limit: {fault.known_limit}" if fault.known_limit else ""
-            yield Finding(text=f"the seeded fault {fault.name!r} survived{limit}", place="tools")
+            yield OpenFinding(text=f"the seeded fault {fault.name!r} survived{limit}", place="tools")

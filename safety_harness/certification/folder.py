@@ -14,7 +14,7 @@ from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.counterexamples import write_traces
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence, StoredFile
-from safety_harness.certification.gather import Gathered
+from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.json_file import part, read_object
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
@@ -37,7 +37,7 @@ PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 16 * 2**20
 
 
-def write_folder(folder: Path, gathered: Gathered, ledger: Ledger) -> Evidence:
+def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
     """Write all but the PDF and the manifest; the evidence with the hashes of the files beside it.
 
     What an earlier report left there is taken away.  OutputError for what cannot be written.

@@ -20,9 +20,9 @@ from safety_harness.certification.counterexamples import (
     searched_counterexamples,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, Evidence, Finding, Standing
-from safety_harness.certification.evidence import Plan as PlanEvidence
-from safety_harness.certification.evidence import Provenance as Origin
+from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, OpenFinding
+from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
+from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import (
     of_claims,
     of_examples,
@@ -56,7 +56,7 @@ NO_SELFTEST = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trials:
+class HarnessTrials:
     """What is known of the harness itself, where files of it were given."""
 
     selftest: SelfTest | None = None
@@ -65,7 +65,7 @@ class Trials:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Gathered:
+class GatheredEvidence:
     """The evidence, and the counterexamples in it with their runs."""
 
     evidence: Evidence
@@ -84,14 +84,14 @@ def gather(
     folder: Path,
     *,
     command: str,
-    trials: Trials | None = None,
+    trials: HarnessTrials | None = None,
     declaration: str = "",
-) -> Gathered:
+) -> GatheredEvidence:
     """From the ledger, the searches below ``folder``, and some runs that are made again here.
 
     ``declaration`` is the hash of what was declared of this very plan.
     """
-    known = trials or Trials()
+    known = trials or HarnessTrials()
     return put_together(
         plan,
         ledger,
@@ -114,7 +114,7 @@ def put_together(
     selftest: SelfTest | None,
     declaration: str,
     origin: Origin,
-) -> Gathered:
+) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last four."""
     record = record_of(ledger, declaration)
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
@@ -125,7 +125,7 @@ def put_together(
     evidence = Evidence(
         format=FORMAT,
         interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
-        or any(claim.standing is Standing.INCOMPLETE for claim in claims),
+        or any(claim.standing is ClaimStatus.INCOMPLETE for claim in claims),
         plan=_plan(plan, ledger),
         standing=gravest(claim.standing for claim in claims),
         strata=strata,
@@ -146,7 +146,7 @@ def put_together(
             *of_record(record),
             *of_claims(claims),
             *of_strata(ledger, strata),
-            *(Finding(text=text, place="strata") for text in damaged),
+            *(OpenFinding(text=text, place="strata") for text in damaged),
             *of_examples(met),
             *of_searches(searches, plan.search_runs),
             *of_worlds(believed),
@@ -155,7 +155,7 @@ def put_together(
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
     )
-    return Gathered(evidence=evidence, examples=examples)
+    return GatheredEvidence(evidence=evidence, examples=examples)
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:

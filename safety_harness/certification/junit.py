@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from xml.etree import ElementTree
 
-from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome, Standing
+from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus, Evidence
 
 _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -36,13 +36,13 @@ def junit_xml(evidence: Evidence) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: Outcome) -> None:
+def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult) -> None:
     case = ElementTree.SubElement(
         suite, "testcase", classname=_text(outcome.stratum), name=_text(claim.sentence)
     )
-    if outcome.standing is Standing.SHOWN:
+    if outcome.standing is ClaimStatus.SHOWN:
         return
-    tag = {Standing.REFUTED: "failure", Standing.ESTIMATED: "skipped"}.get(outcome.standing, "error")
+    tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: "skipped"}.get(outcome.standing, "error")
     said = ElementTree.SubElement(case, tag, message=_text(f"{outcome.standing.value}: {outcome.why}"))
     if tag != "skipped":
         said.set("type", outcome.standing.value)

@@ -10,12 +10,12 @@ from markupsafe import Markup
 
 from safety_harness.certification.argument import KIND_WORDS, STATE, argument_of
 from safety_harness.certification.argument_svg import argument_svg
-from safety_harness.certification.cells import Table
+from safety_harness.certification.cells import CellTable
 from safety_harness.certification.evidence import (
     ClaimEvidence,
+    ClaimStatus,
     CounterexampleEvidence,
     Evidence,
-    Standing,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, seconds, start_s
@@ -42,14 +42,15 @@ from safety_harness.report.timeline import timeline
 from safety_harness.whole_file import write_whole
 
 MEANINGS = {
-    Standing.SHOWN: "the upper bound of the violation probability is at or below the target in every stratum",
-    Standing.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model only, "
-    "or about the fallback in the avoider's place",
-    Standing.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
-    Standing.REFUTED: "even the lower bound is above the target",
-    Standing.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
-    Standing.UNTESTED: "no run gave it an occasion: nothing is known of it",
-    Standing.INCOMPLETE: "declared runs are missing, so there is no bound yet",
+    ClaimStatus.SHOWN: "the upper bound of the violation probability is at or below the target in every "
+    "stratum",
+    ClaimStatus.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model "
+    "only, or about the fallback in the avoider's place",
+    ClaimStatus.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
+    ClaimStatus.REFUTED: "even the lower bound is above the target",
+    ClaimStatus.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
+    ClaimStatus.UNTESTED: "no run gave it an occasion: nothing is known of it",
+    ClaimStatus.INCOMPLETE: "declared runs are missing, so there is no bound yet",
 }
 
 
@@ -58,8 +59,8 @@ class ClaimView:
     """A claim with its table and figures."""
 
     claim: ClaimEvidence
-    table: Table
-    quantiles: Table | None
+    table: CellTable
+    quantiles: CellTable | None
     bounds: Markup
     margins: Markup
 
@@ -117,12 +118,12 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
 def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
     """(words, class, claims) for the four numbers at the top."""
     standings = [claim.standing for claim in evidence.claims]
-    open_ones = (Standing.NOT_SHOWN, Standing.INCOMPLETE, Standing.ESTIMATED, Standing.DOUBTED)
+    open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
-        ("shown", "holds", standings.count(Standing.SHOWN)),
-        ("refuted", "violated", standings.count(Standing.REFUTED)),
+        ("shown", "holds", standings.count(ClaimStatus.SHOWN)),
+        ("refuted", "violated", standings.count(ClaimStatus.REFUTED)),
         ("open", "inconclusive", sum(standings.count(one) for one in open_ones)),
-        ("never tested", "violated", standings.count(Standing.UNTESTED)),
+        ("never tested", "violated", standings.count(ClaimStatus.UNTESTED)),
     ]
 
 

@@ -6,7 +6,7 @@ from importlib import metadata
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merkle import root_of
-from safety_harness.certification.evidence import Finding, Record
+from safety_harness.certification.evidence import OpenFinding, Record
 
 
 def record_of(ledger: Ledger, declaration_sha256: str) -> Record:
@@ -19,10 +19,10 @@ def drawn_with() -> str:
     return f"matplotlib {metadata.version('matplotlib')}"
 
 
-def of_record(record: Record) -> tuple[Finding, ...]:
+def of_record(record: Record) -> tuple[OpenFinding, ...]:
     """What nothing proves."""
     if record.declaration_sha256:
         return ()
     return (
-        Finding(text="nothing proves that the plan was declared before its runs were made", place="plan"),
+        OpenFinding(text="nothing proves that the plan was declared before its runs were made", place="plan"),
     )

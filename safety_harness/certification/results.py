@@ -20,9 +20,9 @@ from safety_harness.certification.evidence import (
     UNANSWERED,
     Bound,
     ClaimEvidence,
-    Outcome,
+    ClaimResult,
     Quantile,
-    Stratum,
+    StratumResult,
 )
 from safety_harness.certification.standards import entry_of, traced
 from safety_harness.certification.verdicts import overall, standing_of
@@ -31,8 +31,8 @@ from safety_harness.properties.answered import is_claimed
 from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
 from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.planning import Aim, refuse_if_impossible
+from safety_harness.statistics.sample import EpisodeOutcome as Code
 from safety_harness.statistics.sample import Floats, IndependentSample
-from safety_harness.statistics.sample import Outcome as Code
 
 CONTENTS = (0.9, 0.99, 0.999)
 MOST_POINTS = 240  # of a curve
@@ -135,7 +135,7 @@ def _outcome(
     claim: int,
     sample: IndependentSample | StatisticsError,
     bound: Bound | None,
-) -> Outcome:
+) -> ClaimResult:
     stratum = plan.strata[place]
     _, codes, margins = ledger.outcomes(place, claim)
     problem = str(sample) if isinstance(sample, StatisticsError) else ""
@@ -160,7 +160,7 @@ def _outcome(
     )
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
-    return Outcome(
+    return ClaimResult(
         stratum=stratum.name,
         planned=stratum.runs,
         runs=len(codes),
@@ -209,13 +209,13 @@ _SUMS = (
 )
 
 
-def strata_of(plan: Plan, ledger: Ledger) -> tuple[Stratum, ...]:
+def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
     """The operational domain as it was run."""
     hashes = {file.name: file.sha256 for file in ledger.files}
     return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
 
 
-def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> Stratum:
+def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
     stratum = plan.strata[place]
     ((made, again, proposed, opposite, stopped, faults, failed),) = ledger.all(_SUMS, place)
     stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
@@ -228,7 +228,7 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         ("protective stops", int(stopped)),
         (UNANSWERED, int(faults)),
     )
-    return Stratum(
+    return StratumResult(
         name=stratum.name,
         space=name or stratum.space.name,
         about=stratum.space.name.replace("-", " "),

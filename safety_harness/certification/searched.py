@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.evidence import SearchEvidence
+from safety_harness.certification.evidence import SearchSummary
 from safety_harness.certification.json_file import part, read_json
 from safety_harness.exceptions import InputError, Place
 from safety_harness.report.words import count_words
@@ -92,7 +92,7 @@ def _searched(plan: Plan, folder: Path, place: int, asked: int) -> Searched:
     return Searched(stratum=stratum, folder=where, asked=asked, found=found, problem=problem)
 
 
-def search_evidence(searches: tuple[Searched, ...]) -> SearchEvidence | None:
+def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
     """What was hunted for and how; None where the plan asks for no search or nothing is known of any."""
     known = [(one.stratum, one.found) for one in searches if one.found is not None]
     if not known:
@@ -106,7 +106,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchEvidence | None:
     ]
     lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]
     lines.append("A search looks where violations are: its counts are no estimate of anything.")
-    return SearchEvidence(
+    return SearchSummary(
         runs=sum(found.tried for _, found in known), searcher=known[0][1].searcher, lines=tuple(lines)
     )
 

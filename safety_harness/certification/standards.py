@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from safety_harness.certification.evidence import Term
+from safety_harness.certification.evidence import StandardTerm
 from safety_harness.properties.accelerations import JOINT_ACCELERATIONS, TCP_ACCELERATION
 from safety_harness.properties.alternation import GIVES_WAY_AT_MOST
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.decision_time import DECISION_TIME
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.fallback import CERTAIN, UNCERTAIN
 from safety_harness.properties.fallback_poses import FALLBACK_POSES
 from safety_harness.properties.false_alarms import FALSE_ALARMS, FALSE_ALARMS_WITHIN
@@ -47,11 +47,11 @@ class Tracing:
     """A hazard in words, and terms."""
 
     hazard: str
-    terms: tuple[Term, ...]
+    terms: tuple[StandardTerm, ...]
 
 
 def _traced(hazard: str, *terms: tuple[str, str]) -> Tracing:
-    return Tracing(hazard, tuple(Term(standard=standard, term=term) for standard, term in terms))
+    return Tracing(hazard, tuple(StandardTerm(standard=standard, term=term) for standard, term in terms))
 
 
 MONITORING = (CELL, "collaborative application, speed and separation monitoring")
@@ -108,7 +108,7 @@ MEASUREMENT = _traced(
     (COLLABORATION, "position uncertainty of the human, Z_d"),
 )
 
-TRACED: dict[Entry, Tracing] = {
+TRACED: dict[CatalogueEntry, Tracing] = {
     HAND_DISTANCE: DISTANCE,
     PROTECTIVE_SEPARATION: SEPARATION,
     PROTECTIVE_SEPARATION_AT: SEPARATION,
@@ -162,7 +162,7 @@ ASSUMPTIONS = (
 )
 
 
-def entry_of(sentence: str) -> Entry | None:
+def entry_of(sentence: str) -> CatalogueEntry | None:
     """The entry of the catalogue that a sentence claims; None for a formula."""
     return next((entry for entry in CATALOGUE if entry.understands(sentence)), None)
 

@@ -11,15 +11,15 @@ from safety_harness.admission.trial import judge
 from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.evidence import Calibration, SeparationCase, SeparationTerm
+from safety_harness.certification.evidence import CalibrationCheck, SeparationCase, SeparationTerm
 from safety_harness.certification.system import model_of
-from safety_harness.certification.tools import CellCount, Coverage
+from safety_harness.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
-from safety_harness.properties.spread_calibration import Intervals, SpreadCalibration
+from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.search.coverage import Cell
 from safety_harness.search.coverage import Coverage as Cells
+from safety_harness.search.coverage import CoverageCell
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
 
@@ -95,15 +95,15 @@ def separation_of(plan: Plan, stored: Sequence[Stored]) -> tuple[SeparationCase,
     return tuple(found)
 
 
-def calibration_of(plan: Plan, stored: Sequence[Stored]) -> tuple[Calibration, ...]:
+def calibration_of(plan: Plan, stored: Sequence[Stored]) -> tuple[CalibrationCheck, ...]:
     """How often the avoider's intervals held, by stratum."""
     found = []
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
-        prop = SpreadCalibration(intervals=None if model is None else Intervals.of(model))
+        prop = SpreadCalibration(intervals=None if model is None else IntervalRule.of(model))
         evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place)
         found.append(
-            Calibration(
+            CalibrationCheck(
                 stratum=stratum.name,
                 sentence=evaluation.sentence,
                 decided=evaluation.verdict.value,
@@ -121,7 +121,7 @@ _CELLS = (
 )
 
 
-def coverage_of(ledger: Ledger) -> Coverage:
+def coverage_of(ledger: Ledger) -> CoverageOfRuns:
     """Of all runs of the plan; a run is in one cell."""
     rows = [(words.split(", "), int(runs), int(bad)) for words, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
@@ -139,7 +139,7 @@ def coverage_of(ledger: Ledger) -> Coverage:
     )
     ((every,),) = ledger.all("SELECT count(*) FROM episode")
     runs = sum(cell.runs for cell in cells)
-    return Coverage(
+    return CoverageOfRuns(
         runs=runs,
         without_hand=int(every) - runs,
         cells=cells,
@@ -150,11 +150,11 @@ def coverage_of(ledger: Ledger) -> Coverage:
     )
 
 
-def cells_of(coverage: Coverage) -> tuple[Cells, dict[Cell, int]]:
+def cells_of(coverage: CoverageOfRuns) -> tuple[Cells, dict[CoverageCell, int]]:
     """As the coverage map draws them: all runs, and those that violate a claim."""
     found, violating = Cells(without=coverage.without_hand), {}
     for one in coverage.cells:
-        cell = Cell(one.direction, one.speed, one.distance, one.seen, one.outcome)
+        cell = CoverageCell(one.direction, one.speed, one.distance, one.seen, one.outcome)
         found.counts[cell] += one.runs
         if one.violating:
             violating[cell] = one.violating

@@ -13,7 +13,7 @@ from safety_harness.admission.avoiders import NAMES, avoider_sha256
 from safety_harness.avoidance.model_file import CARD_TIME, Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.evidence import System
+from safety_harness.certification.evidence import SystemDescription
 from safety_harness.properties.decision_time import NOT_MODELLED
 from safety_harness.report.computing_time import cost_words
 from safety_harness.report.words import changed_settings, setting_words
@@ -24,7 +24,7 @@ from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.settings import DecisionCost, Settings
 
 
-def system_of(plan: Plan) -> System:
+def system_of(plan: Plan) -> SystemDescription:
     """What the plan's strata have in common is taken from each one's simplest scenario."""
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
@@ -32,7 +32,7 @@ def system_of(plan: Plan) -> System:
     robots = list(dict.fromkeys(scenario.robot.value for scenario in scenarios))
     model = model_of(first)
     changed = dict.fromkeys(row for scenario in scenarios for row in changed_settings(scenario.settings))
-    return System(
+    return SystemDescription(
         avoider=" and ".join(avoiders),
         avoider_sha256=avoider_sha256(first) if len(avoiders) == 1 else "",
         robot=" and ".join(robots),

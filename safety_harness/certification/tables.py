@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from safety_harness.certification.cells import DASH, Cell, Table, count, number, standing, words
-from safety_harness.certification.evidence import ClaimEvidence, Evidence, Outcome
+from safety_harness.certification.cells import DASH, CellTable, TableCell, count, number, standing, words
+from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, Evidence
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
 from safety_harness.report.words import with_minus
@@ -26,9 +26,9 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
     return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, claim.unit))
 
 
-def verdicts(evidence: Evidence) -> Table:
+def verdicts(evidence: Evidence) -> CellTable:
     """The first page: every claim with its verdict, bound and how often it was exercised."""
-    return Table(
+    return CellTable(
         caption="One row for each claim over all strata of the plan: the largest upper bound, and the counts "
         "of all strata together; each in full under the claim.",
         head=(
@@ -44,7 +44,7 @@ def verdicts(evidence: Evidence) -> Table:
     )
 
 
-def _verdict_row(claim: ClaimEvidence) -> tuple[Cell, ...]:
+def _verdict_row(claim: ClaimEvidence) -> tuple[TableCell, ...]:
     uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
     upper = max(uppers) if uppers and len(uppers) == len(claim.outcomes) else None
     runs = sum(outcome.runs for outcome in claim.outcomes)
@@ -61,9 +61,9 @@ def _verdict_row(claim: ClaimEvidence) -> tuple[Cell, ...]:
     )
 
 
-def outcomes(claim: ClaimEvidence) -> Table:
+def outcomes(claim: ClaimEvidence) -> CellTable:
     """One claim by stratum."""
-    return Table(
+    return CellTable(
         caption="Trials are the runs that put the claim to the test. The upper bound counts runs without a "
         "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
         + _alone(claim),
@@ -106,13 +106,13 @@ def _alone(claim: ClaimEvidence) -> str:
     return f" Each interval holds with {known} confidence alone." if (known := _confidence(claim)) else ""
 
 
-def _bounds(outcome: Outcome) -> Cell:
+def _bounds(outcome: ClaimResult) -> TableCell:
     if outcome.bound is None:
         return number("none")
     return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
 
 
-def quantiles(claim: ClaimEvidence) -> Table | None:
+def quantiles(claim: ClaimEvidence) -> CellTable | None:
     """How much at least most runs keep; None where no stratum has any."""
     rows = tuple(
         (
@@ -125,7 +125,7 @@ def quantiles(claim: ClaimEvidence) -> Table | None:
     )
     if not rows:
         return None
-    return Table(
+    return CellTable(
         caption="At least this share of the runs that test the claim keeps at least this margin (order "
         f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
         "alone; none is among the bounds that hold together.",
@@ -134,9 +134,9 @@ def quantiles(claim: ClaimEvidence) -> Table | None:
     )
 
 
-def hazards(evidence: Evidence) -> Table:
+def hazards(evidence: Evidence) -> CellTable:
     """What each claim is about, in the terms of the standards."""
-    return Table(
+    return CellTable(
         caption="Terms of the standards, so that an assessor finds the way; no statement of conformity. The "
         "performance level that ISO 13849-1 would ask of a safety function is claimed for none of them.",
         head=("Claim", "Hazard", "Traced to", "Performance level"),
@@ -152,9 +152,9 @@ def hazards(evidence: Evidence) -> Table:
     )
 
 
-def strata(evidence: Evidence) -> Table:
+def strata(evidence: Evidence) -> CellTable:
     """The operational domain, part by part."""
-    return Table(
+    return CellTable(
         caption="Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
         "out of reach, ...) are drawn again and counted.",
         head=(
@@ -185,9 +185,9 @@ def strata(evidence: Evidence) -> Table:
     )
 
 
-def separation(evidence: Evidence) -> Table:
+def separation(evidence: Evidence) -> CellTable:
     """The cases of the figure, number by number."""
-    return Table(
+    return CellTable(
         caption="The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
         "its terms; the margin is the distance less S_p.",
         head=("Stratum", "Run", "At", "Distance", "S_p", "Margin", "Human", "Robot", "Terms"),
@@ -208,13 +208,13 @@ def separation(evidence: Evidence) -> Table:
     )
 
 
-def _mm(length_m: float) -> Cell:
+def _mm(length_m: float) -> TableCell:
     return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)
 
 
-def calibration(evidence: Evidence) -> Table:
+def calibration(evidence: Evidence) -> CellTable:
     """How often the avoider's intervals held what they promise, by stratum."""
-    return Table(
+    return CellTable(
         caption="The first answered decision of each declared random run whose trace is stored; a verdict "
         "takes a hundred of them. Each interval holds with 95 % confidence alone, and is none of the "
         "bounds that hold together.",
@@ -222,7 +222,7 @@ def calibration(evidence: Evidence) -> Table:
         rows=tuple(
             (
                 words(one.stratum),
-                Cell(text=one.decided, state=one.decided),
+                TableCell(text=one.decided, state=one.decided),
                 count(one.decisions),
                 words(one.sentence),
                 words(one.why),
@@ -232,7 +232,7 @@ def calibration(evidence: Evidence) -> Table:
     )
 
 
-def coverage(evidence: Evidence) -> tuple[Table, ...]:
+def coverage(evidence: Evidence) -> tuple[CellTable, ...]:
     """Runs for each word of each axis of the coverage map, none left out."""
     tables = []
     for axis, known in AXES.items():
@@ -240,13 +240,13 @@ def coverage(evidence: Evidence) -> tuple[Table, ...]:
         for cell in evidence.coverage.cells:
             counts[getattr(cell, axis)] = counts.get(getattr(cell, axis), 0) + cell.runs
         rows = tuple((words(word), count(runs)) for word, runs in counts.items())
-        tables.append(Table(caption=f"By {axis}", head=(axis.capitalize(), "Runs"), rows=rows))
+        tables.append(CellTable(caption=f"By {axis}", head=(axis.capitalize(), "Runs"), rows=rows))
     return tuple(tables)
 
 
-def counterexamples(evidence: Evidence) -> Table:
+def counterexamples(evidence: Evidence) -> CellTable:
     """All of them, with where they came from."""
-    return Table(
+    return CellTable(
         caption="Those of the declared runs are part of the bounds; those of the search are not, for it "
         "looks where violations are.",
         head=("No.", "Violates", "Margin", "Met by", "Like it", "Files"),
@@ -264,9 +264,9 @@ def counterexamples(evidence: Evidence) -> Table:
     )
 
 
-def files(evidence: Evidence) -> Table:
+def files(evidence: Evidence) -> CellTable:
     """Everything in the folder, with its hash."""
-    return Table(
+    return CellTable(
         caption="Files of the report's folder beside this page; safety-harness verify checks them.",
         head=("File", "Bytes", "sha256"),
         rows=tuple((words(file.path), count(file.bytes), words(file.sha256)) for file in evidence.files),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.certification.json_file import part, read_json, read_object
-from safety_harness.certification.tools import Fault, Oracle, SelfTest
+from safety_harness.certification.tools import CaughtFault, Oracle, SelfTest
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
 
@@ -62,7 +62,7 @@ def _oracle(path: Path, place: int, one: dict[str, Any]) -> Oracle:
     return Oracle(part=what, against=oracle, largest=f"{float(largest):.2g} {unit}")
 
 
-def _fault(path: Path, number: int, fault: dict[str, Any]) -> Fault:
+def _fault(path: Path, number: int, fault: dict[str, Any]) -> CaughtFault:
     def text(name: str) -> str:
         value = fault.get(name)
         if value is not None and not isinstance(value, str):
@@ -70,7 +70,7 @@ def _fault(path: Path, number: int, fault: dict[str, Any]) -> Fault:
         return value or ""
 
     caught = text("state") == "caught"
-    return Fault(
+    return CaughtFault(
         name=text("fault"),
         part=text("part"),
         hazard=text("hazard"),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from safety_harness.certification.cells import DASH, Cell, Table, number, words
+from safety_harness.certification.cells import DASH, CellTable, TableCell, number, words
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.tools import Rerun
 from safety_harness.report.words import count_words
 
 
-def agreement(evidence: Evidence) -> Table | None:
+def agreement(evidence: Evidence) -> CellTable | None:
     """The largest differences between the two worlds."""
     known = evidence.credibility.agreement
     if known is None:
         return None
     present = "this very source" if known.present else f"another source, {known.source_hash}"
-    return Table(
+    return CellTable(
         caption=f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
         f"{count_words(known.disagreements, 'verdict', 'verdicts')} of {known.verdicts} differ, "
         f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
@@ -24,9 +24,9 @@ def agreement(evidence: Evidence) -> Table | None:
     )
 
 
-def rerun(known: Rerun) -> Table:
+def rerun(known: Rerun) -> CellTable:
     """What changes when declared random runs are made again with something else."""
-    return Table(
+    return CellTable(
         caption=f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
         f"{known.optimistic} of them from holds to violated.",
@@ -35,12 +35,12 @@ def rerun(known: Rerun) -> Table:
     )
 
 
-def oracles(evidence: Evidence) -> Table | None:
+def oracles(evidence: Evidence) -> CellTable | None:
     """What was checked against software that we did not write."""
     rows = evidence.credibility.oracles
     if not rows:
         return None
-    return Table(
+    return CellTable(
         caption="Parts checked against software that is not ours, with the largest disagreement seen "
         f"({evidence.credibility.oracles_measured_with}).",
         head=("Part", "Against", "Largest disagreement"),
@@ -48,12 +48,12 @@ def oracles(evidence: Evidence) -> Table | None:
     )
 
 
-def kills(evidence: Evidence) -> Table | None:
+def kills(evidence: Evidence) -> CellTable | None:
     """Every seeded fault and what caught it."""
     test = evidence.selftest
     if test is None:
         return None
-    return Table(
+    return CellTable(
         caption=f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
         f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
         head=("Fault", "Part", "Hazard", "Caught by", "Smallest caught"),
@@ -62,7 +62,9 @@ def kills(evidence: Evidence) -> Table | None:
                 words(fault.name),
                 words(fault.part),
                 words(fault.hazard),
-                Cell(text=fault.caught_by) if fault.caught_by else Cell(text="survived", state="violated"),
+                TableCell(text=fault.caught_by)
+                if fault.caught_by
+                else TableCell(text="survived", state="violated"),
                 words(fault.smallest or DASH, note=fault.known_limit),
             )
             for fault in test.faults

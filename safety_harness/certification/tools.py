@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
+class WorldAgreement:
     """The kinematic world against PyBullet on the same scenarios.
 
     ``optimistic`` disagreements are those in which the kinematic world sees a claim hold that PyBullet sees
@@ -53,7 +53,7 @@ class Oracle:
 class Credibility:
     """Why a number from the simulator may be believed; ``absent`` says what was not measured, and why."""
 
-    agreement: Agreement | None
+    agreement: WorldAgreement | None
     reruns: tuple[Rerun, ...]
     oracles: tuple[Oracle, ...]
     oracles_measured_with: str
@@ -61,7 +61,7 @@ class Credibility:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fault:
+class CaughtFault:
     """One seeded fault, and what caught it; ``caught_by`` is empty for one that survived.
 
     ``known_limit`` is why it survives, where that was said beforehand.
@@ -83,7 +83,7 @@ class SelfTest:
     """
 
     profile: str
-    faults: tuple[Fault, ...]
+    faults: tuple[CaughtFault, ...]
     false_alarms: tuple[str, ...]
     source_hash: str
     present: bool
@@ -109,7 +109,7 @@ class CellCount:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Coverage:
+class CoverageOfRuns:
     """Where the declared runs were, by approach, speed, distance, seen or unseen, outcome."""
 
     runs: int

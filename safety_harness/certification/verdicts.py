@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from safety_harness.certification.evidence import GRAVITY, Bound, Outcome, Standing
+from safety_harness.certification.evidence import SEVERITY_ORDER, Bound, ClaimResult, ClaimStatus
 from safety_harness.report.words import rounded_down, rounded_up
 
 
@@ -29,7 +29,7 @@ def standing_of(
     problem: str = "",
     fallback: str = "",
     stood_in: bool = False,
-) -> tuple[Standing, str]:
+) -> tuple[ClaimStatus, str]:
     """The standing of one claim in one stratum, and why in a sentence.
 
     ``problem`` says why there is no bound.  ``fallback`` says how often the avoider did not answer, if it did
@@ -37,42 +37,48 @@ def standing_of(
     anything of.
     """
     if runs < planned and not may_stop_early:
-        return Standing.INCOMPLETE, f"{runs} of {planned} declared runs were made, so there is no bound yet"
+        return (
+            ClaimStatus.INCOMPLETE,
+            f"{runs} of {planned} declared runs were made, so there is no bound yet",
+        )
     if tested == 0:
-        return Standing.UNTESTED, f"none of {runs} runs put it to the test"
+        return ClaimStatus.UNTESTED, f"none of {runs} runs put it to the test"
     if bound is None:
-        return Standing.INCOMPLETE, f"there is no bound: {problem}"
+        return ClaimStatus.INCOMPLETE, f"there is no bound: {problem}"
     counted = f"{violated} of {tested} tested runs violate it"
     if without_verdict:
         counted += f", {without_verdict} had no verdict"
     if fallback:
         counted += f" ({fallback})"
     if target is None:
-        return Standing.ESTIMATED, f"{counted}; the plan sets no target"
+        return ClaimStatus.ESTIMATED, f"{counted}; the plan sets no target"
     limit = percent(target)
     if bound.lower > target:
         sure = confidence_words(bound.of_one_end)
-        return Standing.REFUTED, f"{counted}: with {sure} confidence more than {limit} of them do"
+        return ClaimStatus.REFUTED, f"{counted}: with {sure} confidence more than {limit} of them do"
     if bound.upper > target:
         return (
-            Standing.NOT_SHOWN,
+            ClaimStatus.NOT_SHOWN,
             f"{counted}: it may be up to {at_most(bound.upper)} of them, and {limit} was the target",
         )
     if without_verdict:
-        return Standing.DOUBTED, f"{counted}; they count as violations, and the target is still met"
+        return ClaimStatus.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if model_only:
-        return Standing.DOUBTED, f"{counted}: model only, the kinematic world"
+        return ClaimStatus.DOUBTED, f"{counted}: model only, the kinematic world"
     if stood_in:
-        return Standing.DOUBTED, f"{counted}: the target is met by the fallback"
-    return Standing.SHOWN, f"{counted}: at most {at_most(bound.upper)} of them do, and {limit} was the target"
+        return ClaimStatus.DOUBTED, f"{counted}: the target is met by the fallback"
+    return (
+        ClaimStatus.SHOWN,
+        f"{counted}: at most {at_most(bound.upper)} of them do, and {limit} was the target",
+    )
 
 
-def gravest(standings: Iterable[Standing]) -> Standing:
+def gravest(standings: Iterable[ClaimStatus]) -> ClaimStatus:
     """The one that a reader has to know first; UNTESTED of nothing at all."""
-    return min(standings, key=GRAVITY.index, default=Standing.UNTESTED)
+    return min(standings, key=SEVERITY_ORDER.index, default=ClaimStatus.UNTESTED)
 
 
-def overall(outcomes: Sequence[Outcome]) -> tuple[Standing, str]:
+def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
     """A claim's standing over its strata, and why: the gravest stratum's own reason."""
     standing = gravest(outcome.standing for outcome in outcomes)
     if not outcomes:

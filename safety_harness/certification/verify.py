@@ -16,7 +16,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.altered import turns_of
-from safety_harness.certification.check import Check
+from safety_harness.certification.check import Examination
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, read_manifest
@@ -46,7 +46,7 @@ def verify(
     seal: str | None = None,
     declared: str | None = None,
     on_progress: Callable[[str], None] = lambda words: None,
-) -> Iterator[Check]:
+) -> Iterator[Examination]:
     """Check by check; InputError for what is no report, or whose avoider may not be executed.
 
     ``runs`` episodes are made again, drawn at random with ``seed``, or as many as overlook rows that turn a
@@ -67,16 +67,18 @@ def verify(
         except OutputError:
             raise
         except InputError as error:
-            yield Check("ledger", "the evidence, the ledger and its plan", (str(error),), unchecked=(_REST,))
+            yield Examination(
+                "ledger", "the evidence, the ledger and its plan", (str(error),), unchecked=(_REST,)
+            )
             return
-        yield rows if plan else Check(rows.name, rows.looked_at, rows.faults, unchecked=(_REST,))
+        yield rows if plan else Examination(rows.name, rows.looked_at, rows.faults, unchecked=(_REST,))
         if plan is None:
             return
         _refuse_to_execute(plan, runs, execute_avoider)
         own = check_plan(folder, plan, ledger)
         yield own
         if not own.stands:
-            yield Check("rest", "nothing that follows from the plan", unchecked=(_REST,))
+            yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
             return
         drawing = Drawing(runs=runs, miss=miss, seed=seed, on_progress=on_progress)
         try:
@@ -85,7 +87,7 @@ def verify(
         except OutputError:
             raise
         except InputError as error:
-            yield Check("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
+            yield Examination("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
 
 
 def _of_the_plan(
@@ -96,7 +98,7 @@ def _of_the_plan(
     hashes: dict[str, str],
     drawing: Drawing,
     execute: bool,
-) -> Iterator[Check]:
+) -> Iterator[Examination]:
     """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
     same = same_software(plan, ledger)
     programs = bool(programs_in(plan))

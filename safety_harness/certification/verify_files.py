@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
-from safety_harness.admission.spaces import HOPELESS
+from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.campaign.stopping import Stopping
-from safety_harness.certification.check import Check, few
+from safety_harness.certification.check import Examination, few
 from safety_harness.certification.folder import (
     JSON,
     JUNIT,
@@ -23,12 +23,12 @@ from safety_harness.certification.folder import (
     names_in,
     sha256_of,
 )
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 REQUIRED = (PAGE, JSON, JUNIT, LEDGER)
 
 
-def check_files(folder: Path, hashes: dict[str, str]) -> Check:
+def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     """The manifest names every file of the folder, and nothing else."""
     faults = [f"{name} is not in the manifest" for name in REQUIRED if name not in hashes]
     for name, digest in hashes.items():
@@ -44,7 +44,9 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Check:
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
         faults.append(f"{LOG}: changes of the ledger that are not in it")
-    return Check("files", f"{len(hashes)} files and their hashes, {MANIFEST} {_mark(folder)}", few(faults))
+    return Examination(
+        "files", f"{len(hashes)} files and their hashes, {MANIFEST} {_mark(folder)}", few(faults)
+    )
 
 
 def _mark(folder: Path) -> str:
@@ -52,7 +54,7 @@ def _mark(folder: Path) -> str:
     return sha256_of(folder / MANIFEST)[:16]
 
 
-def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Check:
+def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     """The ledger's files are those of its declaration and those in the folder, and say what it says."""
     changes = ledger.declared.identity.changes(known.identity)
     own = tuple(change for change in changes if change.startswith("the file "))
@@ -67,7 +69,7 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Check:
     faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
-    return Check("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
+    return Examination("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
 
 
 def same_software(known: Plan, ledger: Ledger) -> bool:
@@ -109,7 +111,7 @@ def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
                 yield f"{ledger.declared.strata[place]}: stopped after {after} runs, which do not decide it"
 
 
-def check_rows(ledger: Ledger) -> Check:
+def check_rows(ledger: Ledger) -> Examination:
     """Every row is of a declared run, of the right kind, and once; nothing is computed from it yet."""
     declared = ledger.declared
     faults = []
@@ -145,7 +147,7 @@ def check_rows(ledger: Ledger) -> Check:
     ((made,),) = ledger.all("SELECT count(*) FROM episode")
     if not made:
         faults.append("there is no run in it")
-    return Check(
+    return Examination(
         "ledger", f"{made} runs in the ledger, each of them declared, and judged by all claims", few(faults)
     )
 
@@ -199,13 +201,14 @@ _ODD = {
     "sessions with values of another kind": _not("session", began="text", workers="text", machine="text"),
     "files with values of another kind": _not("file", name="text", data="blob"),
     "impossible counts": "SELECT count(*) FROM episode WHERE draws NOT BETWEEN 0 AND "
-    f"{HOPELESS} OR min(proposed, opposite, stopped, faults, late) < 0 OR seconds NOT BETWEEN 0 AND 1e12",
+    f"{MAX_REJECTION_RATIO} OR min(proposed, opposite, stopped, faults, late) < 0 "
+    "OR seconds NOT BETWEEN 0 AND 1e12",
     "traces of runs that were never drawn": "SELECT count(*) FROM trace t JOIN episode e "
     "ON e.stratum = t.stratum AND e.episode = t.episode WHERE e.draws < 1",
     "outcomes that are none": "SELECT count(*) FROM judgement WHERE outcome NOT BETWEEN 0 AND "
-    f"{int(max(Outcome))}",
+    f"{int(max(EpisodeOutcome))}",
     "failures without a reason": "SELECT count(*) FROM judgement j JOIN episode e ON e.stratum = j.stratum "
-    f"AND e.episode = j.episode WHERE j.outcome = {int(Outcome.FAILED)} AND e.failure IS NULL",
+    f"AND e.episode = j.episode WHERE j.outcome = {int(EpisodeOutcome.FAILED)} AND e.failure IS NULL",
 }
 
 
@@ -214,11 +217,12 @@ def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
     violating: list[set[int]] = [set() for _ in known.strata]
     failed: list[set[int]] = [set() for _ in known.strata]
     for stratum, episode in ledger.all(
-        "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?", int(Outcome.VIOLATED)
+        "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?", int(EpisodeOutcome.VIOLATED)
     ):
         violating[stratum].add(episode)
     for stratum, episode in ledger.all(
-        "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?", int(Outcome.FAILED)
+        "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?",
+        int(EpisodeOutcome.FAILED),
     ):
         failed[stratum].add(episode)
     traces = {(stratum, episode): violation for stratum, episode, violation in ledger.traces()}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.check import Check, few
+from safety_harness.certification.check import Examination, few
 from safety_harness.certification.declaration import PlanDeclaration, declaration_of, read_declaration
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.seal import Seal, read_seal, seal_of
@@ -43,7 +43,7 @@ def check_lodged(
     *,
     seal: str | Path | None,
     declared: str | Path | None,
-) -> Check:
+) -> Examination:
     """Against what was lodged elsewhere, or what it means that nothing was."""
     faults, notes, unchecked = [], [], []
     if seal is None:
@@ -61,7 +61,7 @@ def check_lodged(
         )
     root = recorded.record.rows_sha256
     text = f"the root over all rows, {root[:16]}, and what was lodged elsewhere"
-    return Check("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
+    return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
 
 
 def _differs(lodged: str | Path, now: Seal | PlanDeclaration, what: str) -> list[str]:

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
 
-from safety_harness.certification.check import Check, few
+from safety_harness.certification.check import Examination, few
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, JUNIT, PAGE, PDF
-from safety_harness.certification.gather import Gathered
+from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import render
 from safety_harness.certification.record import drawn_with
@@ -31,7 +31,7 @@ _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
 _AROUND = 60  # letters shown before and after a difference
 
 
-def check_pages(folder: Path, recorded: Evidence, gathered: Gathered, *, same: bool) -> Check:
+def check_pages(folder: Path, recorded: Evidence, gathered: GatheredEvidence, *, same: bool) -> Examination:
     """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
     faults, notes, unchecked = list(_traces(folder, gathered)), [], []
     if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
@@ -47,7 +47,7 @@ def check_pages(folder: Path, recorded: Evidence, gathered: Gathered, *, same: b
     if (folder / PDF).exists():
         unchecked.append(f"{PDF} is not compared with the page: print it anew")
     text = f"{PAGE} and {JUNIT}, made again from {JSON}"
-    return Check("pages", text, few(faults), tuple(notes), few(unchecked))
+    return Examination("pages", text, few(faults), tuple(notes), few(unchecked))
 
 
 def differences(there: bytes, made: bytes) -> tuple[str, ...]:
@@ -86,7 +86,7 @@ def _shown(there: bytes, made: bytes) -> str:
     return f"{one!r} in place of {other!r}"
 
 
-def _traces(folder: Path, gathered: Gathered) -> Iterator[str]:
+def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
     """Declared counterexamples of which the file is not the ledger's trace."""
     for one in gathered.examples:
         if one.shown is not None and one.data is not None:

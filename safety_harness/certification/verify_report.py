@@ -18,13 +18,13 @@ from typing import Any
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.check import Check, few
+from safety_harness.certification.check import Examination, few
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text, plain
-from safety_harness.certification.evidence import Evidence, Provenance
+from safety_harness.certification.evidence import Evidence, EvidenceProvenance
 from safety_harness.certification.folder import JSON, MADE, PLAN
-from safety_harness.certification.gather import Gathered, put_together, sessions_of
+from safety_harness.certification.gather import GatheredEvidence, put_together, sessions_of
 from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility
@@ -47,7 +47,7 @@ def check_numbers(
     *,
     same: bool,
     again: bool,
-) -> tuple[Check, Gathered]:
+) -> tuple[Examination, GatheredEvidence]:
     """Everything that follows from the ledger and the searches, computed anew.
 
     ``same``: with the same software.  ``again``: the runs are made again that doubt the simulator.
@@ -88,7 +88,7 @@ def check_numbers(
     if recorded.selftest or recorded.credibility.oracles:
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, hashes)]
-    return Check("numbers", text, few(faults), few(notes), few(unchecked)), gathered
+    return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
 
 
 def _declaration(recorded: Evidence, plan: Plan, ledger: Ledger) -> str:
@@ -97,7 +97,7 @@ def _declaration(recorded: Evidence, plan: Plan, ledger: Ledger) -> str:
     return declared and declaration_of(plan, ledger.declared.identity).sha256
 
 
-def _origin(recorded: Provenance, ledger: Ledger, *, same: bool) -> Provenance:
+def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
     """As the ledger has it; when and by which command the report was made, nothing else says."""
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
@@ -158,7 +158,7 @@ def _files(folder: Path, recorded: Evidence, hashes: dict[str, str]) -> Iterator
         yield f"{JSON} has been edited: the same content is written otherwise"
 
 
-def _told(origin: Provenance) -> Iterator[str]:
+def _told(origin: EvidenceProvenance) -> Iterator[str]:
     """What only the maker can say has at least to be what certify writes."""
     for command in (origin.command, *origin.commands):
         if not _is_ours(command):

@@ -13,14 +13,14 @@ from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import described
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.files import references_in
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, PlannedWorld
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.certification.altered import Turn, chance_to_miss, runs_to_see
-from safety_harness.certification.check import Check, few
-from safety_harness.certification.gather import Gathered
+from safety_harness.certification.check import Examination, few
+from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verdicts import percent
 from safety_harness.certification.verify_files import kept
@@ -34,7 +34,7 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.trace import Trace
 
@@ -163,13 +163,13 @@ class Compared:
                 if self.same:
                     yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
 
-    def _recorded(self, row: Row, claim: int) -> Judgement | None:
+    def _recorded(self, row: Row, claim: int) -> ClaimJudgement | None:
         question = (
             "SELECT outcome, margin, worst_time_s, exercised FROM judgement "
             "WHERE stratum = ? AND claim = ? AND episode = ?"
         )
         for outcome, margin, worst_s, exercised in self.ledger.all(question, row.stratum, claim, row.episode):
-            return Judgement(Outcome(outcome), _number(margin), _number(worst_s), exercised)
+            return ClaimJudgement(EpisodeOutcome(outcome), _number(margin), _number(worst_s), exercised)
         return None
 
 
@@ -183,7 +183,7 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _same(then: Judgement, now: Judgement) -> bool:
+def _same(then: ClaimJudgement, now: ClaimJudgement) -> bool:
     return then.margin == now.margin or (math.isnan(then.margin) and math.isnan(now.margin))
 
 
@@ -194,10 +194,10 @@ def _near(then: float, now: float) -> bool:
     return math.isclose(then, now, rel_tol=1e-3, abs_tol=1e-4)
 
 
-def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
+def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
     """All that were to be kept, each of the run that it is stored for, judged with the present code."""
     faults, count = list(kept(plan, ledger)), 0
-    compared, bench = Compared(plan, ledger, same=same), Bench(plan, programs=False)
+    compared, bench = Compared(plan, ledger, same=same), EpisodeRunner(plan, programs=False)
     source = dict(ledger.declared.identity.parts).get("the source of this package")
     others = 0
     for stratum, episode, _ in ledger.traces():
@@ -229,7 +229,7 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Check:
     if others and not same:
         notes += (f"{others} traces are of scenarios that the present software draws or writes otherwise",)
     text = f"{count} stored traces, judged with the present code"
-    return Check("stored traces", text, few([*faults, *compared.faults]), notes)
+    return Examination("stored traces", text, few([*faults, *compared.faults]), notes)
 
 
 def _world(trace: Trace) -> PlannedWorld:
@@ -237,7 +237,7 @@ def _world(trace: Trace) -> PlannedWorld:
     return PlannedWorld.PYBULLET if pybullet else PlannedWorld.KINEMATIC
 
 
-def check_searched(gathered: Gathered, *, same: bool, programs: bool) -> Check:
+def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
     """The runs of what a search found, made again: nothing else is known of them than their traces."""
     faults: list[str] = []
     notes: list[str] = []
@@ -260,19 +260,21 @@ def check_searched(gathered: Gathered, *, same: bool, programs: bool) -> Check:
         if difference is not None:
             (faults if same else notes).append(f"{one.shown.trace_file}: {difference}")
     text = f"{count} counterexamples of the search, made again"
-    return Check("search", text, few(faults), few(notes), few(unchecked))
+    return Examination("search", text, few(faults), few(notes), few(unchecked))
 
 
 def check_runs(
     plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool, programs: bool
-) -> Check:
+) -> Examination:
     """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
     count = drawing.number(len(made), turns)
     if count < 1:
-        return Check("runs", "no run was made again", unchecked=("whether runs give their outcomes again",))
+        return Examination(
+            "runs", "no run was made again", unchecked=("whether runs give their outcomes again",)
+        )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
-    bench, compared = Bench(plan, programs=programs), Compared(plan, ledger, same=same)
+    bench, compared = EpisodeRunner(plan, programs=programs), Compared(plan, ledger, same=same)
     together = KINEMATIC_TOGETHER if plan.world is PlannedWorld.KINEMATIC else 1
     begun_s, told = time.perf_counter(), 0
     for stratum, group in groupby(chosen, lambda one: one[0]):
@@ -290,4 +292,4 @@ def check_runs(
     each_s = (time.perf_counter() - begun_s) / count
     notes, unchecked = drawing.told(len(made), count, turns, each_s)
     text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
-    return Check("runs", text, few(compared.faults), (*compared.notes, *notes), unchecked)
+    return Examination("runs", text, few(compared.faults), (*compared.notes, *notes), unchecked)

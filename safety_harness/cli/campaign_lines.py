@@ -15,22 +15,22 @@ from rich.text import Text
 from safety_harness.campaign.declared import Declared
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.runner import Progress
+from safety_harness.campaign.runner import RunnerProgress
 from safety_harness.campaign.summary import fallback_of
-from safety_harness.campaign.tally import Tally
+from safety_harness.campaign.tally import CampaignTally
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.cli.console import say
 from safety_harness.properties.base import Unit
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import Sides, bounds_of
-from safety_harness.statistics.paired import Comparison
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.paired import PairedComparison
+from safety_harness.statistics.sample import EpisodeOutcome
 
 _EVERY_S = 30.0  # where there is no terminal
 _MOST_REASONS = 5
 
 
-def summary(declared: Declared, tally: Tally) -> str:
+def summary(declared: Declared, tally: CampaignTally) -> str:
     """How many episodes of each stratum are done."""
     parts = []
     for name, stratum in zip(declared.strata, tally.strata, strict=True):
@@ -43,19 +43,22 @@ def summary(declared: Declared, tally: Tally) -> str:
     return f"episodes {tally.done}/{tally.planned} in {declared.world}: " + "; ".join(parts)
 
 
-def claim_lines(declared: Declared, tally: Tally) -> list[str]:
+def claim_lines(declared: Declared, tally: CampaignTally) -> list[str]:
     """Of each claim over all strata the worst margin, and how often it was violated, tested, ..."""
     return _lines(declared.claims, declared.units, tally)
 
 
-def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Tally) -> list[str]:
+def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
     lines = []
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         one = tally.of_claim(k)
         counts = one.counts
-        tested = sum(counts.values()) - counts[Outcome.UNTESTED]
-        words = f"violated in {counts[Outcome.VIOLATED]} of {tested} tested"
-        others = ((Outcome.UNTESTED, "not put to the test"), (Outcome.INCONCLUSIVE, "inconclusive"))
+        tested = sum(counts.values()) - counts[EpisodeOutcome.UNTESTED]
+        words = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {tested} tested"
+        others = (
+            (EpisodeOutcome.UNTESTED, "not put to the test"),
+            (EpisodeOutcome.INCONCLUSIVE, "inconclusive"),
+        )
         words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
         lines.append(f"  {unit.margin_text(one.worst):>14}  {claim}: {words}")
     return lines
@@ -111,7 +114,7 @@ def bound_lines(ledger: Ledger) -> list[str]:
     return lines
 
 
-def difference_lines(found: Sequence[Comparison], confidence: float) -> list[str]:
+def difference_lines(found: Sequence[PairedComparison], confidence: float) -> list[str]:
     """Second campaign minus first, a line for each claim in each stratum, and how surely."""
     each = confidence_words(found[0].confidence)
     head = (
@@ -121,7 +124,7 @@ def difference_lines(found: Sequence[Comparison], confidence: float) -> list[str
     return [head, *map(_difference_line, found)]
 
 
-def _difference_line(one: Comparison) -> str:
+def _difference_line(one: PairedComparison) -> str:
     how = f"from {one.low:+.3%} to {one.high:+.3%}; p {one.p_value:.3g}"
     counts = (
         f"both {one.both}, only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
@@ -152,7 +155,7 @@ class CampaignProgress:
             yield self
         self._live = None
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: RunnerProgress) -> None:
         """Rate, time left, worst margins, violations."""
         head = (
             f"{progress.tally.done}/{progress.tally.planned} episodes, {progress.rate:.1f} a second, "

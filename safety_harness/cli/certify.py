@@ -16,9 +16,9 @@ from safety_harness.campaign.session import LEDGER, carry_on, processes
 from safety_harness.certification.argument import STATE
 from safety_harness.certification.declaration import beside as declaration_file
 from safety_harness.certification.declaration import declared_sha256, write_declaration
-from safety_harness.certification.evidence import Evidence, Standing
+from safety_harness.certification.evidence import ClaimStatus, Evidence
 from safety_harness.certification.folder import PAGE, PDF, read_manifest, write_folder, write_manifest
-from safety_harness.certification.gather import Trials, gather
+from safety_harness.certification.gather import HarnessTrials, gather
 from safety_harness.certification.pdf import browser, write_pdf
 from safety_harness.certification.results import refuse_hopeless
 from safety_harness.certification.seal import beside as seal_file
@@ -64,7 +64,7 @@ def certify(
         refuse_shared_modules()
         if pdf:
             browser()
-        trials = Trials(
+        trials = HarnessTrials(
             selftest=None if selftest is None else read_selftest(selftest),
             oracles=() if oracles is None else read_oracles(oracles),
             oracles_with="" if oracles is None else f"as {oracles.name} has it",
@@ -137,7 +137,7 @@ class _Job:
 
     plan: Plan
     folder: Path
-    trials: Trials
+    trials: HarnessTrials
     command: str
     declaration_sha256: str = ""
 
@@ -161,7 +161,7 @@ class _Job:
         if not complete:
             say("interrupted: the report says what is missing; the same command goes on from there")
             return INTERRUPTED
-        return AS_EXPECTED if evidence.standing is Standing.SHOWN else DIFFERS
+        return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN else DIFFERS
 
     def _campaign(self, workers: int | None) -> bool:
         progress = CampaignProgress(self.plan)

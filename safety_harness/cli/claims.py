@@ -9,7 +9,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result, 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.pages import told
 from safety_harness.scenario.units import near_miss
 
@@ -48,7 +48,7 @@ def explain_claims(words: Sequence[str]) -> int:
     return AS_EXPECTED
 
 
-def _lines(entry: Entry) -> Iterator[str]:
+def _lines(entry: CatalogueEntry) -> Iterator[str]:
     yield entry.example
     for name, text in told(entry):
         yield from textwrap.wrap(

@@ -25,14 +25,14 @@ from safety_harness.trace.provenance import shared_modules
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
-def tame(text: str) -> str:
+def strip_control_chars(text: str) -> str:
     """Without the characters that command a terminal: names of files and traces may come from anybody."""
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
 def say(text: str) -> None:
     """A remark on standard error."""
-    sys.stderr.write(tame(text) + "\n")
+    sys.stderr.write(strip_control_chars(text) + "\n")
     sys.stderr.flush()
 
 
@@ -44,7 +44,7 @@ def say_shared_modules() -> None:
 
 def result(text: str) -> None:
     """A line of results on standard output."""
-    sys.stdout.write(tame(text) + "\n")
+    sys.stdout.write(strip_control_chars(text) + "\n")
     sys.stdout.flush()
 
 

@@ -21,7 +21,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.exceptions import DatasetError, InputError, ModelError, OutputError, Place
 from safety_harness.learning.evaluation import LEVELS, Figures, evaluate_model, learns_noise_free
 from safety_harness.learning.evaluation_sets import DataCard, EvaluationSet, fresh_sets, test_part
-from safety_harness.learning.metrics import Coverage, Errors
+from safety_harness.learning.metrics import Errors, IntervalCoverage
 from safety_harness.learning.spaces import seen
 from safety_harness.proportions import Proportion
 from safety_harness.settings import DEFAULTS
@@ -210,7 +210,7 @@ def _errors(found: Errors) -> dict[str, Any]:
     }
 
 
-def _coverage(found: Coverage) -> dict[str, Any]:
+def _coverage(found: IntervalCoverage) -> dict[str, Any]:
     return {
         "picp": found.picp.tolist(),
         "joint": found.joint,

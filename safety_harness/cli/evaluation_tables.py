@@ -8,7 +8,7 @@ import numpy as np
 
 from safety_harness.learning.dataset import LabelFloor
 from safety_harness.learning.evaluation import LEVELS, RESIDUALS, Figures
-from safety_harness.learning.metrics import Coverage, Errors
+from safety_harness.learning.metrics import Errors, IntervalCoverage
 from safety_harness.proportions import Proportion
 
 NONE = "-"
@@ -100,7 +100,7 @@ def _curve_rows(one: Figures) -> Iterator[Row]:
         yield one.set.name, one.model, VARIANTS[name], *map(_percent, curve.mean(axis=1).tolist())
 
 
-def _mean_picp(found: Coverage | None) -> str:
+def _mean_picp(found: IntervalCoverage | None) -> str:
     return NONE if found is None else _percent(float(found.picp.mean()))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario.reference import REQUIRED, Below, Key, Quantity, Several, Table, Value
+from safety_harness.scenario.reference import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.units import Dimension, near_miss
 
@@ -38,13 +38,13 @@ def explain_key(words: Sequence[str]) -> int:
     return AS_EXPECTED
 
 
-def _names(table: Table, key: Key) -> tuple[str, ...]:
+def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
     """What a user may call a key: its name, alone or below that of its mapping."""
     above = {table.name, table.path, table.path.rpartition(".")[2]} - {""}
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
 
 
-def _lines(table: Table, key: Key) -> Iterator[str]:
+def _lines(table: KeyTable, key: Key) -> Iterator[str]:
     yield f"{key.name}, of {table.where}"
     yield f"  means    {_plain(key.meaning)}"
     yield f"  takes    {_plain(_takes(key))}"
@@ -72,7 +72,7 @@ def _takes(key: Key) -> str:
 def _dimension(value: Value) -> Dimension | None:
     if isinstance(value, Several):
         return _dimension(value.of)
-    return value.dimension if isinstance(value, Quantity) and value.dimension.units else None
+    return value.dimension if isinstance(value, QuantityValue) and value.dimension.units else None
 
 
 def _plain(text: str) -> str:

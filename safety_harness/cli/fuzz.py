@@ -21,7 +21,7 @@ from safety_harness.cli.console import (
     say_shared_modules,
 )
 from safety_harness.cli.fuzz_json import complaint_of
-from safety_harness.cli.fuzz_page import FINDINGS, PAGE, Written, evidence_of, write_all
+from safety_harness.cli.fuzz_page import FINDINGS, PAGE, WrittenCounterexample, evidence_of, write_all
 from safety_harness.cli.fuzz_progress import FuzzProgress, nearest_lines, remarks, summary
 from safety_harness.cli.show import write_text
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
@@ -34,11 +34,11 @@ from safety_harness.search.counterexample import Counterexample, counterexample_
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.disagreement import Disagreement, disagreement_of
-from safety_harness.search.findings import Episode, Findings, Group
-from safety_harness.search.sampling import Uniform
+from safety_harness.search.findings import Findings, Group, TriedPoint
+from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher, searcher_named
-from safety_harness.search.trials import Trials, World, in_kinematic, in_pybullet
+from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
 from safety_harness.space.read import read_space
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -70,7 +70,7 @@ def fuzz(
         if budget < 1:
             raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
         make = searcher_named(searcher)
-        if baseline and make is Uniform:
+        if baseline and make is UniformSampling:
             raise ScenarioError(
                 place=Place(field="--baseline"),
                 expected="another searcher, to compare with uniform sampling",
@@ -98,9 +98,9 @@ class _Session:
     trials: Trials
     out: Path
     budget: int
-    confirming: World = in_pybullet
+    confirming: ScenarioRunner = in_pybullet
     baseline: Findings | None = None
-    written: list[Written] = field(default_factory=list)
+    written: list[WrittenCounterexample] = field(default_factory=list)
     confirmed: int = 0
     unwritable: OutputError | None = None
     unconfirmed: list[Disagreement] = field(default_factory=list)
@@ -114,7 +114,7 @@ class _Session:
         if not self.findings.interrupted and self.unwritable is None:
             say("the baseline: uniform sampling with the same budget")
             anew = replace(self.trials, coverage=Coverage(), violations=Coverage())
-            self.baseline = self._search(Uniform, anew, folder="baseline")
+            self.baseline = self._search(UniformSampling, anew, folder="baseline")
             self.findings.interrupted = self.baseline.interrupted
 
     def _search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
@@ -172,7 +172,7 @@ class _Session:
         searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
         findings = next((one for one in searches if one.of_claim(claim)), self.findings)
         groups = _one_of_each_kind_first(findings.of_claim(claim))
-        told: list[Written] = []
+        told: list[WrittenCounterexample] = []
         tried = shrunk = 0
         for group in groups:
             if len(told) == _MOST_SHRUNK or shrunk == 2 * _MOST_SHRUNK or self.findings.interrupted:
@@ -218,14 +218,14 @@ class _Session:
             return Disagreement(group, complaint)
         return disagreement_of(group, complaint, found, self.trials.world, self.confirming)
 
-    def _found(self, episode: Episode) -> Scenario:
+    def _found(self, episode: TriedPoint) -> Scenario:
         return as_seen_from(self.out, self.trials.scenario(episode.point, episode.number))
 
-    def _origin(self, episode: Episode, findings: Findings) -> list[str]:
+    def _origin(self, episode: TriedPoint, findings: Findings) -> list[str]:
         trials = self.trials
         return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
 
-    def _save(self, one: Counterexample, group: Group, findings: Findings) -> Written:
+    def _save(self, one: Counterexample, group: Group, findings: Findings) -> WrittenCounterexample:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
@@ -235,7 +235,7 @@ class _Session:
                 save_trace(one.run, trace_file)
             except OSError as error:
                 self.unwritable = OutputError.of(trace_file, error)
-        self.written.append(Written(one, [group], findings.searcher, path, trace_file, text))
+        self.written.append(WrittenCounterexample(one, [group], findings.searcher, path, trace_file, text))
         return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
@@ -297,7 +297,7 @@ class _Session:
         return DIFFERS if self.written else AS_EXPECTED
 
 
-def _tell(written: Written) -> None:
+def _tell(written: WrittenCounterexample) -> None:
     """What was found, once: however many groups of runs shrank to it."""
     one, runs = written.one, written.shown.runs
     margin = "-" if one.evaluation is None else one.evaluation.margin_text()

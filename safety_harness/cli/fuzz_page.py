@@ -30,7 +30,7 @@ FINDINGS, PAGE, COVERAGE = "findings.json", "fuzz.html", "coverage.svg"
 
 
 @dataclass(frozen=True, eq=False)
-class Written:
+class WrittenCounterexample:
     """A counterexample, the groups of runs that shrank to it, that of its own first, and its files."""
 
     one: Counterexample
@@ -65,7 +65,7 @@ def evidence_of(
     budget: int,
     findings: Findings,
     baseline: Findings | None,
-    written: Sequence[Written],
+    written: Sequence[WrittenCounterexample],
     confirmed: int,
     unconfirmed: Sequence[Disagreement],
 ) -> SearchEvidence:

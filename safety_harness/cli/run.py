@@ -32,7 +32,7 @@ from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_co
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.properties.tally import table_lines
 from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import Tally, fault_notes
+from safety_harness.report.decisions import DecisionTally, fault_notes
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
@@ -88,7 +88,7 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     except OSError as error:
         explain(OutputError.of(traces, error))
         return BAD_INPUT
-    session = Session(out, shlex.join(_command(paths, out, avoider)), len(admitted))
+    session = RunSession(out, shlex.join(_command(paths, out, avoider)), len(admitted))
     session.run_all(admitted)
     return session.finish()
 
@@ -99,7 +99,7 @@ def _command(paths: Sequence[Path], out: Path, avoider: str | None) -> list[str]
 
 
 @dataclass
-class Session:
+class RunSession:
     """The runs of one command: what came out, and whether they came to an end."""
 
     out: Path
@@ -155,7 +155,7 @@ class Session:
         for line in computing_time_lines(run.trace for run in self.runs):
             say(f"computing time: {line}")
         verdicts = [same for one in self.runs for same in one.as_expected]
-        fallback = Tally.of(one.trace for one in self.runs).fallback
+        fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
             f"{len(self.runs)} of {self.planned} scenarios run" + (f"; {fallback}" if fallback else "")

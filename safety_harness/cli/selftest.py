@@ -16,8 +16,8 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUP
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, OutputError, Place, SettingsError
 from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.document import About, write_document
-from safety_harness.selftest.outcome import Outcome, State, tally_of
+from safety_harness.selftest.document import SelfTestRun, write_document
+from safety_harness.selftest.outcome import FaultOutcome, FaultState, tally_of
 from safety_harness.selftest.page import write_page
 from safety_harness.selftest.profile import profile_named
 from safety_harness.selftest.table import (
@@ -30,7 +30,7 @@ from safety_harness.selftest.table import (
     row,
     summary,
 )
-from safety_harness.selftest.work import Plan, outcomes, sound_remarks
+from safety_harness.selftest.work import SelfTestPlan, outcomes, sound_remarks
 
 PAGE, DATA = "selftest.html", "selftest.json"
 
@@ -51,7 +51,7 @@ def selftest(
     and written whatever happens, the JSON after each fault.
     """
     try:
-        plan = Plan(profile_named(profile), scenarios, avoider)
+        plan = SelfTestPlan(profile_named(profile), scenarios, avoider)
         numbers = _numbers(fault, jobs)
         say("reading and trying the sound system")
         suite = plan.suite()
@@ -65,8 +65,8 @@ def selftest(
     for remark in remarks:
         say(remark)
 
-    def about(seconds: float, interrupted: bool) -> About:
-        return About(
+    def about(seconds: float, interrupted: bool) -> SelfTestRun:
+        return SelfTestRun(
             profile=plan.profile.name,
             avoider=avoider,
             scenarios=str(scenarios),
@@ -119,18 +119,18 @@ class _Session:
 
     numbers: list[int]
     out: Path
-    about: Callable[[float, bool], About]
-    done: dict[str, Outcome] = field(default_factory=dict)
+    about: Callable[[float, bool], SelfTestRun]
+    done: dict[str, FaultOutcome] = field(default_factory=dict)
     interrupted: bool = False
     broken: str = ""
     begun_s: float = field(default_factory=time.monotonic)
 
     @property
-    def tried(self) -> list[Outcome]:
+    def tried(self) -> list[FaultOutcome]:
         """In the order of the catalogue."""
         return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
 
-    def run(self, plan: Plan, jobs: int) -> None:
+    def run(self, plan: SelfTestPlan, jobs: int) -> None:
         """Until all are tried, or Ctrl-C, or a defect.  OSError if nothing can be written."""
         found = outcomes(plan, self.numbers, jobs)
         try:
@@ -180,8 +180,8 @@ class _Session:
         return DIFFERS if bad(tried) else AS_EXPECTED
 
 
-def _words(one: Outcome) -> str:
+def _words(one: FaultOutcome) -> str:
     alarm, smallest = one.alarm, one.smallest
-    if one.state is State.CAUGHT and alarm and smallest:
+    if one.state is FaultState.CAUGHT and alarm and smallest:
         return f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
     return one.state.value

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from safety_harness.controller.controller import AvoidingServo
 
 
-class Around:
+class ControllerWrapper:
     """Everything as the ``pilot`` has it; who inherits changes what it changes."""
 
     def __init__(self, pilot: AvoidingServo) -> None:

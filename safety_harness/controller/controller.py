@@ -14,11 +14,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asked import Asked
+from safety_harness.avoidance.asked import DelayedQuery
 from safety_harness.avoidance.asking import Answer, late_fault
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.faulty import faulty
-from safety_harness.avoidance.gate import Gate, Query, Ruling, answer_to
+from safety_harness.avoidance.gate import Gate, GateDecision, Query, answer_to
 from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
 from safety_harness.controller.decision_times import NOTHING
 from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
@@ -29,7 +29,7 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, TICK_COMPILED, Outcome
+from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, TICK_COMPILED, DecisionOutcome
 
 
 class Controller(Protocol):
@@ -154,7 +154,7 @@ class AvoidingServo:
         hand_in_base_m, tcp_in_base_m = (
             question[name].copy() for name in ("hand_position_in_base_m", "tcp_position_in_base_m")
         )
-        return Asked(avoider, hand_in_base_m, tcp_in_base_m)
+        return DelayedQuery(avoider, hand_in_base_m, tcp_in_base_m)
 
     def query(self, observation: NDArray[np.void]) -> Query:
         """The decision that counts now, as the gate wants it."""
@@ -182,15 +182,15 @@ class AvoidingServo:
         number = len(self._decisions)
         return self._recorded_late[number] if number < len(self._recorded_late) else ""
 
-    def decide(self, query: Query, ruling: Ruling) -> None:
+    def decide(self, query: Query, ruling: GateDecision) -> None:
         """Take the gate's ruling over, note everything down."""
         answer = self.records.answer
-        answer["stop"] = ruling.outcome is Outcome.STOP
+        answer["stop"] = ruling.outcome is DecisionOutcome.STOP
         answer["position_in_base_m"] = ruling.chosen_position_in_base_m
         self._latencies_s.append(ruling.latency_s)
         self._decisions.append(self._record(query, ruling))
 
-    def _record(self, query: Query, ruling: Ruling) -> NDArray[np.void]:
+    def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
         """(1,) DECISION."""
         record = np.zeros(1, DECISION)
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):

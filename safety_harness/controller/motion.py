@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, compiled
+from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
@@ -61,7 +61,7 @@ def servo_twist(
     twist_in_base_out[3:] = w
 
 
-@arrayless
+@njit_no_nrt
 def approach_twist(
     parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
 ) -> None:
@@ -87,7 +87,7 @@ def approach_twist(
         twist_in_base_out[i] *= speed / distance if distance > 0.0 else 0.0
 
 
-@arrayless
+@njit_no_nrt
 def shaped(
     parameters: NDArray[np.void],
     previous: NDArray[np.float64],  # (6,) the twist of the last tick, base frame

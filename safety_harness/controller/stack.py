@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, inlined
+from safety_harness.compiled import inlined, njit_no_nrt
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
@@ -32,7 +32,7 @@ LIMIT_SINGULARITY = int(Limit.SINGULARITY)
 STANDSTILL_RADPS = 1e-3
 
 
-@arrayless
+@njit_no_nrt
 def begin_tick(
     parameters: NDArray[np.void],  # (1,) PARAMETERS
     filter_parameters: NDArray[np.void],  # (1,) FILTER_PARAMETERS
@@ -53,7 +53,7 @@ def begin_tick(
     return bool(s.decision_pending)
 
 
-@arrayless
+@njit_no_nrt
 def see_object(
     parameters: NDArray[np.void], states: NDArray[np.void], observations: NDArray[np.void]
 ) -> None:
@@ -74,7 +74,7 @@ def see_object(
         s.object_visible = False
 
 
-@arrayless
+@njit_no_nrt
 def see_hands(
     parameters: NDArray[np.void],
     filter_parameters: NDArray[np.void],
@@ -123,7 +123,7 @@ def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
     return float(np.sqrt(total))
 
 
-@arrayless
+@njit_no_nrt
 def decide_mode(
     parameters: NDArray[np.void],
     states: NDArray[np.void],
@@ -172,7 +172,7 @@ def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
     return bool(np.sqrt(total) <= p.arrival_tolerance_m)
 
 
-@arrayless
+@njit_no_nrt
 def unknown_hand_inside(
     parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]
 ) -> bool:
@@ -188,7 +188,7 @@ def unknown_hand_inside(
     return False
 
 
-@arrayless
+@njit_no_nrt
 def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]) -> None:
     """Note which hands are within the critical distance as a decision is made."""
     p, s = parameters[0], states[0]
@@ -197,7 +197,7 @@ def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], track
         s.known_track_ids[i] = tracks[i].id if within else -1
 
 
-@arrayless
+@njit_no_nrt
 def finish_tick(
     parameters: NDArray[np.void],  # (1,) PARAMETERS
     states: NDArray[np.void],  # (1,) STATE

@@ -15,9 +15,9 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Initially,
     Until,
-    Whenever,
 )
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.semantics import ticks_of
@@ -51,8 +51,8 @@ def _split(formula: Formula) -> list[Formula]:
             return [part for member in formula.members for part in _split(member)]
         case Always(body=And() as body, span=span):
             return [part for member in body.members for part in _split(Always(member, span))]
-        case Whenever(trigger=trigger, response=And() as body):
-            return [part for member in body.members for part in _split(Whenever(trigger, member))]
+        case Globally(trigger=trigger, response=And() as body):
+            return [part for member in body.members for part in _split(Globally(trigger, member))]
         case Initially(body=And() as body):
             return [part for member in body.members for part in _split(Initially(member))]
     return [formula]
@@ -79,7 +79,7 @@ def dimension_of(formula: Formula) -> Dimension | None:
     """
     if isinstance(formula, Comparison):
         return formula.signal.dimension
-    parts = formula.parts[1:] if isinstance(formula, Whenever) else formula.parts
+    parts = formula.parts[1:] if isinstance(formula, Globally) else formula.parts
     found: list[tuple[Dimension, Formula]] = []
     for part in parts:
         dimension = dimension_of(part)

@@ -206,7 +206,7 @@ class Until(Formula):
 
 
 @dataclass(frozen=True)
-class Whenever(Formula):
+class Globally(Formula):
     """At every tick at which ``trigger`` holds, ``response`` does.  The trigger has no margin of its own."""
 
     trigger: Formula
@@ -225,7 +225,7 @@ class Whenever(Formula):
         return f"whenever {self.trigger} then {response}"
 
 
-TEMPORAL = (Always, Eventually, Until, Whenever, Initially)
+TEMPORAL = (Always, Eventually, Until, Globally, Initially)
 _JOINS = (And, Or, Until)
 
 
@@ -265,7 +265,7 @@ def _refuse_what_stands_at_the_top(formula: Formula) -> None:
     word = type(formula).__name__.lower()
     for part in formula.parts:
         for node in formula_of(part, word).nodes():
-            if isinstance(node, Whenever | Initially):
+            if isinstance(node, Globally | Initially):
                 begins = type(node).__name__.lower()
                 raise formula_error(
                     f'"{begins}" at the beginning of a claim, or of a part that "and" joins to others',

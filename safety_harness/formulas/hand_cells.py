@@ -18,7 +18,7 @@ from safety_harness.properties.hand_distance import (
 )
 from safety_harness.properties.hand_paths import HandPaths, hand_bend_m
 from safety_harness.properties.true_motion import capsules_of, joint_reach_m
-from safety_harness.robot.closest_approach import DEEPEST, approach_between
+from safety_harness.robot.closest_approach import MAX_BISECTIONS, approach_between
 from safety_harness.robot.description import load_arm
 from safety_harness.trace.trace import Trace
 
@@ -140,7 +140,7 @@ def _bounds(
 ) -> NDArray[np.float64]:
     """(n-1,) certified lower bound of the distance from each instant to the next."""
     bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
-    room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
+    room = np.empty((MAX_BISECTIONS + 1, radius_m.shape[0], 2, 3))
     for k in range(bounds.shape[0]):
         bounds[k], _, _ = approach_between(
             joint_origins,

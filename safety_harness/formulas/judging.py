@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from safety_harness.formulas.asked import shown_in, signals_of, unit_of
 from safety_harness.formulas.cells import rises
-from safety_harness.formulas.formula import Comparison, Formula, Initially, Truth, Until, Whenever
+from safety_harness.formulas.formula import Comparison, Formula, Globally, Initially, Truth, Until
 from safety_harness.formulas.semantics import (
     LEAST,
-    Bounds,
+    MarginBounds,
     Margins,
     comparison_bounds,
     margins,
@@ -72,12 +72,12 @@ def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
     return f"no run has what is stored: {signal.words} {number} at {trace.time_s[tick]:.3f} s"
 
 
-def _at_ticks(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> Bounds:
+def _at_ticks(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> MarginBounds:
     value = _whole_run(sampled[atom.signal].value, trace)
     return truth_bounds(value) if isinstance(atom, Truth) else comparison_bounds(atom, value, value)
 
 
-def _between(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> Bounds:
+def _between(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> MarginBounds:
     """From each tick to the next; what is not known at the tick is not known after it either."""
     one = sampled[atom.signal]
     if isinstance(atom, Truth) or one.low is one.high:
@@ -103,7 +103,7 @@ def _exercised(part: Formula, at_ticks: Margins, sampled: dict[Signal, Sampled])
     tried = set(sampled)
     known = np.all([~np.isnan(one.value) for one in sampled.values()], axis=0)
     count, untried = int(np.count_nonzero(known)), "what it reads is never known"
-    if isinstance(part, Whenever):
+    if isinstance(part, Globally):
         count = rises(at_ticks.parts[0].bounds.low >= 0.0)
         untried = f'"{part.trigger}" never holds'
         tried -= set(signals_of(part.trigger))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from safety_harness.formulas.formula import Always, Eventually, Formula, Initially, Whenever, formula_of
+from safety_harness.formulas.formula import Always, Eventually, Formula, Globally, Initially, formula_of
 from safety_harness.formulas.span import Window, span_of
 
 
@@ -27,16 +27,16 @@ def initially(formula: Formula) -> Formula:
 
 
 @dataclass(frozen=True)
-class Trigger:
+class Antecedent:
     """The first half of ``whenever(...).then(...)``."""
 
     trigger: Formula
 
     def then(self, response: Formula) -> Formula:
         """At every tick at which the trigger holds, ``response`` does."""
-        return Whenever(self.trigger, formula_of(response, "then"))
+        return Globally(self.trigger, formula_of(response, "then"))
 
 
-def whenever(trigger: Formula) -> Trigger:
+def whenever(trigger: Formula) -> Antecedent:
     """``whenever(p).then(q)``: q at every tick at which p holds; if p never does, that is no evidence."""
-    return Trigger(formula_of(trigger, "whenever"))
+    return Antecedent(formula_of(trigger, "whenever"))

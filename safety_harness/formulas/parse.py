@@ -24,13 +24,13 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Initially,
     Not,
     Or,
     Relation,
     Truth,
     Until,
-    Whenever,
     conjunction,
     disjunction,
 )
@@ -43,7 +43,7 @@ from safety_harness.scenario.units import TIME, Dimension, near_miss
 
 FIRST = ("always", "eventually", "whenever", "within", "initially", "not")
 KEYWORDS = (*FIRST, "and", "or", "until", "then", "for", "from", "to")
-DEEPEST = 30  # parentheses and operators within one another
+MAX_DEPTH = 30  # parentheses and operators within one another
 
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
@@ -107,8 +107,8 @@ class _Parser:
 
     def claim(self, depth: int) -> Formula:
         begins = self.now
-        if depth > DEEPEST:
-            raise self.error(f"at most {DEEPEST} parentheses and operators within one another")
+        if depth > MAX_DEPTH:
+            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
         if self.far_begins():
             formula = self.far(depth)
             self.refuse_more(begins)
@@ -156,7 +156,7 @@ class _Parser:
         if word.text == "whenever":
             trigger = self.claim(depth + 1)
             self.need("then", '"then" and what is to hold whenever the first part does')
-            return self.made(word, Whenever, trigger, self.reach(depth, until=True))
+            return self.made(word, Globally, trigger, self.reach(depth, until=True))
         if word.text == "not":
             return self.made(word, Not, self.reach(depth))
         if word.text == "initially":
@@ -173,8 +173,8 @@ class _Parser:
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
         """What an operator is said of: one operand, or another operator with its own."""
-        if depth > DEEPEST:
-            raise self.error(f"at most {DEEPEST} parentheses and operators within one another")
+        if depth > MAX_DEPTH:
+            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
         if self.far_begins():
             return self.far(depth + 1)
         first = self.operand(depth)
@@ -193,8 +193,8 @@ class _Parser:
             raise self.error(
                 f'parentheses around what "{word.text}" begins', hint=f'write "({word.text} ...)"'
             )
-        if depth > DEEPEST:
-            raise self.error(f"at most {DEEPEST} parentheses and operators within one another")
+        if depth > MAX_DEPTH:
+            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
         return self.atom()
 
     def atom(self) -> Formula:

@@ -14,7 +14,7 @@ from safety_harness.formulas.signal import Sampled
 from safety_harness.properties.consistency import TOLERANCE
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 
@@ -114,7 +114,7 @@ def falling_back_of(trace: Trace) -> Sampled:
         return absent(trace, "no decision was made")
     number = in_force(trace)
     gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
-    refused = trace.decisions["outcome"][number] != Outcome.PROPOSED
+    refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
     return truth(gives_way & (number >= 0) & refused)
 
 

@@ -27,13 +27,13 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Initially,
     Not,
     Or,
     Relation,
     Truth,
     Until,
-    Whenever,
 )
 from safety_harness.formulas.kernels import least_from_here, least_in_window, until_from_here
 from safety_harness.formulas.span import Span
@@ -42,19 +42,19 @@ LEAST = float(np.finfo(np.float64).tiny)
 TIME_EPS = 1e-6  # of a control period: windows are written in decimals
 
 Values = NDArray[np.float64]
-Atoms = Callable[[Comparison | Truth], "Bounds"]
+Atoms = Callable[[Comparison | Truth], "MarginBounds"]
 
 
 @dataclass(frozen=True, eq=False)
-class Bounds:
+class MarginBounds:
     """Margins (n,) that lie between ``low`` and ``high``, never NaN; one array where they are known."""
 
     low: Values
     high: Values
 
-    def __neg__(self) -> Bounds:
+    def __neg__(self) -> MarginBounds:
         low = -self.high
-        return Bounds(low, low if self.low is self.high else -self.low)
+        return MarginBounds(low, low if self.low is self.high else -self.low)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class Margins:
     """A formula with its margins at every tick, and those of its parts."""
 
     formula: Formula
-    bounds: Bounds
+    bounds: MarginBounds
     parts: tuple[Margins, ...] = ()
 
 
@@ -79,7 +79,7 @@ def margins(formula: Formula, atoms: Atoms, period_s: float) -> Margins:
     return Margins(formula, _joined(formula, [part.bounds for part in parts], period_s), parts)
 
 
-def _joined(formula: Formula, parts: list[Bounds], period_s: float) -> Bounds:
+def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> MarginBounds:
     match formula:
         case Not():
             return -parts[0]
@@ -93,37 +93,37 @@ def _joined(formula: Formula, parts: list[Bounds], period_s: float) -> Bounds:
             return -_always(-parts[0], span, period_s)
         case Until(span=span):
             return _until(parts[0], parts[1], span, period_s)
-        case Whenever():
+        case Globally():
             return _always(where_triggered(*parts), None, period_s)
         case Initially():
             return parts[0]
     raise TypeError(f"no formula: {formula!r}")
 
 
-def _least(parts: list[Bounds]) -> Bounds:
+def _least(parts: list[MarginBounds]) -> MarginBounds:
     low = np.minimum.reduce([part.low for part in parts])
     if all(part.low is part.high for part in parts):
-        return Bounds(low, low)
-    return Bounds(low, np.minimum.reduce([part.high for part in parts]))
+        return MarginBounds(low, low)
+    return MarginBounds(low, np.minimum.reduce([part.high for part in parts]))
 
 
-def _always(body: Bounds, span: Span | None, period_s: float) -> Bounds:
+def _always(body: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
     if span is None:
         low = least_from_here(body.low)
-        return Bounds(low, low if body.low is body.high else least_from_here(body.high))
+        return MarginBounds(low, low if body.low is body.high else least_from_here(body.high))
     begin, end = ticks_of(span, period_s)
-    return Bounds(
+    return MarginBounds(
         least_in_window(body.low, begin, end, -np.inf), least_in_window(body.high, begin, end, np.inf)
     )
 
 
-def _until(lasts: Bounds, ends: Bounds, span: Span | None, period_s: float) -> Bounds:
+def _until(lasts: MarginBounds, ends: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
     """With a window: second comes within it, and first lasts until second comes after its begin.
 
     (Donze, Ferrere, Maler, Efficient robust monitoring for STL, 2013.)
     """
     if span is None:
-        return Bounds(
+        return MarginBounds(
             until_from_here(lasts.low, ends.low, -np.inf), until_from_here(lasts.high, ends.high, -np.inf)
         )
     begin, end = ticks_of(span, period_s)
@@ -136,17 +136,17 @@ def _until(lasts: Bounds, ends: Bounds, span: Span | None, period_s: float) -> B
             shifted[: max(len(first) - begin, 0)] = lasting[begin:]
             lasting = np.minimum(shifted, least_in_window(first, 0, begin - 1, beyond))
         bounds.append(np.minimum(comes, lasting))
-    return Bounds(*bounds)
+    return MarginBounds(*bounds)
 
 
-def where_triggered(trigger: Bounds, response: Bounds) -> Bounds:
+def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
     """The response's margin where the trigger holds, inf where it does not, both where that is unknown."""
     low = np.where(trigger.high < 0.0, np.inf, response.low)
     high = np.where(trigger.low >= 0.0, response.high, np.inf)
-    return Bounds(low, high)
+    return MarginBounds(low, high)
 
 
-def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Bounds:
+def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
     """The margins of a comparison whose signal lies between ``low`` and ``high`` (NaN: unknown)."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
@@ -157,12 +157,12 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Boun
         margin[margin == 0.0] = at_limit
     unknown = np.isnan(least) | np.isnan(most)
     if not unknown.any():
-        return Bounds(least, most)
-    return Bounds(np.where(unknown, -np.inf, least), np.where(unknown, np.inf, most))
+        return MarginBounds(least, most)
+    return MarginBounds(np.where(unknown, -np.inf, least), np.where(unknown, np.inf, most))
 
 
-def truth_bounds(value: Values) -> Bounds:
+def truth_bounds(value: Values) -> MarginBounds:
     """The margins of a truth that is 1.0, 0.0, or NaN where it is unknown."""
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
-    return Bounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
+    return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)

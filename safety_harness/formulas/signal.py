@@ -16,7 +16,7 @@ from safety_harness.scenario.units import NUMBER, Dimension
 from safety_harness.trace.trace import Trace
 
 
-class Between(Enum):
+class Interpolation(Enum):
     """What is known of a signal from one tick to the next.
 
     HELD: it keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: nothing,
@@ -56,7 +56,7 @@ class Signal:
     words: str
     dimension: Dimension | None
     meaning: str
-    between: Between
+    between: Interpolation
     sample: Callable[[Trace], Sampled]
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class Flag(Signal):
     """Something that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
 
     dimension: None = None
-    between: Between = Between.HELD
+    between: Interpolation = Interpolation.HELD
 
     def __call__(self) -> Formula:
         """That it is true."""

@@ -23,7 +23,7 @@ from safety_harness.formulas.sampling import (
     tcp_height_of,
     tcp_speed_of,
 )
-from safety_harness.formulas.signal import Between, Flag, Measure, Signal
+from safety_harness.formulas.signal import Flag, Interpolation, Measure, Signal
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME
 from safety_harness.trace.records import Mode
 
@@ -32,21 +32,21 @@ hand_distance = Measure(
     dimension=LENGTH,
     meaning="of any hand or forearm from any link of the robot, surface to surface; negative inside",
     least=-np.inf,
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=hand_distance_of,
 )
 nearest_hand_to_tcp = Measure(
     words="nearest hand to TCP",
     dimension=LENGTH,
     meaning="from the TCP to the centre of the nearest true hand",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=nearest_hand_to_tcp_of,
 )
 tcp_speed = Measure(
     words="TCP speed",
     dimension=SPEED,
     meaning="of the TCP; between ticks the mean speed counts too",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=tcp_speed_of,
 )
 tcp_height = Measure(
@@ -54,42 +54,42 @@ tcp_height = Measure(
     dimension=LENGTH,
     meaning="of the TCP above the origin of the robot's base frame",
     least=-np.inf,
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=tcp_height_of,
 )
 distance_to_desired_pose = Measure(
     words="distance to desired pose",
     dimension=LENGTH,
     meaning="of the TCP from where servoing wants it",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=distance_to_desired_pose_of,
 )
 angle_to_desired_pose = Measure(
     words="angle to desired pose",
     dimension=ANGLE,
     meaning="by which the TCP is turned away from how servoing wants it",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=angle_to_desired_pose_of,
 )
 joint_speed = Measure(
     words="joint speed",
     dimension=ANGULAR_SPEED,
     meaning="of the fastest joint; between ticks the mean speed counts too",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=joint_speed_of,
 )
 image_error = Measure(
     words="image error",
     dimension=NUMBER,
     meaning="eq. 15 of the paper as the controller has it; unknown while the object is not seen",
-    between=Between.HELD,
+    between=Interpolation.HELD,
     sample=image_error_of,
 )
 spread = Measure(
     words="spread",
     dimension=LENGTH,
     meaning="of the latest decision's proposal, largest of the three axes; unknown before the first decision",
-    between=Between.HELD,
+    between=Interpolation.HELD,
     sample=spread_of,
 )
 predicted_hand_distance = Measure(
@@ -97,7 +97,7 @@ predicted_hand_distance = Measure(
     dimension=LENGTH,
     meaning="from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
     endless=True,
-    between=Between.HELD,
+    between=Interpolation.HELD,
     sample=predicted_hand_distance_of,
 )
 prediction_error = Measure(
@@ -105,14 +105,14 @@ prediction_error = Measure(
     dimension=LENGTH,
     meaning="of each prediction made now from the nearest true hand at the time that it is for, the largest; "
     "unknown where none is made, or that time is after the run",
-    between=Between.TICKS_ONLY,
+    between=Interpolation.TICKS_ONLY,
     sample=prediction_error_of,
 )
 elapsed_time = Measure(
     words="elapsed time",
     dimension=TIME,
     meaning="since the run began",
-    between=Between.BOUNDED,
+    between=Interpolation.BOUNDED,
     sample=elapsed_time_of,
 )
 object_visible = Flag(

@@ -12,13 +12,13 @@ from safety_harness.formulas.formula import (
     And,
     Comparison,
     Eventually,
+    Globally,
     Not,
     Or,
     Truth,
     Until,
-    Whenever,
 )
-from safety_harness.formulas.semantics import Bounds, Margins, ticks_of, where_triggered
+from safety_harness.formulas.semantics import MarginBounds, Margins, ticks_of, where_triggered
 from safety_harness.formulas.span import Span
 
 
@@ -48,7 +48,7 @@ def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witne
             least = isinstance(formula, Always)
             at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
             return witness(parts[0], at, period_s, low=low) if at is not None else _beyond(margins)
-        case Whenever():
+        case Globally():
             asked = where_triggered(parts[0].bounds, parts[1].bounds)
             at = _in_window(asked, tick, None, period_s, low=low, least=True)
             return witness(parts[1], at or 0, period_s, low=low)
@@ -61,7 +61,7 @@ def _beyond(margins: Margins) -> Witness:
     return Witness(len(margins.bounds.low), None)
 
 
-def _side(bounds: Bounds, *, low: bool) -> NDArray[np.float64]:
+def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
     return bounds.low if low else bounds.high
 
 
@@ -72,14 +72,14 @@ def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least:
     return int(unsure[0] if len(unsure) else at[0])
 
 
-def _first(parts: list[Bounds], tick: int, *, low: bool, least: bool) -> int:
+def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> int:
     values = np.array([_side(part, low=low)[tick] for part in parts])
     doubtful = np.array([part.low[tick] < part.high[tick] for part in parts])
     return _extreme(values, doubtful, least=least)
 
 
 def _in_window(
-    body: Bounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
+    body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
 ) -> int | None:
     """The tick that decides, or None where that is one beyond the last."""
     values, n = _side(body, low=low), len(body.low)
@@ -105,16 +105,16 @@ def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *
         for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
     ]
     j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
-    asked = Bounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
     at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
     if at >= n:
         return _beyond(margins)
     return witness(second if at == j else first, tick + at, period_s, low=low)
 
 
-def _from(bounds: Bounds, tick: int, later: int) -> Bounds:
+def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
     """From ``tick`` on, with as many unknown ones after the last."""
-    return Bounds(
+    return MarginBounds(
         np.append(bounds.low[tick:], np.full(later, -np.inf)),
         np.append(bounds.high[tick:], np.full(later, np.inf)),
     )

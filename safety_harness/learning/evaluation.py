@@ -17,8 +17,8 @@ from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.calibration import interval_scale
 from safety_harness.learning.evaluation_sets import EvaluationSet
 from safety_harness.learning.metrics import (
-    Coverage,
     Errors,
+    IntervalCoverage,
     auroc,
     calibration_curve,
     coverage,
@@ -39,7 +39,7 @@ RESIDUALS = "spread and residuals"  # the variant of the PICP that only a calibr
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Intervals:
+class CalibratedIntervals:
     """The calibrated intervals, and what the calibration says of a decision's spread.
 
     ``covered``: rows whose label is within its interval on all three axes.  ``above_threshold``: rows whose
@@ -48,7 +48,7 @@ class Intervals:
     """
 
     covered: Proportion
-    coverage: Coverage
+    coverage: IntervalCoverage
     above_threshold: Proportion | None
 
 
@@ -66,10 +66,10 @@ class Figures:
     set: EvaluationSet
     errors: Errors
     noise_free: Errors
-    picp: Mapping[str, Coverage]
+    picp: Mapping[str, IntervalCoverage]
     curves: Mapping[str, Floats]
     median_largest_spread_m: float
-    intervals: Intervals | None
+    intervals: CalibratedIntervals | None
     auroc: float | None
     unreachable: Proportion
 
@@ -156,7 +156,7 @@ def _residual_std(model: Model) -> Floats | None:
     return None if model.calibration is None else np.array(model.calibration.residual_std_m)
 
 
-def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, Coverage]:
+def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, IntervalCoverage]:
     """The readings of the paper's PICP; without a calibration the one with residuals is left out."""
     per_mm2 = _recipe(model).get("precision_per_mm2")
     known = isinstance(per_mm2, int | float) and per_mm2 > 0.0
@@ -183,7 +183,9 @@ def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) ->
     return curves
 
 
-def _intervals(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> Intervals | None:
+def _intervals(
+    model: Model, positions: Floats, labels: Floats, spreads: Floats
+) -> CalibratedIntervals | None:
     calibration = model.calibration
     if calibration is None:
         return None
@@ -191,7 +193,7 @@ def _intervals(model: Model, positions: Floats, labels: Floats, spreads: Floats)
     half_widths = calibration.interval_multiplier * scale
     above = np.asarray(largest_spread(spreads) > calibration.spread_threshold_m)
     inside: NDArray[np.bool_] = np.all(np.abs(positions - labels) <= half_widths, axis=-1)
-    return Intervals(
+    return CalibratedIntervals(
         covered=Proportion.of(inside),
         coverage=coverage(positions, labels, half_widths),
         above_threshold=Proportion.of(above) if has_spread(model) else None,

@@ -65,7 +65,7 @@ def half_width_with_residuals(spreads: Floats, residual_std: Floats) -> Floats:
 
 
 @dataclass(frozen=True, eq=False)
-class Coverage:
+class IntervalCoverage:
     """Share of targets within their intervals by axis (3,) (PICP, eq. 14), and on all three at once.
 
     ``mean_width`` (3,) is that of the whole interval, upper minus lower end.
@@ -76,10 +76,10 @@ class Coverage:
     mean_width: Floats
 
 
-def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Coverage:
+def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> IntervalCoverage:
     """PICP and width of the intervals prediction +- half width, ends included; ``half_widths`` (n, 3)."""
     inside = _finite(np.abs(predictions - targets)) <= _finite(half_widths)
-    return Coverage(
+    return IntervalCoverage(
         picp=inside.mean(axis=0),
         joint=float(inside.all(axis=1).mean()),
         mean_width=2.0 * half_widths.mean(axis=0),
@@ -88,7 +88,7 @@ def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Cover
 
 def picp_variants(
     predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats
-) -> dict[str, Coverage]:
+) -> dict[str, IntervalCoverage]:
     """The readings of the paper's PICP side by side, by name.
 
     ``spreads`` (n, 3) are standard deviations over the passes; ``precision`` is tau and

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, inlined
+from safety_harness.compiled import inlined, njit_no_nrt
 
 MAX_ORDER = 6
 M00, XG, YG = 0, 1, 2
@@ -46,7 +46,7 @@ def add_powers(x: float, y: float, weight: float, out: NDArray[np.float64]) -> N
         weighted_x_power *= x
 
 
-@arrayless
+@njit_no_nrt
 def polygon_moments(
     vertices: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)
@@ -90,7 +90,7 @@ def polygon_moments(
     return _finish(xg, yg, out)
 
 
-@arrayless
+@njit_no_nrt
 def point_moments(
     points: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.least_separation import faster_mps
 from safety_harness.properties.true_motion import joint_reach_m, true_motion
 from safety_harness.robot.description import load_arm
@@ -156,7 +156,7 @@ def _hardest_of_tcp(
     return best, tick
 
 
-JOINT_ACCELERATIONS = Entry(
+JOINT_ACCELERATIONS = CatalogueEntry(
     example="joint accelerations never above 500 deg/s2",
     pattern=r"joint accelerations never above (.+)",
     make=lambda match, _, place: JointAccelerations(
@@ -173,7 +173,7 @@ JOINT_ACCELERATIONS = Entry(
     broken_by="a controller that turns a joint too fast at once",
 )
 
-TCP_ACCELERATION = Entry(
+TCP_ACCELERATION = CatalogueEntry(
     example="TCP acceleration never above 2 m/s2",
     pattern=r"TCP acceleration never above (.+)",
     make=lambda match, _, place: TcpAcceleration(maximum_mps2=quantity(match[1], ACCELERATION, place)),

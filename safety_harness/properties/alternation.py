@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, begins_at, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, count
+from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.reaction import gives_way
 from safety_harness.trace.trace import Trace
 
@@ -52,7 +52,7 @@ def gives_way_at(trace: Trace) -> NDArray[np.int64]:
     return np.flatnonzero(begins_at(gives_way(trace)))
 
 
-GIVES_WAY_AT_MOST = Entry(
+GIVES_WAY_AT_MOST = CatalogueEntry(
     example="gives way at most 3 times",
     pattern=r"gives way at most (\S+) times?",
     make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),

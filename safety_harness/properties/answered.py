@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import ENDLESS, Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.trace.records import Check
@@ -97,7 +97,7 @@ def _words(trace: Trace, number: int) -> str:
     return str(trace.decisions["fault"][number]) or "a position that is not finite"
 
 
-ANSWERED = Entry(
+ANSWERED = CatalogueEntry(
     example="the avoider answered",
     pattern="the avoider answered",
     make=lambda *_: AvoiderAnswered(),

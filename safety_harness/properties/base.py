@@ -146,12 +146,12 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 def first_unreal(trace: Trace) -> dict[str, int]:
     """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
     rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    first = _first_unreal(rows, endless(trace), FIELDS, present).tolist()
+    first = _first_unreal(rows, nonfinite_count(trace), FIELDS, present).tolist()
     return {name: tick for name, tick in zip(COLUMNS, first, strict=True) if tick < len(rows)}
 
 
 @once_a_trace
-def endless(trace: Trace) -> NDArray[np.int64]:
+def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
     """(c,) how many values of each column of ``as_numbers`` are not below ENDLESS, NaN among them."""
     return _endless(as_numbers(trace.ticks))
 
@@ -168,7 +168,7 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
 @compiled
 def _first_unreal(
     rows: NDArray[np.float64],  # (n, c)
-    endless: NDArray[np.int64],  # (c,)
+    nonfinite_count: NDArray[np.int64],  # (c,)
     fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
 ) -> NDArray[np.int64]:
@@ -177,7 +177,7 @@ def _first_unreal(
     for field in range(fields.shape[0]):
         start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
         for column in range(start, stop):
-            if endless[column] == 0:
+            if nonfinite_count[column] == 0:
                 continue
             for k in range(found[field]):
                 there = width == 0 or present[k, (column - start) // width]

@@ -7,7 +7,7 @@ from safety_harness.properties.alternation import GIVES_WAY_AT_MOST
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.clear_ways import CLEAR_WAYS
 from safety_harness.properties.decision_time import DECISION_TIME
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.fallback import CERTAIN, UNCERTAIN
 from safety_harness.properties.fallback_poses import FALLBACK_POSES
 from safety_harness.properties.false_alarms import FALSE_ALARMS, FALSE_ALARMS_WITHIN
@@ -29,7 +29,7 @@ from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWIT
 from safety_harness.properties.starvation import NEVER_STARVED
 from safety_harness.properties.stopping import STOPS
 
-CATALOGUE: tuple[Entry, ...] = (
+CATALOGUE: tuple[CatalogueEntry, ...] = (
     HAND_DISTANCE,
     PROTECTIVE_SEPARATION,
     PROTECTIVE_SEPARATION_AT,

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
 from safety_harness.properties.clearance import OBSTACLES, clearances_m
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
 from safety_harness.properties.true_motion import joint_reach_m
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.straight_way import straight_way
-from safety_harness.trace.records import Outcome
+from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 STEP_M = 0.0025  # between two samples of a planned way
@@ -53,7 +53,7 @@ class ClearWays:
         ways: list[Way] = []
         reach_m = joint_reach_m(trace)
         for number, decision in enumerate(trace.decisions):
-            if decision["outcome"] == Outcome.STOP:
+            if decision["outcome"] == DecisionOutcome.STOP:
                 continue
             if not is_somewhere(decision["chosen_position_in_base_m"]):
                 return inconclusive(self, f"the position chosen at {decision['time_s']:.3f} s is not finite")
@@ -117,7 +117,7 @@ def _least(
     return bound[at, np.arange(3)], at
 
 
-CLEAR_WAYS = Entry(
+CLEAR_WAYS = CatalogueEntry(
     example="repulsive ways clear of table, object and robot",
     pattern="repulsive ways clear of table, object and robot",
     make=lambda *_: ClearWays(),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
@@ -59,7 +59,7 @@ class DecisionTime:
         )
 
 
-DECISION_TIME = Entry(
+DECISION_TIME = CatalogueEntry(
     example="decisions within 100 ms",
     pattern=r"decisions within (.+)",
     make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),

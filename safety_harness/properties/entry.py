@@ -32,7 +32,7 @@ Maker = Callable[[re.Match[str], Scenario, Place], Property]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Entry:
+class CatalogueEntry:
     """One property of the catalogue.
 
     ``example`` is a sentence that claims it, and ``pattern`` matches every such sentence whole, in

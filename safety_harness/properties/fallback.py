@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
-from safety_harness.properties.entry import Entry, count
+from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
-from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 SAME_M = 0.001  # a chosen position this near to another is the same
@@ -145,7 +145,7 @@ class CertainIsUsed:
             proposed = decision["proposed_position_in_base_m"]
             if has_doubt(decision) is not False or not spare_m(trace, decision, proposed) >= SAME_M:
                 continue
-            if decision["outcome"] == Outcome.STOP:
+            if decision["outcome"] == DecisionOutcome.STOP:
                 tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
                 way_m = float(np.linalg.norm(proposed - tcp_in_base))
                 findings.append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
@@ -157,7 +157,7 @@ class CertainIsUsed:
         return concluded(self, trace, findings, exercised, "no answer was certain and could be used")
 
 
-UNCERTAIN = Entry(
+UNCERTAIN = CatalogueEntry(
     example="uncertain answers fall back within 2 cycles",
     pattern=r"uncertain answers fall back within (\S+) cycles?",
     make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
@@ -173,7 +173,7 @@ UNCERTAIN = Entry(
     broken_by="an avoider in doubt behind a gate that does not ask for its spread",
 )
 
-CERTAIN = Entry(
+CERTAIN = CatalogueEntry(
     example="certain answers are used",
     pattern="certain answers are used",
     make=lambda *_: CertainIsUsed(),

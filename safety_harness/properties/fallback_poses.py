@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import Finding
 from safety_harness.properties.repulsive_pose import reach_m
 from safety_harness.trace.trace import Trace
@@ -85,7 +85,7 @@ def _away(trace: Trace, decision: np.void) -> list[Finding]:
     return found
 
 
-FALLBACK_POSES = Entry(
+FALLBACK_POSES = CatalogueEntry(
     example="fallback poses reachable and away",
     pattern="fallback poses reachable and away",
     make=lambda *_: FallbackPoses(),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, begins_at, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.moves import REACHING_MPS
@@ -80,8 +80,8 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
     return np.flatnonzero(begins)
 
 
-def _entry(prop: NoFalseAlarms, parameters: str) -> Entry:
-    return Entry(
+def _entry(prop: NoFalseAlarms, parameters: str) -> CatalogueEntry:
+    return CatalogueEntry(
         example=prop.sentence,
         pattern=prop.sentence,
         make=lambda *_: prop,

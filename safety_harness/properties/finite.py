@@ -8,10 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import ENDLESS, OF_HANDS, Evaluation, Unit, endless, inconclusive, judged
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.base import (
+    ENDLESS,
+    OF_HANDS,
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    nonfinite_count,
+)
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, DECISION, Outcome, as_numbers
+from safety_harness.trace.records import COLUMNS, DECISION, DecisionOutcome, as_numbers
 from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")
@@ -75,7 +83,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     bad[1:] = ~(time_s[1:] > time_s[:-1])
     _mark(
         as_numbers(ticks),
-        endless(trace),
+        nonfinite_count(trace),
         FIELDS,
         ticks["hand_present"],
         ticks["object_visible"],
@@ -88,7 +96,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 @compiled
 def _mark(
     rows: NDArray[np.float64],  # (n, c)
-    endless: NDArray[np.int64],  # (c,)
+    nonfinite_count: NDArray[np.int64],  # (c,)
     fields: NDArray[np.int64],  # (f, 3) FIELDS
     present: NDArray[np.bool_],  # (n, hands)
     visible: NDArray[np.bool_],  # (n,)
@@ -98,7 +106,7 @@ def _mark(
     for field in range(fields.shape[0]):
         start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
         for column in range(start, stop):
-            if endless[column] == 0:
+            if nonfinite_count[column] == 0:
                 continue
             hand = (column - start) * present.shape[1] // (stop - start)
             track = (column - start) * tracked.shape[1] // (stop - start)
@@ -127,8 +135,8 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0)
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed
-    answered, chosen = decisions["fault"] == "", decisions["outcome"] != Outcome.STOP
-    opposite = decisions["outcome"] == Outcome.OPPOSITE
+    answered, chosen = decisions["fault"] == "", decisions["outcome"] != DecisionOutcome.STOP
+    opposite = decisions["outcome"] == DecisionOutcome.OPPOSITE
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
     for name in DECISION.names or ():
         if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
@@ -137,7 +145,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     return bad
 
 
-FINITE_TRACE = Entry(
+FINITE_TRACE = CatalogueEntry(
     example="trace finite and monotone",
     pattern="trace finite and monotone",
     make=lambda *_: FiniteTrace(),

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
-from safety_harness.properties.entry import Entry
-from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, Progress, progress
-from safety_harness.trace.records import Mode, Outcome, Trigger
+from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, RepulsionProgress, progress
+from safety_harness.trace.records import DecisionOutcome, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
 LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
@@ -69,9 +69,9 @@ class MovesAway:
             return inconclusive(self, problem)
         findings: list[Finding] = []
         made = exercised = 0
-        before: Progress | None = None
+        before: RepulsionProgress | None = None
         for number, decision in enumerate(trace.decisions):
-            if decision["outcome"] == Outcome.STOP:
+            if decision["outcome"] == DecisionOutcome.STOP:
                 continue
             made += 1
             hands = np.flatnonzero(trace.ticks["hand_present"][decision["tick"]])
@@ -139,7 +139,7 @@ def away_from(trace: Trace, decision: np.void, hand: int, last: int) -> list[Fin
     return [*findings, nearer] if nearer.margin_m < 0.0 else findings
 
 
-def given(trace: Trace, number: int, last: int, done: Progress) -> list[Finding]:
+def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list[Finding]:
     """What is wrong with the way itself: too short, not gone, not gone to its end."""
     decision = trace.decisions[number]
     tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
@@ -178,7 +178,7 @@ def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
     return step / trace.scenario.settings.clock.control_period_s
 
 
-MOVES_AWAY = Entry(
+MOVES_AWAY = CatalogueEntry(
     example="repulsion moves away from every hand",
     pattern="repulsion moves away from every hand",
     make=lambda *_: MovesAway(),

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
 from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
-from safety_harness.robot.closest_approach import DEEPEST, approach_between
+from safety_harness.robot.closest_approach import MAX_BISECTIONS, approach_between
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
@@ -229,7 +229,7 @@ def _closest_in_trace(
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
     transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
-    room = np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3))
+    room = np.empty((MAX_BISECTIONS + 1, radius_m.shape[0], 2, 3))
     k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
         if not known:
@@ -292,7 +292,7 @@ def _displacement(
     return float(arm + np.sqrt(max(hand, elbow)))
 
 
-HAND_DISTANCE = Entry(
+HAND_DISTANCE = CatalogueEntry(
     example="hand distance never below 50 mm",
     pattern=r"hand distance never below (.+)",
     make=lambda match, scenario, place: HandDistance(

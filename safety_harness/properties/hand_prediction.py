@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import MAX_TRACKS
@@ -125,7 +125,7 @@ def _tracked(
     return found[:count], worst, unknown
 
 
-HAND_PREDICTIONS = Entry(
+HAND_PREDICTIONS = CatalogueEntry(
     example="hand predictions within 50 mm",
     pattern=r"hand predictions within (.+)",
     make=lambda match, _, place: HandPredictions(maximum_m=quantity(match[1], LENGTH, place)),

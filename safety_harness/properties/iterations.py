@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from math import floor
 
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.entry import Entry, count
+from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.servoing import GainSwitchReached
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
@@ -40,7 +40,7 @@ class GainSwitchIterations:
         return replace(found, margin=float(left), reason=words)
 
 
-GAIN_SWITCH_ITERATIONS = Entry(
+GAIN_SWITCH_ITERATIONS = CatalogueEntry(
     example="gain switch reached within 600 iterations",
     pattern=r"gain switch reached within (\S+) iterations",
     make=lambda match, _, place: GainSwitchIterations(within=count(match[1], place)),

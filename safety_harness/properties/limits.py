@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import SPEED
@@ -168,7 +168,7 @@ def _fastest(
     return fastest, tick, moving
 
 
-JOINT_POSITIONS = Entry(
+JOINT_POSITIONS = CatalogueEntry(
     example="joint positions within limits",
     pattern="joint positions within limits",
     make=lambda *_: JointLimits(),
@@ -183,7 +183,7 @@ JOINT_POSITIONS = Entry(
     broken_by="a controller that turns a joint on and on",
 )
 
-JOINT_SPEEDS = Entry(
+JOINT_SPEEDS = CatalogueEntry(
     example="joint speeds within limits",
     pattern="joint speeds within limits",
     make=lambda *_: JointSpeedLimits(),
@@ -198,7 +198,7 @@ JOINT_SPEEDS = Entry(
     broken_by="a controller that turns a joint too fast",
 )
 
-TCP_SPEED = Entry(
+TCP_SPEED = CatalogueEntry(
     example="TCP speed never above 250 mm/s",
     pattern=r"TCP speed never above (.+)",
     make=lambda match, _, place: TcpSpeedLimit(maximum_mps=quantity(match[1], SPEED, place)),

@@ -15,7 +15,7 @@ from safety_harness.properties.base import (
     time_left_s,
     unreadable,
 )
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.trace import Trace
 
@@ -76,7 +76,7 @@ def _words(losses: int, longest_s: float) -> str:
     return f"out of view {often} {longest_s:.2f} s"
 
 
-OBJECT_IN_VIEW = Entry(
+OBJECT_IN_VIEW = CatalogueEntry(
     example="object in view or recovered within 2 s",
     pattern=r"object in view or recovered within (.+)",
     make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),

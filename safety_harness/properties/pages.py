@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from safety_harness.properties.base import Unit
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 
 UNIT_WORDS = {
     Unit.LENGTH: "mm",
@@ -21,7 +21,7 @@ UNIT_WORDS = {
 NONE = "-"
 
 
-def told(entry: Entry) -> Iterator[tuple[str, str]]:
+def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """(name, text) of everything that an entry says for people, in the order to read it in."""
     yield "why", entry.rationale
     yield "source", entry.source
@@ -37,7 +37,7 @@ def _also(text: str) -> str:
     return "only for the reasons that make any claim so" if text == NONE else text
 
 
-def markdown_of_claims(entries: Sequence[Entry]) -> str:
+def markdown_of_claims(entries: Sequence[CatalogueEntry]) -> str:
     """A table of all sentences, then each with everything that its entry says."""
     rows = ["| sentence | margin in | exercised when |", "|---|---|---|"]
     rows += [f"| `{e.example}` | {UNIT_WORDS[e.unit]} | {e.exercised} |" for e in entries]

@@ -15,7 +15,7 @@ from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
 from safety_harness.properties.base import is_somewhere
 from safety_harness.properties.clearance import clearances_m
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.reference import Progress, progress
+from safety_harness.properties.reference import RepulsionProgress, progress
 from safety_harness.properties.repulsive_pose import reach_m
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.straight_way import straight_way
@@ -81,7 +81,7 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
 def gone_towards(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int
-) -> Progress | None:
+) -> RepulsionProgress | None:
     """How well the repulsion of decision ``number`` keeps up with the reference that heads for a target.
 
     The reference begins ``after_ticks`` after the decision, with the TCP's place and speed of then; None

@@ -18,7 +18,7 @@ from safety_harness.properties.base import (
     times_begun,
     unreadable,
 )
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.least_separation import farthest_steps, least_separation
 from safety_harness.properties.separation import Separation, lengths, separation_terms
 from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
@@ -212,8 +212,8 @@ def described(trace: Trace, found: Separation) -> str:
     )
 
 
-def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> Entry:
-    return Entry(
+def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> CatalogueEntry:
+    return CatalogueEntry(
         example=prop.sentence,
         pattern=prop.sentence,
         make=lambda *_: prop,

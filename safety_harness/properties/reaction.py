@@ -21,7 +21,7 @@ from safety_harness.properties.base import (
     times_begun,
     unreadable,
 )
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
@@ -174,7 +174,7 @@ def _judged(
     )
 
 
-GIVES_WAY = Entry(
+GIVES_WAY = CatalogueEntry(
     example="gives way within 100 ms of a predicted hand",
     pattern=r"gives way within (.+) of a predicted hand",
     make=lambda match, _, place: GivesWay(within_s=quantity(match[1], TIME, place)),

@@ -27,7 +27,7 @@ SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
 @dataclass(frozen=True)
-class Progress:
+class RepulsionProgress:
     """What one repulsion has done of its way.
 
     ``margin_m`` is the slack less the longest that the TCP was behind the reference, at
@@ -40,7 +40,9 @@ class Progress:
     due_m: float
 
 
-def progress(trace: Trace, decision: np.void, last: int, before: Progress | None) -> Progress:
+def progress(
+    trace: Trace, decision: np.void, last: int, before: RepulsionProgress | None
+) -> RepulsionProgress:
     """Of the repulsion from ``decision`` to the tick ``last``.
 
     ``before`` is the progress of the repulsion that this one cuts short because of another hand:
@@ -70,7 +72,7 @@ def progress(trace: Trace, decision: np.void, last: int, before: Progress | None
     worst = int(np.argmax(behind_m))  # the first NaN, if there is one
     way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
     slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
-    return Progress(slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
+    return RepulsionProgress(slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
 
 
 @compiled

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.trace.records import Outcome
+from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace, once_a_trace
 
 BEYOND_M = 0.100  # how far beyond the position reachability is looked for
@@ -53,7 +53,7 @@ class RepulsivePosesReachable:
         worst, worst_time_s, count = np.inf, 0.0, 0
         for decision in trace.decisions:
             position_in_base_m = decision[field]
-            if not self.proposed and decision["outcome"] == Outcome.STOP:
+            if not self.proposed and decision["outcome"] == DecisionOutcome.STOP:
                 continue  # nothing was chosen: the arm stops where it is
             count += 1
             margin = reach_m(trace, decision, position_in_base_m)
@@ -118,9 +118,9 @@ def reach_margin(
     return reach_m - length_m
 
 
-def _entry(*, proposed: bool) -> Entry:
+def _entry(*, proposed: bool) -> CatalogueEntry:
     prop = RepulsivePosesReachable(proposed=proposed)
-    return Entry(
+    return CatalogueEntry(
         example=prop.sentence,
         pattern=prop.sentence,
         make=lambda *_: prop,

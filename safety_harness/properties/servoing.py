@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.units import TIME
@@ -211,7 +211,7 @@ class Converged:
         return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)
 
 
-GAIN_SWITCH = Entry(
+GAIN_SWITCH = CatalogueEntry(
     example="gain switch reached",
     pattern="gain switch reached",
     make=lambda *_: GainSwitchReached(),
@@ -226,7 +226,7 @@ GAIN_SWITCH = Entry(
     broken_by="a controller that does nothing",
 )
 
-GAIN_SWITCH_WITHIN = Entry(
+GAIN_SWITCH_WITHIN = CatalogueEntry(
     example="gain switch reached within 5 s",
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
     make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
@@ -241,7 +241,7 @@ GAIN_SWITCH_WITHIN = Entry(
     broken_by="a controller that does nothing",
 )
 
-CONVERGED = Entry(
+CONVERGED = CatalogueEntry(
     example="converged to the desired pose",
     pattern="converged to the desired pose",
     make=lambda *_: Converged(),

@@ -37,7 +37,7 @@ class Target(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Intervals:
+class IntervalRule:
     """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and what for."""
 
     multiplier: float
@@ -45,7 +45,7 @@ class Intervals:
     target: Target
 
     @classmethod
-    def of(cls, model: Model) -> Intervals | None:
+    def of(cls, model: Model) -> IntervalRule | None:
         """Those of a model's calibration, for the target that its card names; None without a calibration."""
         if model.calibration is None:
             return None
@@ -71,7 +71,7 @@ class SpreadCalibration:
     """
 
     at_least: float = AT_LEAST
-    intervals: Intervals | None = None
+    intervals: IntervalRule | None = None
     unit: Unit = Unit.FRACTION
 
     @property
@@ -122,11 +122,11 @@ class SpreadCalibration:
         )
 
 
-def _shipped(avoider: str) -> Intervals | None:
-    return Intervals.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
+def _shipped(avoider: str) -> IntervalRule | None:
+    return IntervalRule.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
 
 
-def first_covered(trace: Trace, intervals: Intervals) -> bool | None:
+def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
     """Is the target of a run's first answered decision within its interval?  None without such a decision."""
     answered = np.flatnonzero(trace.decisions["fault"] == "")
     if not len(answered):

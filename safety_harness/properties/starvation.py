@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s, unreadable
-from safety_harness.properties.entry import Entry, quantity
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
@@ -99,7 +99,7 @@ def _lose(
             lost[k] = lost[k - 1] + (not on)
 
 
-NEVER_STARVED = Entry(
+NEVER_STARVED = CatalogueEntry(
     example="task never starved longer than 10 s",
     pattern=r"task never starved longer than (.+)",
     make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),

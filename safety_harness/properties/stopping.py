@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import Finding
 from safety_harness.properties.positions import opposite_position, stopped_m
 from safety_harness.properties.repulsive_pose import reach_m
@@ -52,7 +52,7 @@ class StopsWhereNothingIsReachable:
         )
 
 
-STOPS = Entry(
+STOPS = CatalogueEntry(
     example="stops where neither answer nor opposite pose can be reached",
     pattern="stops where neither answer nor opposite pose can be reached",
     make=lambda *_: StopsWhereNothingIsReachable(),

@@ -11,14 +11,23 @@ from itertools import product
 from xml.etree import ElementTree
 
 from safety_harness.report.palette import Ink
-from safety_harness.search.coverage import AXES, DIRECTIONS, DISTANCES, OUTCOMES, SEEN, SPEEDS, Cell, Coverage
+from safety_harness.search.coverage import (
+    AXES,
+    DIRECTIONS,
+    DISTANCES,
+    OUTCOMES,
+    SEEN,
+    SPEEDS,
+    Coverage,
+    CoverageCell,
+)
 
 CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 76, 54, 118
 GAPS_PX = {"direction": 7, "distance": 10, "seen": 3}  # before each group but the first
 SIZES_PX = (3, 5, 7, 9, 11)  # of squares, by decades
 CLASSES = ("1", "2 to 9", "10 to 99", "100 to 999", "1,000 and more")
 LETTERS = dict(zip(OUTCOMES, ("n", "p", "o", "s"), strict=True))
-NOTHING: Mapping[Cell, int] = {}
+NOTHING: Mapping[CoverageCell, int] = {}
 
 
 def size_class(count: int) -> int:
@@ -27,7 +36,7 @@ def size_class(count: int) -> int:
 
 
 def coverage_map(
-    coverage: Coverage, violations: Mapping[Cell, int] = NOTHING, *, prefix: str, title: str
+    coverage: Coverage, violations: Mapping[CoverageCell, int] = NOTHING, *, prefix: str, title: str
 ) -> str:
     """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
     x, y = _columns(), _rows()
@@ -98,7 +107,7 @@ def _draw_empty(
 
 
 def _draw_cell(
-    parent: ElementTree.Element, cell: Cell, count: int, violated: int, where: tuple[int, int]
+    parent: ElementTree.Element, cell: CoverageCell, count: int, violated: int, where: tuple[int, int]
 ) -> None:
     group = ElementTree.SubElement(parent, "g")
     words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
@@ -163,7 +172,7 @@ def _name_columns(
 
 def _column_totals(coverage: Coverage) -> Iterator[tuple[tuple[str, str, str], int]]:
     for column in product(DISTANCES, SEEN, OUTCOMES):
-        cells = (Cell(direction, speed, *column) for direction, speed in product(DIRECTIONS, SPEEDS))
+        cells = (CoverageCell(direction, speed, *column) for direction, speed in product(DIRECTIONS, SPEEDS))
         yield column, sum(coverage.counts[cell] for cell in cells)
 
 
@@ -207,7 +216,7 @@ def _colour(ink: Ink) -> str:
     return f"var({ink.variable})"
 
 
-def _description(coverage: Coverage, violations: Mapping[Cell, int]) -> str:
+def _description(coverage: Coverage, violations: Mapping[CoverageCell, int]) -> str:
     """For those who cannot see it: totals by axis."""
     parts = [str(coverage).split("\n")[0]]
     for axis in AXES:

@@ -20,7 +20,7 @@ from safety_harness.report.words import (
     point_words,
     spread_words,
 )
-from safety_harness.trace.records import Check, Outcome, Trigger
+from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 
 MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
@@ -45,7 +45,7 @@ class DecisionRow:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tally:
+class DecisionTally:
     """How many decisions were made, and what they led to; ``faults`` had no usable answer.
 
     For those among them that are ``unanswered`` no fault of the scenario accounts.
@@ -59,7 +59,7 @@ class Tally:
     unanswered: int
 
     @classmethod
-    def of(cls, traces: Iterable[Trace]) -> Tally:
+    def of(cls, traces: Iterable[Trace]) -> DecisionTally:
         """The decisions of all ``traces`` together."""
         counts: Counter[int] = Counter()
         faults = missing = 0
@@ -69,9 +69,9 @@ class Tally:
             missing += int(np.count_nonzero(unanswered(trace)))
         return cls(
             made=counts.total(),
-            proposed=counts[Outcome.PROPOSED],
-            opposite=counts[Outcome.OPPOSITE],
-            stops=counts[Outcome.STOP],
+            proposed=counts[DecisionOutcome.PROPOSED],
+            opposite=counts[DecisionOutcome.OPPOSITE],
+            stops=counts[DecisionOutcome.STOP],
             faults=faults,
             unanswered=missing,
         )
@@ -110,7 +110,7 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
             tcp=point_words(decision["tcp_position_in_base_m"]),
             proposed=point_words(decision["proposed_position_in_base_m"]),
             spread=spread_words(decision["proposed_spread_m"], float(decision["spread_threshold_m"])),
-            outcome=OUTCOME_WORDS[Outcome(int(decision["outcome"]))],
+            outcome=OUTCOME_WORDS[DecisionOutcome(int(decision["outcome"]))],
             failed=failed_words(
                 Check(int(decision["proposed_failed"])),
                 Check(int(decision["opposite_failed"])),

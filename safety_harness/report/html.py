@@ -13,7 +13,7 @@ from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionRow,
-    Tally,
+    DecisionTally,
     decision_rows,
     failed_checks,
     fault_notes,
@@ -42,7 +42,7 @@ from safety_harness.whole_file import write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class RunSection:
     """Everything that the page shows about one run."""
 
     id: str
@@ -54,7 +54,7 @@ class Section:
     moment_claim: int | None  # counted from 1
     thinned: int
     file: str
-    tally: Tally
+    tally: DecisionTally
     decisions: list[DecisionRow]
     failed_checks: list[tuple[str, str]]  # name, meaning
     faults: list[str]
@@ -121,11 +121,11 @@ def render(
     )
 
 
-def _section(run: JudgedRun, number: int) -> Section:
+def _section(run: JudgedRun, number: int) -> RunSection:
     section = f"run-{number}"
     drawn = len(run.trace.ticks) > 0
     moment = shown_moment(run)
-    return Section(
+    return RunSection(
         id=section,
         run=run,
         claims=claim_rows(run, section),
@@ -135,7 +135,7 @@ def _section(run: JudgedRun, number: int) -> Section:
         moment_claim=moment.claim + 1 if moment and moment.claim is not None else None,
         thinned=thinning(run.trace),
         file=file_name(run),
-        tally=Tally.of([run.trace]),
+        tally=DecisionTally.of([run.trace]),
         decisions=decision_rows(run.trace),
         failed_checks=failed_checks(run.trace),
         faults=fault_notes(run.trace),

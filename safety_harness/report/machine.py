@@ -13,7 +13,7 @@ from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import Tally
+from safety_harness.report.decisions import DecisionTally
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.files import told
 from safety_harness.whole_file import write_whole
@@ -60,7 +60,7 @@ def write_json(
 
 def _run(run: JudgedRun) -> dict[str, Any]:
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
-    tally = Tally.of([trace])
+    tally = DecisionTally.of([trace])
     return {
         "scenario": scenario.name,
         "title": scenario.title,

@@ -101,7 +101,7 @@ class PartLine:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Section:
+class CounterexampleSection:
     """What the page shows about one counterexample."""
 
     id: str
@@ -196,7 +196,7 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: ShownCounterexample, number: int) -> Section:
+def _section(shown: ShownCounterexample, number: int) -> CounterexampleSection:
     one = shown.one
     evaluation = one.evaluation
     margin = "\u2013" if evaluation is None else margin_words(evaluation)
@@ -209,7 +209,7 @@ def _section(shown: ShownCounterexample, number: int) -> Section:
     if run is not None and len(run.ticks) and len(one.evaluations) == len(run.scenario.claims):
         judged = JudgedRun(run, one.evaluations, "").under(one.complaint.sentence)
         views, moment = _pictures(judged, f"counterexample-{number}-")
-    return Section(
+    return CounterexampleSection(
         id=f"counterexample-{number}",
         shown=shown,
         margin=margin,

@@ -23,7 +23,7 @@ from safety_harness.report.panels import (
 from safety_harness.report.svg import drawing, new_figure, plain, to_svg
 from safety_harness.report.words import MODE_WORDS, OUTCOME_WORDS, share_words
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 if TYPE_CHECKING:
@@ -40,9 +40,9 @@ MODE_INK = {
     Mode.OBJECT_LOST: Ink.LOST,
 }
 OUTCOME_MARKER = {  # shape, size, filled
-    Outcome.PROPOSED: ("o", 7.5, True),
-    Outcome.OPPOSITE: ("D", 7.5, False),
-    Outcome.STOP: ("X", 10.0, True),
+    DecisionOutcome.PROPOSED: ("o", 7.5, True),
+    DecisionOutcome.OPPOSITE: ("D", 7.5, False),
+    DecisionOutcome.STOP: ("X", 10.0, True),
 }
 DECISION_LANE = len(Mode)
 FAULT_LANE = DECISION_LANE + 1  # only where the scenario has faults

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import Tally, avoiders
+from safety_harness.report.decisions import DecisionTally, avoiders
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import (
     MODE_WORDS,
@@ -34,7 +34,7 @@ class ClaimRow:
     section: str  # id of the scenario's section
     scenario: str
     file: str
-    tally: Tally
+    tally: DecisionTally
     again: bool  # another claim of the same scenario stands above
     number: int
     sentence: str
@@ -70,7 +70,7 @@ class LimitRow:
 
 def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
     """A row for each claim of ``run``."""
-    tally = Tally.of([run.trace])
+    tally = DecisionTally.of([run.trace])
     return [
         ClaimRow(
             section=section,
@@ -188,7 +188,7 @@ class Summary:
     interrupted: bool
     avoiders: list[tuple[str, int]]  # name, runs
     computing_time: tuple[str, ...]
-    decisions: Tally
+    decisions: DecisionTally
 
     @property
     def clear(self) -> bool:
@@ -213,5 +213,5 @@ def summarise(runs: Sequence[JudgedRun], *, interrupted: bool) -> Summary:
         interrupted=interrupted,
         avoiders=avoiders(traces),
         computing_time=tuple(computing_time_lines(traces)),
-        decisions=Tally.of(traces),
+        decisions=DecisionTally.of(traces),
     )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.repulsive_pose import BEYOND_M, RepulsivePosesReachable
 from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.trace.records import Check, Mode, Outcome, Trigger
+from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 
 MODE_WORDS = {
     Mode.SERVOING: "servoing",
@@ -29,9 +29,9 @@ TRIGGER_WORDS = {
     Trigger.ANOTHER_HAND: "another hand",
 }
 OUTCOME_WORDS = {
-    Outcome.PROPOSED: "proposed position",
-    Outcome.OPPOSITE: "opposite pose",
-    Outcome.STOP: "protective stop",
+    DecisionOutcome.PROPOSED: "proposed position",
+    DecisionOutcome.OPPOSITE: "opposite pose",
+    DecisionOutcome.STOP: "protective stop",
 }
 CHECK_MEANINGS = {
     Check.NOT_FINITE: "the avoider raised an error, or answered with something that is no position",

@@ -10,12 +10,12 @@ from math import isfinite, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, compiled, inlined
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 from safety_harness.geometry.segments import ROUNDING_M, segment_segment_vector
 from safety_harness.robot.distance import chain_lengths, hand_distance, place_capsules, segment_length
 from safety_harness.robot.kinematics import forward_kinematics
 
-DEEPEST = 48  # halvings of an interval: far below any tolerance that float64 can serve
+MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that float64 can serve
 
 
 @compiled
@@ -57,7 +57,7 @@ def closest_approach_between(
         end_in_link,
         radius_m,
         chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link),
-        np.empty((DEEPEST + 1, radius_m.shape[0], 2, 3)),
+        np.empty((MAX_BISECTIONS + 1, radius_m.shape[0], 2, 3)),
         q0,
         q1,
         hand0,
@@ -99,8 +99,11 @@ def approach_between(
         raise ValueError("tolerance_m must be positive")
     bend = _bend(reach_m, q0, q1)
     transforms = np.empty((8, 4, 4))
-    left_placed, placed = room[DEEPEST], room[:DEEPEST]  # capsules at the right ends still to be reached
-    at = np.empty(DEEPEST)
+    left_placed, placed = (
+        room[MAX_BISECTIONS],
+        room[:MAX_BISECTIONS],
+    )  # capsules at the right ends still to be reached
+    at = np.empty(MAX_BISECTIONS)
     joints = np.empty(6)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
     left, t_best, best, lower, first, last = 0.0, 0.0, np.inf, np.inf, np.nan, np.nan
@@ -143,7 +146,7 @@ def approach_between(
                 left_placed, placed[depth - 1], radius_m, hands, hand_radius_m, forearm_radius_m
             )
             bound -= bend * (right - left) ** 2 / 8.0
-            if bound < min(best - tolerance_m, not_below_m) and depth < DEEPEST:
+            if bound < min(best - tolerance_m, not_below_m) and depth < MAX_BISECTIONS:
                 break
             lower = min(lower, bound)
             left = right
@@ -167,7 +170,7 @@ def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> flo
     return sqrt(longest)
 
 
-@arrayless
+@njit_no_nrt
 def _hand_at(
     t: float,
     hand0: NDArray[np.float64],
@@ -181,7 +184,7 @@ def _hand_at(
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
 
 
-@arrayless
+@njit_no_nrt
 def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.float64]) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
@@ -244,7 +247,7 @@ def _linear_bound(
     return bound
 
 
-@arrayless
+@njit_no_nrt
 def _linear_pair_bound(
     left: NDArray[np.float64],
     right: NDArray[np.float64],

@@ -11,7 +11,7 @@ from math import isnan, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, compiled, inlined
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 from safety_harness.geometry.segments import (
     point_segment_distance,
     segment_segment_distance,
@@ -48,7 +48,7 @@ def place_capsules(
             )
 
 
-@arrayless
+@njit_no_nrt
 def hand_distance(
     placed: NDArray[np.float64],
     radius_m: NDArray[np.float64],

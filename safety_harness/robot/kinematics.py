@@ -10,14 +10,14 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless, compiled, inlined
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 from safety_harness.geometry.rotations import rotation_entries
 
 FRAMES = 8
 TCP = 7
 
 
-@arrayless
+@njit_no_nrt
 def forward_kinematics(
     joint_origins: NDArray[np.float64],
     joint_axes: NDArray[np.float64],

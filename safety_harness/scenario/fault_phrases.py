@@ -40,7 +40,7 @@ FARTHEST_OFF_M = 1.0
 
 
 @dataclass(frozen=True)
-class Key:
+class FaultKey:
     """One further key of a fault: its word, its attribute, and the least and most of its number(s).
 
     ``dimension`` None is the word of a joint.
@@ -76,11 +76,11 @@ class Phrase:
     subject: str
     predicate: str
     kind: type[Any]
-    keys: tuple[Key, ...] = ()
+    keys: tuple[FaultKey, ...] = ()
     optional: bool = False
 
 
-_DELAY = Key("delay", "delay_s", TIME, LATEST_S)
+_DELAY = FaultKey("delay", "delay_s", TIME, LATEST_S)
 PHRASES: tuple[Phrase, ...] = (
     Phrase("hand sensor", "sees nothing", HandSensorBlind),
     Phrase("hand sensor", "freezes", HandSensorFrozen),
@@ -89,13 +89,13 @@ PHRASES: tuple[Phrase, ...] = (
         "hand sensor",
         "is off",
         HandSensorOff,
-        (Key("offset", "offset_in_base_m", LENGTH, FARTHEST_OFF_M, True),),
+        (FaultKey("offset", "offset_in_base_m", LENGTH, FARTHEST_OFF_M, True),),
     ),
     Phrase(
         "hand sensor",
         "sees a false hand",
         FalseHand,
-        (Key("at", "position_in_base_m", LENGTH, LARGEST_COORDINATE_M, True),),
+        (FaultKey("at", "position_in_base_m", LENGTH, LARGEST_COORDINATE_M, True),),
     ),
     Phrase("camera", "sees nothing", CameraBlind),
     Phrase("camera", "freezes", CameraFrozen),
@@ -105,13 +105,13 @@ PHRASES: tuple[Phrase, ...] = (
         "is knocked",
         CameraKnocked,
         (
-            Key("turned", "turned_in_camera_rad", ANGLE, LARGEST_ANGLE_RAD, True),
-            Key("shifted", "shifted_in_tcp_m", LENGTH, FARTHEST_OFF_M, True),
+            FaultKey("turned", "turned_in_camera_rad", ANGLE, LARGEST_ANGLE_RAD, True),
+            FaultKey("shifted", "shifted_in_tcp_m", LENGTH, FARTHEST_OFF_M, True),
         ),
         optional=True,
     ),
     Phrase("camera", "is hidden by hands", CameraHidden),
-    Phrase("joint", "is stuck", JointStuck, (Key("which", "joint", None),)),
+    Phrase("joint", "is stuck", JointStuck, (FaultKey("which", "joint", None),)),
     Phrase("avoider", "is late", AvoiderLate, (_DELAY,)),
     Phrase("avoider", "never answers", AvoiderSilent),
     Phrase("avoider", "answers NaN", AvoiderNaN),

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario.layout_tree import Entry, Written, written_tree
+from safety_harness.scenario.layout_tree import LayoutEntry, WrittenValue, written_tree
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY, is_space
-from safety_harness.scenario.reference import Below, FreeKeys, Several, Table, Value
+from safety_harness.scenario.reference import Below, FreeKeys, KeyTable, Several, Value
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
 from safety_harness.scenario.write import scalar_text
 
@@ -57,7 +57,7 @@ def _entries(node: Node) -> Iterator[object]:
     yield from ((key.text, meaning(value)) for key, value in node.entries)
 
 
-def _head(root: Written) -> Iterator[str]:
+def _head(root: WrittenValue) -> Iterator[str]:
     """Comments that a blank line parts from the first key belong to the file and stay at its top."""
     if not root.entries:
         return
@@ -68,7 +68,7 @@ def _head(root: Written) -> Iterator[str]:
         first.before = first.before[cut:]
 
 
-def _block(value: Written, kind: Value | None) -> list[str]:
+def _block(value: WrittenValue, kind: Value | None) -> list[str]:
     """The lines of a value below its key, not indented."""
     if value.kind == "scalar":
         return [*value.tail, *_scalar_lines(value, "")]
@@ -91,7 +91,7 @@ def _collapsed(before: list[str]) -> list[str]:
     return [line for at, line in enumerate(before) if line or at == 0 or before[at - 1]]
 
 
-def _item(entry: Entry, kind: Value | None) -> list[str]:
+def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
     """An item of a list of ``kind``: a dash before its first line, comments that come first above it."""
     kind = kind.of if isinstance(kind, Several) else None
     flow = _flow(entry.value, 2 + len(entry.beside), kind)
@@ -109,7 +109,7 @@ def _item(entry: Entry, kind: Value | None) -> list[str]:
     return [*_collapsed(above), f"- {content[0]}", *(f"  {line}" if line else "" for line in content[1:])]
 
 
-def _pair(entry: Entry, kind: Value | None) -> list[str]:
+def _pair(entry: LayoutEntry, kind: Value | None) -> list[str]:
     """A key with its value."""
     assert entry.key is not None
     key = _scalar(entry.key)
@@ -136,7 +136,7 @@ def _beside(line: str, comment: str) -> str:
     return f"{line}  {comment}" if comment else line
 
 
-def _flow(value: Written, taken: int, kind: Value | None) -> str | None:
+def _flow(value: WrittenValue, taken: int, kind: Value | None) -> str | None:
     """The value on one line, if it may stand on one: as it was written, or a list of numbers."""
     if value.comments:
         return None
@@ -160,19 +160,19 @@ def _flow(value: Written, taken: int, kind: Value | None) -> str | None:
     return text if taken + len(text) <= FLOW_WIDTH or not value.entries else None
 
 
-def _is_long_prose(value: Written, taken: int) -> bool:
+def _is_long_prose(value: WrittenValue, taken: int) -> bool:
     words = value.text.split(" ")
     return taken + len(value.text) > PROSE_WIDTH and len(words) > 20 and "\n" not in value.text and all(words)
 
 
-def _scalar(value: Written) -> str:
+def _scalar(value: WrittenValue) -> str:
     """A scalar on one line: quoted only where it has to be."""
     if value.style or "\n" in value.text:
         return scalar_text(value.text)
     return value.text
 
 
-def _scalar_lines(value: Written, before: str) -> list[str]:
+def _scalar_lines(value: WrittenValue, before: str) -> list[str]:
     """A scalar that may take several lines."""
     if value.raw:
         header, *lines = value.raw
@@ -192,7 +192,7 @@ def _wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, PROSE_WIDTH - 2, break_long_words=False, break_on_hyphens=False)
 
 
-def _ordered(value: Written, kind: Value | None) -> tuple[list[Entry], dict[int, Value | None]]:
+def _ordered(value: WrittenValue, kind: Value | None) -> tuple[list[LayoutEntry], dict[int, Value | None]]:
     """The entries in the documented order, free keys as they are; and what each entry's value is."""
     kinds: dict[int, Value | None] = {}
     if isinstance(kind, FreeKeys):
@@ -214,7 +214,7 @@ def _ordered(value: Written, kind: Value | None) -> tuple[list[Entry], dict[int,
     return ordered, kinds
 
 
-def _table_of(kind: Below, keys: set[str]) -> Table:
+def _table_of(kind: Below, keys: set[str]) -> KeyTable:
     """The table that a mapping with these keys follows."""
     begun = [table for table in kind.tables if table.told_by in keys]
     return begun[-1] if begun else (kind.tables or (COMPOSED,))[0]

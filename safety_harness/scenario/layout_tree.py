@@ -32,7 +32,7 @@ class Comment:
 
 
 @dataclass
-class Written:
+class WrittenValue:
     """A value as it was written; ``raw`` is the text of a block of prose, its header first."""
 
     kind: str  # "scalar", "list" or "mapping"
@@ -40,7 +40,7 @@ class Written:
     text: str = ""
     style: str = ""  # of a scalar: "", "'", '"', "|" or ">"
     raw: tuple[str, ...] = ()
-    entries: list[Entry] = field(default_factory=list)
+    entries: list[LayoutEntry] = field(default_factory=list)
     tail: list[str] = field(default_factory=list)  # comments after the last entry
 
     @property
@@ -51,11 +51,11 @@ class Written:
 
 
 @dataclass
-class Entry:
+class LayoutEntry:
     """A key with its value, or an item of a list; an empty text in ``before`` is a blank line."""
 
-    key: Written | None
-    value: Written
+    key: WrittenValue | None
+    value: WrittenValue
     before: list[str] = field(default_factory=list)
     beside_key: str = ""
     beside: str = ""
@@ -66,7 +66,7 @@ class Entry:
         return sum(bool(line) for line in self.before) + bool(self.beside_key) + bool(self.beside)
 
 
-def written_tree(text: str) -> tuple[Written, int]:
+def written_tree(text: str) -> tuple[WrittenValue, int]:
     """The tree of a text that ``parse_tree`` takes, and how many comments there are in the text."""
     events: list[Event] = [
         event
@@ -109,7 +109,7 @@ class _Builder:
         self._lines = text.split("\n")
         self._comments = sorted(comments, key=lambda one: one.index)
 
-    def root(self) -> Written:
+    def root(self) -> WrittenValue:
         root = self._value()
         if root.kind == "scalar" and self._comments:
             root.tail = [one.text for one in self._comments]
@@ -117,7 +117,7 @@ class _Builder:
             root.tail += self._taken(len(self._text) + 1, len(self._lines), first=False)
         return root
 
-    def _value(self) -> Written:
+    def _value(self) -> WrittenValue:
         event = self._events[self._next]
         self._next += 1
         if isinstance(event, ScalarEvent):
@@ -125,7 +125,7 @@ class _Builder:
         assert isinstance(event, CollectionStartEvent)
         flow = bool(event.flow_style)
         mapping = isinstance(event, MappingStartEvent)
-        value = Written("mapping" if mapping else "list", flow)
+        value = WrittenValue("mapping" if mapping else "list", flow)
         column = event.start_mark.column
         while not isinstance(self._events[self._next], MappingEndEvent | SequenceEndEvent):
             value.entries.append(self._entry(mapping, first=not value.entries))
@@ -139,7 +139,7 @@ class _Builder:
             value.tail = self._taken(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
         return value
 
-    def _entry(self, mapping: bool, *, first: bool) -> Entry:
+    def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
         start = self._events[self._next].start_mark
         before = self._taken(start.index, start.line, first=first)
         key, beside_key = None, ""
@@ -151,7 +151,7 @@ class _Builder:
         beside = self._beside() if plain else ""
         if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
             beside = self._comments.pop(0).text  # beside the sign that begins the prose
-        return Entry(key, value, before, beside_key, beside)
+        return LayoutEntry(key, value, before, beside_key, beside)
 
     def _end_mark(self) -> StreamMark:
         mark: StreamMark = self._events[self._next - 1].end_mark
@@ -192,10 +192,10 @@ class _Builder:
     def _is_blank(self, line: int) -> bool:
         return 0 <= line < len(self._lines) and not self._lines[line].strip()
 
-    def _scalar(self, event: ScalarEvent) -> Written:
+    def _scalar(self, event: ScalarEvent) -> WrittenValue:
         style = event.style or ""
         raw: tuple[str, ...] = ()
         if style in ("|", ">"):
             source = self._text[event.start_mark.index : event.end_mark.index]
             raw = tuple(source.rstrip("\n").split("\n"))
-        return Written("scalar", text=event.value, style=style, raw=raw)
+        return WrittenValue("scalar", text=event.value, style=style, raw=raw)

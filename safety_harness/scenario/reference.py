@@ -1,6 +1,6 @@
 """What each key of a scenario file means: the one table behind the documentation, ``explain`` and the schema.
 
-A ``Key`` has a typed value, a default, a meaning and an example; a ``Table`` is the keys of one
+A ``Key`` has a typed value, a default, a meaning and an example; a ``KeyTable`` is the keys of one
 mapping.  The tables themselves are in ``reference_tables`` and ``reference_settings``.
 """
 
@@ -20,7 +20,7 @@ _RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
+class QuantityValue:
     """A number with a unit, within bounds in SI; ``or_word`` may stand in its place."""
 
     dimension: Dimension
@@ -91,7 +91,7 @@ class Several:
 class Below:
     """A mapping with the keys of one of several tables."""
 
-    tables: tuple[Table, ...]
+    tables: tuple[KeyTable, ...]
     form: str = "mapping"
 
     @property
@@ -114,7 +114,7 @@ class FreeKeys:
         return self.form
 
 
-Value = Quantity | Text | Word | Several | Below | FreeKeys
+Value = QuantityValue | Text | Word | Several | Below | FreeKeys
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ class Key:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Table:
+class KeyTable:
     """The keys of one kind of mapping.  ``where`` completes "the key ... of"; ``name`` is for the page."""
 
     name: str
@@ -159,7 +159,7 @@ class Table:
         return tuple(key.name for key in self.keys)
 
 
-def below(value: Value) -> Iterator[Table]:
+def below(value: Value) -> Iterator[KeyTable]:
     """The tables that a value leads to."""
     if isinstance(value, Below):
         for table in value.tables:
@@ -170,7 +170,7 @@ def below(value: Value) -> Iterator[Table]:
         yield from below(value.of)
 
 
-def markdown(table: Table) -> str:
+def markdown(table: KeyTable) -> str:
     """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
     rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
     for key in table.keys:
@@ -185,7 +185,7 @@ def markdown(table: Table) -> str:
     return _joined(rows)
 
 
-def markdown_of_moves(moves: tuple[Table, ...]) -> str:
+def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
     """The moves as a page shows them, one row for each with its further keys."""
     rows = ["| move | further keys | meaning |", "|---|---|---|"]
     for table in moves:
@@ -199,7 +199,7 @@ def _joined(rows: list[str]) -> str:
 
 
 def _kind(value: Value) -> str:
-    return value.dimension.name if isinstance(value, Quantity) else value.words
+    return value.dimension.name if isinstance(value, QuantityValue) else value.words
 
 
 def nice(value: float, dimension: Dimension) -> str:
@@ -240,7 +240,7 @@ def key_of(name: str, value: Value, default: str, meaning: str, example: str, sa
     return Key(name=name, value=value, default=default, meaning=meaning, example=example, said=said)
 
 
-_COORDINATE = Quantity(dimension=LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
-TURN = Quantity(dimension=ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
+_COORDINATE = QuantityValue(dimension=LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
+TURN = QuantityValue(dimension=ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)
 POINT = Several(of=_COORDINATE, form="point", count=3)
 ROTATION = Several(of=TURN, form="rotation", count=3)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from safety_harness.scenario.fault_phrases import PHRASES, SUBJECTS
-from safety_harness.scenario.fault_phrases import Key as Further
+from safety_harness.scenario.fault_phrases import FaultKey as Further
 from safety_harness.scenario.faults import Joint
-from safety_harness.scenario.reference import REQUIRED, Key, Quantity, Several, Table, Value, Word
+from safety_harness.scenario.reference import REQUIRED, Key, KeyTable, QuantityValue, Several, Value, Word
 from safety_harness.scenario.units import ANGLE, TIME
 
 _MEANINGS = {
@@ -24,12 +24,12 @@ _EXAMPLES = {
     "shifted": "shifted: [5 mm, 0 mm, 0 mm]",
     "which": "which: elbow",
 }
-_TIME = Quantity(dimension=TIME, least=0.0)
+_TIME = QuantityValue(dimension=TIME, least=0.0)
 _TIMES = (
     Key(name="from", value=_TIME, default="0 s", meaning="when the fault begins", example="from: 500 ms"),
     Key(
         name="for",
-        value=Quantity(dimension=TIME, above=0.0),
+        value=QuantityValue(dimension=TIME, above=0.0),
         default="to the end of the run",
         meaning="how long it lasts",
         example="for: 200 ms",
@@ -44,12 +44,12 @@ _TIMES = (
 )
 
 
-def fault_tables() -> tuple[Table, ...]:
+def fault_tables() -> tuple[KeyTable, ...]:
     """A table for each thing that can fail."""
     return tuple(_table(subject) for subject in SUBJECTS)
 
 
-def _table(subject: str) -> Table:
+def _table(subject: str) -> KeyTable:
     phrases = [phrase for phrase in PHRASES if phrase.subject == subject]
     predicates = tuple(phrase.predicate for phrase in phrases)
     further = {key.word: _key(key) for phrase in phrases for key in phrase.keys}
@@ -60,7 +60,7 @@ def _table(subject: str) -> Table:
         meaning=f"what the {subject} does wrongly",
         example=f"faults:\n  - {subject}: {predicates[0]}\n    from: 500 ms\n    for: 200 ms",
     )
-    return Table(
+    return KeyTable(
         name=f"a fault of the {subject}",
         where=f"a fault of the {subject}",
         keys=(first, *further.values(), *_TIMES),
@@ -82,6 +82,6 @@ def _value(further: Further) -> Value:
     if further.dimension is None:
         return Word(options=tuple(joint.value for joint in Joint))
     if not further.several:
-        return Quantity(dimension=further.dimension, above=0.0, most=further.most)
-    number = Quantity(dimension=further.dimension, least=-further.most, most=further.most)
+        return QuantityValue(dimension=further.dimension, above=0.0, most=further.most)
+    number = QuantityValue(dimension=further.dimension, least=-further.most, most=further.most)
     return Several(of=number, form="rotation" if further.dimension is ANGLE else "point", count=3)

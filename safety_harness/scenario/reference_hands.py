@@ -19,9 +19,9 @@ from safety_harness.scenario.reference import (
     REQUIRED,
     TURN,
     Below,
-    Quantity,
+    KeyTable,
+    QuantityValue,
     Several,
-    Table,
     Text,
     Value,
     key_of,
@@ -29,17 +29,17 @@ from safety_harness.scenario.reference import (
 )
 from safety_harness.scenario.units import ACCELERATION, LENGTH, NUMBER, RATE, SPEED, TIME
 
-_SPEED = Quantity(dimension=SPEED, above=0.0, most=FASTEST_MPS)
-_TIME = Quantity(dimension=TIME, above=0.0, most=LONGEST_S)
-_DISTANCE = Quantity(dimension=LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
+_SPEED = QuantityValue(dimension=SPEED, above=0.0, most=FASTEST_MPS)
+_TIME = QuantityValue(dimension=TIME, above=0.0, most=LONGEST_S)
+_DISTANCE = QuantityValue(dimension=LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
 _NAME = Text(form="name")
 
 
-def _move(meaning: str, example: str, *keys: tuple[str, Value, str], optional: int = 0) -> Table:
+def _move(meaning: str, example: str, *keys: tuple[str, Value, str], optional: int = 0) -> KeyTable:
     """A move: its own key first; the last ``optional`` ones need not be there."""
     name = keys[0][0]
     defaults = [REQUIRED] * (len(keys) - optional) + ["none"] * optional
-    return Table(
+    return KeyTable(
         name=name,
         where=f"the move {name}",
         path=f"hands.moves.{name}",
@@ -51,7 +51,7 @@ def _move(meaning: str, example: str, *keys: tuple[str, Value, str], optional: i
 
 
 _BOX = Several(of=POINT, form="two opposite corners of a box", count=2)
-_TIMES = Quantity(dimension=NUMBER, least=1, most=MOST_TIMES, whole=True)
+_TIMES = QuantityValue(dimension=NUMBER, least=1, most=MOST_TIMES, whole=True)
 _REACH_ON = (
     ("hesitating at", _DISTANCE, "the distance at which the hand stops on its way"),
     ("for", _TIME, "how long it stops there"),
@@ -107,20 +107,20 @@ MOVES = (
     ),
     _move("straight back to where the hand started", "- withdraw: 1.6 m/s", ("withdraw", _SPEED, "")),
 )
-TREMOR = Table(
+TREMOR = KeyTable(
     name="tremor",
     where="tremor of a hand",
     keys=(
         key_of(
             "amplitude",
-            Quantity(dimension=LENGTH, least=TREMORS_M[0], most=TREMORS_M[1]),
+            QuantityValue(dimension=LENGTH, least=TREMORS_M[0], most=TREMORS_M[1]),
             REQUIRED,
             "the displacement is never larger",
             "tremor: {amplitude: 1 mm, rate: 8 Hz}",
         ),
         key_of(
             "rate",
-            Quantity(dimension=RATE, least=TREMORS_HZ[0], most=TREMORS_HZ[1]),
+            QuantityValue(dimension=RATE, least=TREMORS_HZ[0], most=TREMORS_HZ[1]),
             REQUIRED,
             "of the ellipse that it goes along",
             "tremor: {amplitude: 1 mm, rate: 8 Hz}",
@@ -129,9 +129,9 @@ TREMOR = Table(
 )
 _NO_SHIFT, _SHIFT = "[0 mm, 0 mm, 0 mm]", "shifted by: [0 mm, 50 mm, 0 mm]"
 _LATER = "delayed by: 500 ms"
-_DELAY = Quantity(dimension=TIME, least=0.0, most=LONGEST_S)
+_DELAY = QuantityValue(dimension=TIME, least=0.0, most=LONGEST_S)
 _STARTS_AT = "starts at: [1.2 m, -0.7 m, 100 mm]"
-MOVING_HAND = Table(
+MOVING_HAND = KeyTable(
     name="a hand that moves",
     where="a hand that moves",
     path="hands",
@@ -164,7 +164,7 @@ MOVING_HAND = Table(
         ),
         key_of(
             "acceleration at most",
-            Quantity(dimension=ACCELERATION, least=ACCELERATIONS_MPS2[0], most=ACCELERATIONS_MPS2[1]),
+            QuantityValue(dimension=ACCELERATION, least=ACCELERATIONS_MPS2[0], most=ACCELERATIONS_MPS2[1]),
             nice(REACHING_MPS2, ACCELERATION),
             "how hard the hand speeds up, turns and brakes",
             "acceleration at most: 20 m/s2",
@@ -186,7 +186,7 @@ MOVING_HAND = Table(
     ),
 )
 _TOWARDS = "elbow towards: [1.6 m, -1.2 m, 300 mm]"
-JOINED_HAND = Table(
+JOINED_HAND = KeyTable(
     name="a hand that goes with another",
     where="a hand that goes with another",
     path="hands",
@@ -200,7 +200,7 @@ JOINED_HAND = Table(
         key_of("elbow towards", POINT, REQUIRED, "where the forearm points, at every moment", _TOWARDS),
     ),
 )
-RECORDED_HAND = Table(
+RECORDED_HAND = KeyTable(
     name="a hand that repeats a recording",
     where="a hand that repeats a recording",
     path="hands",
@@ -247,7 +247,7 @@ RECORDED_HAND = Table(
         key_of("delayed by", _DELAY, "0 s", "how long the hand rests at its first sample", _LATER),
         key_of(
             "speed factor",
-            Quantity(dimension=NUMBER, least=0.01, most=LARGEST_FACTOR),
+            QuantityValue(dimension=NUMBER, least=0.01, most=LARGEST_FACTOR),
             "1.0",
             "how many times as fast as it was recorded",
             "speed factor: 1.5",
@@ -261,28 +261,28 @@ RECORDED_HAND = Table(
         ),
         key_of(
             "from",
-            Quantity(dimension=TIME),
+            QuantityValue(dimension=TIME),
             "its beginning",
             "where the part that is used begins, in the recording's own time",
             "from: 1.5 s",
         ),
         key_of(
             "to",
-            Quantity(dimension=TIME),
+            QuantityValue(dimension=TIME),
             "its end",
             "where the part that is used ends",
             "to: 13 s",
         ),
         key_of(
             "longest gap",
-            Quantity(dimension=TIME, above=0.0, most=LONGEST_GAP_S),
+            QuantityValue(dimension=TIME, above=0.0, most=LONGEST_GAP_S),
             nice(DEFAULT_LONGEST_GAP_S, TIME),
             "how long the track may be missing",
             "longest gap: 300 ms",
         ),
         key_of(
             "fastest jump",
-            Quantity(dimension=SPEED, above=0.0, most=FASTEST_MPS),
+            QuantityValue(dimension=SPEED, above=0.0, most=FASTEST_MPS),
             nice(DEFAULT_FASTEST_JUMP_MPS, SPEED),
             "what is faster is another marker, not this one",
             "fastest jump: 4 m/s",

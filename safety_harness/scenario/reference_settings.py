@@ -11,9 +11,9 @@ from safety_harness.scenario.decision_times import FORM as DECISION_TIME
 from safety_harness.scenario.reference import (
     Below,
     Key,
-    Quantity,
+    KeyTable,
+    QuantityValue,
     Several,
-    Table,
     Text,
     Value,
     Word,
@@ -145,7 +145,7 @@ _EXAMPLES = {
 }
 
 
-def group_table(group: str, path: str) -> Table:
+def group_table(group: str, path: str) -> KeyTable:
     """The table of one group of settings; ``path`` leads to it from the top of a file."""
     default = getattr(DEFAULTS, group.replace(" ", "_"))
     keys: dict[str, Key] = {}
@@ -158,7 +158,7 @@ def group_table(group: str, path: str) -> Table:
             inner.setdefault(one.words[0], []).append(key)
             keys[one.words[0]] = key  # its place, filled below
     for name, members in inner.items():
-        table = Table(name=name, where=f"{name} of {group}", keys=tuple(members))
+        table = KeyTable(name=name, where=f"{name} of {group}", keys=tuple(members))
         keys[name] = Key(
             name=name,
             value=Below(tables=(table,)),
@@ -166,7 +166,7 @@ def group_table(group: str, path: str) -> Table:
             meaning=_INNER[name],
             example=_EXAMPLES[name],
         )
-    return Table(name=group, where=group, keys=tuple(keys.values()), path=path)
+    return KeyTable(name=group, where=group, keys=tuple(keys.values()), path=path)
 
 
 def _key(one: SettingKey, owner: str, default: Any, group: str, path: str) -> Key:
@@ -188,8 +188,8 @@ def _key(one: SettingKey, owner: str, default: Any, group: str, path: str) -> Ke
 
 def _unbounded(value: Value) -> str:
     """A value's words without the bounds that its dimension gives to every setting."""
-    if isinstance(value, Quantity):
-        return Quantity(dimension=value.dimension, whole=value.whole, or_word=value.or_word).words
+    if isinstance(value, QuantityValue):
+        return QuantityValue(dimension=value.dimension, whole=value.whole, or_word=value.or_word).words
     return value.words.partition(", each")[0]
 
 
@@ -198,7 +198,7 @@ def _value(one: SettingKey, default: Any) -> Value:
         return Text(form=DECISION_TIME, or_mapping=True)
     if isinstance(default, Enum):
         return Word(options=tuple(str(member.value) for member in type(default)))
-    number = Quantity(
+    number = QuantityValue(
         dimension=one.dimension,
         least=one.bounds.least,
         most=one.bounds.most,

@@ -14,9 +14,9 @@ from safety_harness.scenario.reference import (
     TURN,
     Below,
     FreeKeys,
-    Quantity,
+    KeyTable,
+    QuantityValue,
     Several,
-    Table,
     Text,
     Word,
     below,
@@ -27,12 +27,12 @@ from safety_harness.scenario.reference_hands import JOINED_HAND, MOVING_HAND, RE
 from safety_harness.scenario.reference_settings import group_table
 from safety_harness.scenario.units import NUMBER, TIME
 
-_TIME = Quantity(dimension=TIME, above=0.0, most=LONGEST_S)
+_TIME = QuantityValue(dimension=TIME, above=0.0, most=LONGEST_S)
 _VERDICT = Word(options=tuple(verdict.value for verdict in Verdict))
 
 
 _TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
-TCP_START = Table(
+TCP_START = KeyTable(
     name="tcp start",
     where="tcp start",
     path="tcp start",
@@ -71,7 +71,7 @@ GROUPS = {
     **{key: group_table(key, key) for key in TOP_GROUPS},
     **{key: group_table(key, f"settings.{key}") for key in SETTINGS_KEYS},
 }
-SETTINGS = Table(
+SETTINGS = KeyTable(
     name="settings",
     where="settings",
     path="settings",
@@ -89,7 +89,7 @@ SETTINGS = Table(
 _HANDS = (MOVING_HAND, JOINED_HAND, RECORDED_HAND)
 _LINE = Text(form="text, one line")
 _PROSE = Text(form="text")
-TOP = Table(
+TOP = KeyTable(
     name="a scenario",
     where="a scenario",
     keys=(
@@ -112,7 +112,7 @@ TOP = Table(
         ),
         key_of(
             "seed",
-            Quantity(dimension=NUMBER, least=0, most=LARGEST_SEED, whole=True),
+            QuantityValue(dimension=NUMBER, least=0, most=LARGEST_SEED, whole=True),
             "0",
             "every random number of the run descends from it",
             "seed: 7",
@@ -193,7 +193,7 @@ TOP = Table(
     ),
 )
 _PLAIN_MAPPING = FreeKeys(of=FreeKeys(of=Below(tables=()), form="mapping", least=1), form="mapping", least=1)
-COMPOSED = Table(
+COMPOSED = KeyTable(
     name="files made of others",
     where="a scenario that is made of others",
     keys=(
@@ -223,7 +223,7 @@ COMPOSED = Table(
         ),
     ),
 )
-SUITE = Table(
+SUITE = KeyTable(
     name="a suite",
     where="a suite",
     keys=(
@@ -240,7 +240,7 @@ SUITE = Table(
 )
 
 
-def every_table() -> tuple[Table, ...]:
+def every_table() -> tuple[KeyTable, ...]:
     """All tables, each once, from the top of a file downwards."""
     found = [TOP, COMPOSED, SUITE]
     for key in TOP.keys:

@@ -12,9 +12,9 @@ from safety_harness.scenario.reference import (
     Below,
     FreeKeys,
     Key,
-    Quantity,
+    KeyTable,
+    QuantityValue,
     Several,
-    Table,
     Text,
     Value,
     Word,
@@ -59,11 +59,11 @@ def _definitions() -> Schema:
     return found
 
 
-def _name(table: Table) -> str:
+def _name(table: KeyTable) -> str:
     return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
 
 
-def _table(table: Table, further: Table | None = None) -> Schema:
+def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
     keys = (*table.keys, *(further.keys if further else ()))
     schema: Schema = {
         "type": "object",
@@ -81,7 +81,7 @@ def _key(key: Key) -> Schema:
 
 
 def _value(value: Value) -> Schema:
-    if isinstance(value, Quantity):
+    if isinstance(value, QuantityValue):
         return _quantity(value)
     if isinstance(value, Word):
         return {"enum": list(value.options)}
@@ -120,7 +120,7 @@ def _below(value: Below) -> Schema:
     return schema
 
 
-def _begins(table: Table, others: tuple[Table, ...]) -> Schema:
+def _begins(table: KeyTable, others: tuple[KeyTable, ...]) -> Schema:
     """That a mapping is of this table: it has its first key, not that of another that knows it too."""
     first = table.told_by
     wider = [other.told_by for other in others if first in other.names and other is not table]
@@ -132,7 +132,7 @@ def _pointer(name: str) -> str:
     return name.replace("~", "~0").replace("/", "~1").replace(" ", "%20")
 
 
-def _quantity(value: Quantity) -> Schema:
+def _quantity(value: QuantityValue) -> Schema:
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}

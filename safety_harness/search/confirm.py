@@ -12,7 +12,7 @@ from safety_harness.properties.answered import fault_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.draws import OtherDraws
 from safety_harness.search.outcomes import RUN_FAILED
-from safety_harness.search.trials import World
+from safety_harness.search.trials import ScenarioRunner
 from safety_harness.trace.trace import Trace
 
 
@@ -61,7 +61,7 @@ class Confirm:
     """
 
     complaint: Complaint
-    world: World
+    world: ScenarioRunner
     by: float = 0.0
 
     def __call__(self, scenario: Scenario) -> bool:

@@ -21,7 +21,7 @@ from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.cube import Points
 from safety_harness.search.explain import Ingredient, circumstances, ingredients
 from safety_harness.search.shrink import Shrunk, shrink
-from safety_harness.search.trials import World
+from safety_harness.search.trials import ScenarioRunner
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
@@ -98,7 +98,7 @@ class Counterexample:
 
 
 def counterexample_of(
-    found: Scenario, complaint: Complaint, world: World, *, budget: int
+    found: Scenario, complaint: Complaint, world: ScenarioRunner, *, budget: int
 ) -> Counterexample | None:
     """Confirm, shrink and explain; None if ``world`` does not show the complaint.
 

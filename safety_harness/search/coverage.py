@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.space.regions import Seen
-from safety_harness.trace.records import Outcome
+from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 DIRECTIONS = (
@@ -34,11 +34,11 @@ OUTCOMES = ("no decision", "proposed position", "opposite pose", "protective sto
 AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen": SEEN, "outcome": OUTCOMES}
 
 _AT_REST_MPS = 0.05
-_GRAVITY = {Outcome.PROPOSED: 1, Outcome.OPPOSITE: 2, Outcome.STOP: 3}
+_GRAVITY = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutcome.STOP: 3}
 
 
 @dataclass(frozen=True, order=True)
-class Cell:
+class CoverageCell:
     """One of 1,536, each by its word on every axis."""
 
     direction: str
@@ -55,10 +55,10 @@ class Cell:
 class Coverage:
     """How many runs fell into which cell; ``without`` counts those in which no hand was ever there."""
 
-    counts: Counter[Cell] = field(default_factory=Counter)
+    counts: Counter[CoverageCell] = field(default_factory=Counter)
     without: int = 0
 
-    def add(self, cells: Iterable[Cell | None]) -> None:
+    def add(self, cells: Iterable[CoverageCell | None]) -> None:
         """Count runs."""
         for cell in cells:
             if cell is None:
@@ -81,9 +81,9 @@ class Coverage:
         return found
 
     @property
-    def holes(self) -> list[Cell]:
+    def holes(self) -> list[CoverageCell]:
         """Cells without a run; many of them cannot be reached by any."""
-        return [cell for words in product(*AXES.values()) if not self.counts[cell := Cell(*words)]]
+        return [cell for words in product(*AXES.values()) if not self.counts[cell := CoverageCell(*words)]]
 
     def __str__(self) -> str:
         runs = sum(self.counts.values())
@@ -96,19 +96,19 @@ class Coverage:
         return "\n".join(lines)
 
 
-def cell_of(trace: Trace, seen: Seen) -> Cell | None:
+def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
     """Where a run belongs; None if no hand was ever there, or nothing of it is finite."""
     distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
     if not np.any(np.isfinite(distances)):
         return None
     nearest_m = float(np.nanmin(distances))
-    gravity = [_GRAVITY[Outcome(int(outcome))] for outcome in trace.decisions["outcome"]]
+    gravity = [_GRAVITY[DecisionOutcome(int(outcome))] for outcome in trace.decisions["outcome"]]
     gravest = int(np.argmax(gravity)) if gravity else -1
     tick = int(trace.decisions["tick"][gravest]) if gravity else int(np.nanargmin(distances.min(axis=1)))
     hand = int(np.nanargmin(distances[tick]))
     hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
     tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
-    return Cell(
+    return CoverageCell(
         direction=_direction(hand_m[tick] - tcp_m),
         speed=_speed(trace, hand_m, tick),
         distance=_distance(nearest_m),

@@ -10,7 +10,7 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Scenario
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.findings import Group
-from safety_harness.search.trials import World
+from safety_harness.search.trials import ScenarioRunner
 from safety_harness.trace.trace import Trace
 
 
@@ -33,7 +33,7 @@ class Disagreement:
 
 
 def disagreement_of(
-    group: Group, complaint: Complaint, found: Scenario, searched: World, confirming: World
+    group: Group, complaint: Complaint, found: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
 ) -> Disagreement:
     """Run ``found`` in both worlds, judged by what is complained about alone, if that is a claim."""
     claims = found.claims if complaint.claim is None else (complaint.claim,)
@@ -44,7 +44,7 @@ def disagreement_of(
     return Disagreement(group, complaint, _in(searched, admitted), _in(confirming, admitted))
 
 
-def _in(world: World, admitted: Admitted) -> InOneWorld:
+def _in(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
     run = world([admitted])[0]
     if isinstance(run, Exception):
         return InOneWorld(run)

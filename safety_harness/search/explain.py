@@ -14,9 +14,9 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.search.confirm import Complaint, failure_of
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.simpler import simpler
-from safety_harness.search.trials import World
+from safety_harness.search.trials import ScenarioRunner
 from safety_harness.space.regions import Seen, seen_by
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 _MOST_REMOVED = 12  # ingredients that are taken away, one at a time
@@ -34,7 +34,7 @@ class Ingredient:
         return f"{self.step}: {self.outcome}"
 
 
-def ingredients(scenario: Scenario, complaint: Complaint, world: World) -> list[Ingredient]:
+def ingredients(scenario: Scenario, complaint: Complaint, world: ScenarioRunner) -> list[Ingredient]:
     """What becomes of the complaint when one thing is removed or neutralised."""
     found = []
     for step, other in list(simpler(scenario))[:_MOST_REMOVED]:
@@ -67,7 +67,7 @@ def circumstances(trace: Trace) -> list[str]:
     for k, decision in enumerate(trace.decisions):
         spread_m = decision["proposed_spread_m"]
         words = [f"decision {k + 1} at {decision['time_s']:.3f} s"]
-        words.append(Outcome(int(decision["outcome"])).name.lower())
+        words.append(DecisionOutcome(int(decision["outcome"])).name.lower())
         if decision["fault"]:
             words.append(f"the avoider: {decision['fault']}")
         elif np.any(spread_m > 0.0):

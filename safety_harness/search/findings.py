@@ -16,7 +16,7 @@ _MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
 
 
 @dataclass(frozen=True, eq=False)
-class Episode:
+class TriedPoint:
     """One tried point (d,): ``number`` counts all points of the search, ``margins`` (k,) are SI."""
 
     number: int
@@ -33,8 +33,8 @@ class Group:
 
     claim: int | None
     kind: str
-    first: Episode
-    worst: Episode
+    first: TriedPoint
+    worst: TriedPoint
     leader: Points  # (d,) canonical point of the first
     count: int = 1
 
@@ -65,7 +65,7 @@ class Findings:
         self.violated = np.zeros(len(self.goals), np.int64)
         self.first_violation = np.zeros(len(self.goals), np.int64)
         self.mishaps = 0
-        self.nearest: list[Episode | None] = [None] * len(self.goals)
+        self.nearest: list[TriedPoint | None] = [None] * len(self.goals)
         self.improvements: list[list[tuple[int, float]]] = [[] for _ in self.goals]
 
     @property
@@ -105,7 +105,7 @@ class Findings:
                 continue
             if canonical is None:
                 canonical = self.cube.canonical(points)
-            episode = Episode(number, point.copy(), margins.copy())
+            episode = TriedPoint(number, point.copy(), margins.copy())
             for claim in wrong:
                 self.violated[claim] += 1
                 self.first_violation[claim] = self.first_violation[claim] or self.tried
@@ -118,10 +118,10 @@ class Findings:
         for claim, margin in enumerate(margins):
             before = self.nearest[claim]
             if np.isfinite(margin) and (before is None or margin < before.margins[claim]):
-                self.nearest[claim] = Episode(number, point.copy(), margins.copy())
+                self.nearest[claim] = TriedPoint(number, point.copy(), margins.copy())
                 self.improvements[claim].append((self.tried, float(margin)))
 
-    def _join(self, claim: int | None, kind: str, episode: Episode, canonical: Points) -> None:
+    def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Points) -> None:
         """Mishaps are told apart by their words alone."""
         rivals = [group for group in self.groups if group.claim == claim and group.kind == kind]
         if rivals:

@@ -15,7 +15,7 @@ LEAST_S, LEAST_MPS = 0.1, 0.1
 
 
 @dataclass(frozen=True)
-class Knob:
+class ShrinkTarget:
     """One number: where it is, what is simplest, and the distance of round numbers.
 
     Without a ``target`` the number is only rounded.
@@ -45,7 +45,7 @@ class Knob:
         return FINER
 
 
-def knobs(scenario: Scenario) -> Iterator[Knob]:
+def knobs(scenario: Scenario) -> Iterator[ShrinkTarget]:
     """Every number, those that shorten a run first."""
     yield _knob(("duration_s",), LEAST_S)
     start = scenario.start
@@ -72,7 +72,7 @@ def knobs(scenario: Scenario) -> Iterator[Knob]:
                 yield _knob(("faults", k, own.name), target)
 
 
-def _of_moving(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[Knob]:
+def _of_moving(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[ShrinkTarget]:
     at: Path = ("hands", k)
     yield _knob((*at, "delay_s"), 0.0)
     seen = scenario.settings.avoidance.nominal_hand_position_in_base_m
@@ -95,15 +95,15 @@ def _of_moving(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[Knob]:
     yield from _point((*at, "starts_at_in_base_m"), None)
 
 
-def _point(path: Path, target: tuple[float, float, float] | None) -> Iterator[Knob]:
+def _point(path: Path, target: tuple[float, float, float] | None) -> Iterator[ShrinkTarget]:
     for axis in range(3):
         yield _knob((*path, axis), None if target is None else target[axis], 0.01)
 
 
-def _knob(path: Path, target: float | None, step: float | None = None) -> Knob:
+def _knob(path: Path, target: float | None, step: float | None = None) -> ShrinkTarget:
     if step is None:
         name = str(path[-1])
         step = next(
             _STEPS[suffix] for suffix in sorted(_STEPS, key=len, reverse=True) if name.endswith(suffix)
         )
-    return Knob(path, target, step)
+    return ShrinkTarget(path, target, step)

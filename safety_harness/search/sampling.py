@@ -11,7 +11,7 @@ from safety_harness.search.cube import Cube, Points
 from safety_harness.seeds import Branch, generator
 
 
-class Uniform:
+class UniformSampling:
     """Independent points, as the space's own distribution has them: what every search is compared to."""
 
     name = "uniform"

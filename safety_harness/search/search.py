@@ -10,7 +10,9 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.findings import Findings, scores_of
 from safety_harness.search.outcomes import Evaluate, Goal
 
-HOPELESS = 200  # points of which not one could be tried; later, of which less than one in as many could
+MAX_REJECTION_RATIO = (
+    200  # points of which not one could be tried; later, of which less than one in as many could
+)
 
 
 def find_violations(
@@ -49,12 +51,12 @@ def find_violations(
 
 
 def _refuse_hopeless(findings: Findings) -> None:
-    if findings.asked < HOPELESS * (findings.tried + 1):
+    if findings.asked < MAX_REJECTION_RATIO * (findings.tried + 1):
         return
     reason, count = findings.refused.most_common(1)[0]
     raise InadmissibleError(
         place=Place(field="space"),
-        expected=f"a space of which at least one point in {HOPELESS} can be tried",
+        expected=f"a space of which at least one point in {MAX_REJECTION_RATIO} can be tried",
         got=f"{findings.tried} of {findings.asked} points",
         hint=f"{count} times it was {reason}",
     )

@@ -11,7 +11,7 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
 from safety_harness.search.diverse import Diverse
 from safety_harness.search.hypothesis_search import HypothesisSearch
-from safety_harness.search.sampling import QuasiRandom, Uniform
+from safety_harness.search.sampling import QuasiRandom, UniformSampling
 
 
 class MakesSearcher(Protocol):
@@ -24,7 +24,14 @@ class MakesSearcher(Protocol):
         ...
 
 
-SEARCHERS: tuple[MakesSearcher, ...] = (Default, Uniform, QuasiRandom, CmaEs, HypothesisSearch, Diverse)
+SEARCHERS: tuple[MakesSearcher, ...] = (
+    Default,
+    UniformSampling,
+    QuasiRandom,
+    CmaEs,
+    HypothesisSearch,
+    Diverse,
+)
 
 
 def searcher_named(name: str) -> MakesSearcher:

@@ -14,7 +14,7 @@ from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.knobs import FINER, Knob, knobs
+from safety_harness.search.knobs import FINER, ShrinkTarget, knobs
 from safety_harness.search.paths import value_at, with_value, words
 from safety_harness.search.simpler import simpler
 
@@ -77,7 +77,7 @@ class _Shrinking:
             self._turn(knob)
         return len(self.steps) > before
 
-    def _turn(self, knob: Knob) -> None:
+    def _turn(self, knob: ShrinkTarget) -> None:
         """To the target if it can be; else to a round number, and as near to the target as violates."""
         value = float(value_at(self.scenario, knob.path))
         if knob.target is not None and (value == knob.target or self._set(knob, knob.target)):
@@ -86,7 +86,7 @@ class _Shrinking:
         if level < FINER and knob.target is not None:
             self._approach(knob, level)
 
-    def _round(self, knob: Knob, value: float) -> int:
+    def _round(self, knob: ShrinkTarget, value: float) -> int:
         """The level of the number then: the coarsest one that violates next to it, or its own."""
         own = knob.level_of(value)
         falls = knob.target is not None and knob.target < value
@@ -97,7 +97,7 @@ class _Shrinking:
                 return level
         return own
 
-    def _approach(self, knob: Knob, level: int) -> None:
+    def _approach(self, knob: ShrinkTarget, level: int) -> None:
         """Bisect between the target, which does not violate, and the number, which does."""
         assert knob.target is not None
         number = knob.on(level)
@@ -110,7 +110,7 @@ class _Shrinking:
             else:
                 safe = middle
 
-    def _set(self, knob: Knob, value: float) -> bool:
+    def _set(self, knob: ShrinkTarget, value: float) -> bool:
         step = f"{words(knob.path)} = {value:.6g}"
         return self._accept(step, with_value(self.scenario, knob.path, value))
 

@@ -29,7 +29,7 @@ from safety_harness.properties.answered import (
 )
 from safety_harness.properties.base import Property
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.search.coverage import Cell, Coverage, cell_of
+from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
 from safety_harness.search.cube import Points
 from safety_harness.search.outcomes import RUN_FAILED, Goal, Outcomes
 from safety_harness.seeds import Branch
@@ -39,7 +39,7 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
 
-class World(Protocol):
+class ScenarioRunner(Protocol):
     """Runs admitted scenarios; an Exception stands for a run that could not be carried on."""
 
     def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
@@ -94,7 +94,7 @@ class Trials:
     """
 
     space: ScenarioSpace
-    world: World
+    world: ScenarioRunner
     seed: int = 0
     avoider: str | None = None
     sentences: tuple[str, ...] = ()
@@ -150,7 +150,7 @@ class Trials:
         margins = np.full((len(points), len(self.goals)), np.nan)
         conclusive = np.zeros(margins.shape, bool)
         mishaps, kinds = [""] * len(points), [""] * len(points)
-        cells: list[Cell | None] = [None] * len(points)
+        cells: list[CoverageCell | None] = [None] * len(points)
         for k, trace in zip(admitted, traces, strict=True):
             if isinstance(trace, Exception):
                 mishaps[k] = f"{RUN_FAILED}{described(trace)}"

@@ -16,13 +16,13 @@ from safety_harness.avoidance.around import AvoiderAround
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.exceptions import AvoiderError
 from safety_harness.seeds import Branch, generator
-from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part
-from safety_harness.selftest.system import System
+from safety_harness.selftest.fault import FaultyPart, Precondition, SeededFault, SeverityLevels
+from safety_harness.selftest.system import ChangedSystem
 from safety_harness.settings import DEFAULTS, GateKind
 
 Answers = Callable[[Avoider, Vector, Vector, int], Proposal]  # of an avoider, for a hand, a TCP, a seed
 
-PLAIN_GATE = Circumstance(
+PLAIN_GATE = Precondition(
     "behind a gate that asks for reach alone", lambda s: s.with_gate(kind=GateKind.REACH)
 )
 DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
@@ -30,7 +30,7 @@ NOMINAL_HAND = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
 
 
 @dataclass(frozen=True, eq=False)
-class Spoilt(AvoiderAround):
+class FaultyAvoider(AvoiderAround):
     """An avoider whose answers go through somebody else's hands."""
 
     answers: Answers
@@ -47,17 +47,17 @@ def asked(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return avoider.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=seed)
 
 
-def spoilt(answers: Callable[[float], Answers]) -> Callable[[System, float], System]:
+def spoilt(answers: Callable[[float], Answers]) -> Callable[[ChangedSystem, float], ChangedSystem]:
     """Seeds answers that depend on the magnitude; made afresh for each system."""
 
-    def seed_into(system: System, magnitude: float) -> System:
+    def seed_into(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         made = answers(magnitude)
-        return system.with_avoider(lambda avoider: Spoilt(avoider, made))
+        return system.with_avoider(lambda avoider: FaultyAvoider(avoider, made))
 
     return seed_into
 
 
-def moved(change: Callable[[Vector, float], Vector]) -> Callable[[System, float], System]:
+def moved(change: Callable[[Vector, float], Vector]) -> Callable[[ChangedSystem, float], ChangedSystem]:
     """Seeds another displacement (3,) in place of the proposed one."""
 
     def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
@@ -168,125 +168,125 @@ def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: in
     return asked(avoider, hand, tcp, seed)
 
 
-def _magnitude_first(answers: Callable[..., Proposal]) -> Callable[[System, float], System]:
+def _magnitude_first(answers: Callable[..., Proposal]) -> Callable[[ChangedSystem, float], ChangedSystem]:
     return spoilt(lambda magnitude: partial(answers, magnitude))
 
 
-_avoider = partial(Fault, part=Part.AVOIDER, circumstance=PLAIN_GATE)
+_avoider = partial(SeededFault, part=FaultyPart.AVOIDER, circumstance=PLAIN_GATE)
 
 AVOIDER_FAULTS = (
     _avoider(
         name="sign flip",
         hazard="the arm goes to the hand instead of away from it",
         seed_into=moved(lambda way, weight: (1.0 - 2.0 * weight) * way),
-        ladder=Ladder((1.0, 0.75, 0.6, 0.5), "% of the way turned", 100.0),
+        ladder=SeverityLevels((1.0, 0.75, 0.6, 0.5), "% of the way turned", 100.0),
     ),
     _avoider(
         name="mirrored axis",
         hazard="a left-handed frame: away along two axes, towards along the third",
         seed_into=moved(without_axis),
-        ladder=Ladder((2.0, 3.0, 1.0), names=("y", "z", "x")),
+        ladder=SeverityLevels((2.0, 3.0, 1.0), names=("y", "z", "x")),
     ),
     _avoider(
         name="wrong frame",
         hazard="the answer is in the frame of the tool, not of the base: the arm gives way to the side",
         seed_into=moved(turned),
-        ladder=Ladder((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi),
+        ladder=SeverityLevels((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi),
     ),
     _avoider(
         name="millimetres for metres",
         hazard="a position a thousand times too far: the arm is stretched to its limits",
         seed_into=moved(lambda way, factor: factor * way),
-        ladder=Ladder((1000.0, 10.0, 5.0, 2.0), "times"),
+        ladder=SeverityLevels((1000.0, 10.0, 5.0, 2.0), "times"),
     ),
     _avoider(
         name="metres for millimetres",
         hazard="the arm stays where it is, before the hand",
         seed_into=moved(lambda way, factor: factor * way),
-        ladder=Ladder((0.001, 0.02, 0.1, 0.5), "times"),
+        ladder=SeverityLevels((0.001, 0.02, 0.1, 0.5), "times"),
     ),
     _avoider(
         name="stale hand",
         hazard="the arm gives way to where the hand was at an earlier question",
         seed_into=spoilt(_stale_hand),
-        ladder=Ladder((3.0, 1.0), "questions old"),
+        ladder=SeverityLevels((3.0, 1.0), "questions old"),
     ),
     _avoider(
         name="stale TCP",
         hazard="the answer is for where the tool should be, not for where it is",
         seed_into=_magnitude_first(_stale_tcp),
-        ladder=Ladder((3.0, 1.0, 0.5), "% of the way", 100.0),
+        ladder=SeverityLevels((3.0, 1.0, 0.5), "% of the way", 100.0),
     ),
     _avoider(
         name="constant output",
         hazard="a network that has collapsed: the same position for every hand",
         seed_into=_magnitude_first(_constant),
-        ladder=Ladder((0.0, 0.1), "mm above the desired pose", 1e3),
+        ladder=SeverityLevels((0.0, 0.1), "mm above the desired pose", 1e3),
     ),
     _avoider(
         name="towards the hand in one octant",
         hazard="wrong only for hands from one side, where training had few",
         seed_into=_magnitude_first(_wrong_octant),
-        ladder=Ladder((1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind")),
+        ladder=SeverityLevels((1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind")),
     ),
     _avoider(
         name="out of reach when unseen",
         hazard="a network that extrapolates: far answers for hands outside its data",
         seed_into=_magnitude_first(_far_when_unseen),
-        ladder=Ladder((20.0, 10.0, 5.0), "times"),
+        ladder=SeverityLevels((20.0, 10.0, 5.0), "times"),
     ),
     _avoider(
         name="NaN now and then",
         hazard="no position, and the decision is left to whoever comes after",
         seed_into=_magnitude_first(_sometimes_nan),
-        ladder=Ladder((1.0, 0.1, 0.01, 0.001), "of decisions"),
+        ladder=SeverityLevels((1.0, 0.1, 0.01, 0.001), "of decisions"),
     ),
     _avoider(
         name="an exception now and then",
         hazard="the same with a program that stops",
         seed_into=_magnitude_first(_raising),
-        ladder=Ladder((1.0, 0.1, 0.01), "of decisions"),
+        ladder=SeverityLevels((1.0, 0.1, 0.01), "of decisions"),
     ),
     _avoider(
         name="noise in the answers",
         hazard="the arm gives way to anywhere",
         seed_into=_magnitude_first(_noisy),
-        ladder=Ladder((0.3, 0.1, 0.03), "mm", 1e3),
+        ladder=SeverityLevels((0.3, 0.1, 0.03), "mm", 1e3),
     ),
     _avoider(
         name="unseeded randomness",
         hazard="no run of it can be repeated, so that no finding can be looked into",
         seed_into=spoilt(_unseeded),
-        ladder=Ladder((0.1, 1e-3, 1e-9), "mm", 1e3),
+        ladder=SeverityLevels((0.1, 1e-3, 1e-9), "mm", 1e3),
     ),
     _avoider(
         name="memory between episodes",
         hazard="what it does depends on what was tried before: tests in another order say something else",
         seed_into=spoilt(_Remembering),
-        ladder=Ladder((1e-2, 1e-3, 1e-6), "mm a question", 1e3),
+        ladder=SeverityLevels((1e-2, 1e-3, 1e-6), "mm a question", 1e3),
     ),
-    Fault(
+    SeededFault(
         name="overconfident spread",
-        part=Part.AVOIDER,
+        part=FaultyPart.AVOIDER,
         hazard="the gate lets pass what the network only guesses",
         seed_into=_magnitude_first(_other_spread),
-        ladder=Ladder((0.0, 0.1, 0.25, 0.5), "times"),
+        ladder=SeverityLevels((0.0, 0.1, 0.25, 0.5), "times"),
         of_spread=True,
     ),
-    Fault(
+    SeededFault(
         name="underconfident spread",
-        part=Part.AVOIDER,
+        part=FaultyPart.AVOIDER,
         hazard="every answer is thrown away; what was tested is not what is used",
         seed_into=_magnitude_first(_other_spread),
-        ladder=Ladder((10.0, 4.0, 2.0), "times"),
+        ladder=SeverityLevels((10.0, 4.0, 2.0), "times"),
         of_spread=True,
     ),
-    Fault(
+    SeededFault(
         name="spread of the wrong axis",
-        part=Part.AVOIDER,
+        part=FaultyPart.AVOIDER,
         hazard="the doubt about the most uncertain axis is not seen",
         seed_into=_magnitude_first(_wrong_spread_axis),
-        ladder=Ladder((1.0, 0.5), "% of the largest lost", 100.0),
+        ladder=SeverityLevels((1.0, 0.5), "% of the largest lost", 100.0),
         of_spread=True,
     ),
 )

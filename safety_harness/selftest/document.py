@@ -9,14 +9,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from safety_harness.selftest.outcome import Outcome, tally_of
+from safety_harness.selftest.outcome import FaultOutcome, tally_of
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class About:
+class SelfTestRun:
     """How it came about.  ``interrupted``: of the ``planned`` faults some were not tried."""
 
     profile: str
@@ -34,7 +34,7 @@ class About:
     interrupted: bool = False
 
 
-def document(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
+def document(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> dict[str, Any]:
     """Plain JSON; a magnitude that is not finite is null, its words are there."""
     tally = tally_of(outcomes)
     return {
@@ -45,13 +45,13 @@ def document(outcomes: Sequence[Outcome], about: About) -> dict[str, Any]:
     }
 
 
-def write_document(path: Path, outcomes: Sequence[Outcome], about: About) -> None:
+def write_document(path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> None:
     """Whole or not at all.  Raises OSError."""
     text = json.dumps(document(outcomes, about), indent=1, allow_nan=False, ensure_ascii=False)
     write_whole(path, text + "\n")
 
 
-def _outcome(one: Outcome) -> dict[str, Any]:
+def _outcome(one: FaultOutcome) -> dict[str, Any]:
     plain = asdict(one)
     for rung in plain["rungs"]:
         if abs(rung["magnitude"]) == float("inf"):

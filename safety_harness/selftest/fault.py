@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from safety_harness.selftest.system import System
+from safety_harness.selftest.system import ChangedSystem
 
-Seeds = Callable[[System, float], System]
+Seeds = Callable[[ChangedSystem, float], ChangedSystem]
 
 
-class Part(Enum):
+class FaultyPart(Enum):
     """Where in the system a fault sits."""
 
     AVOIDER = "avoider"
@@ -23,7 +23,7 @@ class Part(Enum):
 
 
 @dataclass(frozen=True)
-class Ladder:
+class SeverityLevels:
     """Magnitudes in SI, the gravest first, and how people read them: with a unit, or each by its name."""
 
     values: tuple[float, ...]
@@ -39,22 +39,22 @@ class Ladder:
         return f"{number} {self.unit}" if self.unit else number
 
 
-ONLY = Ladder((1.0,), names=("there",))  # a fault that is there or not
+ONLY = SeverityLevels((1.0,), names=("there",))  # a fault that is there or not
 
 
 @dataclass(frozen=True, eq=False)
-class Circumstance:
+class Precondition:
     """What the faulty and the sound system have in common beside the scenario."""
 
     name: str
-    bring_about: Callable[[System], System]
+    bring_about: Callable[[ChangedSystem], ChangedSystem]
 
 
-AS_IT_IS = Circumstance("as it is", lambda system: system)
+AS_IT_IS = Precondition("as it is", lambda system: system)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fault:
+class SeededFault:
     """A mistake that somebody could make, and that hurts somebody or ends the task.
 
     ``seed_into`` a sound system, with a magnitude of the ``ladder``, gives the faulty one.  Both are
@@ -64,11 +64,11 @@ class Fault:
     """
 
     name: str
-    part: Part
+    part: FaultyPart
     hazard: str
     seed_into: Seeds
-    ladder: Ladder = ONLY
-    circumstance: Circumstance = AS_IT_IS
+    ladder: SeverityLevels = ONLY
+    circumstance: Precondition = AS_IT_IS
     of_spread: bool = False
     harmless: str = ""
     limit: str = ""

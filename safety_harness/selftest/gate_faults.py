@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.asking import Answer
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.gate import Gate, Query, Ruling
-from safety_harness.controller.around import Around
+from safety_harness.avoidance.gate import Gate, GateDecision, Query
+from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo
-from safety_harness.selftest.avoider_faults import Spoilt, turned
-from safety_harness.selftest.fault import Circumstance, Fault, Ladder, Part, Seeds
-from safety_harness.trace.records import Check, Mode, Outcome
+from safety_harness.selftest.avoider_faults import FaultyAvoider, turned
+from safety_harness.selftest.fault import FaultyPart, Precondition, SeededFault, Seeds, SeverityLevels
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
 SURE_BELOW_M = 0.02  # the threshold of the avoiders below
 
@@ -44,9 +44,9 @@ class Erring:
         return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
 
 
-def with_an(name: str, avoider: Erring) -> Circumstance:
+def with_an(name: str, avoider: Erring) -> Precondition:
     """An avoider that errs in one way, for the sound gate as well."""
-    return Circumstance(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
+    return Precondition(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
 
 
 IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))
@@ -61,9 +61,9 @@ def _nan(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(np.full(3, np.nan))
 
 
-NO_NUMBER = Circumstance(
+NO_NUMBER = Precondition(
     "with an avoider that answers NaN",
-    lambda s: s.with_avoider(lambda avoider: Spoilt(avoider, _nan)),
+    lambda s: s.with_avoider(lambda avoider: FaultyAvoider(avoider, _nan)),
 )
 
 
@@ -73,7 +73,7 @@ class LaxThreshold(Gate):
 
     factor: float
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """The ruling says the true threshold all the same."""
         true_m = proposed.spread_threshold_m
         lax = replace(proposed, spread_threshold_m=self.factor * true_m)
@@ -95,7 +95,7 @@ class Blind(Gate):
 class OneHandOnly(Gate):
     """Minds the nearest hand and no other."""
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """As if there were only one."""
         nearest = query.hand_position_in_base_m[None]
         return super().rule_on(proposed, replace(query, hands_in_base_m=nearest))
@@ -107,7 +107,7 @@ class WrongPose(Gate):
 
     angle_rad: float
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """The ruling tells what was handed over."""
         ruling = super().rule_on(proposed, query)
         tcp = query.tcp_position_in_base_m
@@ -119,29 +119,31 @@ class WrongPose(Gate):
 class PassesNaN(Gate):
     """Takes no number for a position like any other."""
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """NaN is neither above a threshold nor out of reach."""
         ruling = super().rule_on(proposed, query)
         if not ruling.proposed_failed & Check.NOT_FINITE:
             return ruling
         chosen = ruling.proposed.position_in_base_m
-        return replace(ruling, outcome=Outcome.PROPOSED, chosen_position_in_base_m=chosen)
+        return replace(ruling, outcome=DecisionOutcome.PROPOSED, chosen_position_in_base_m=chosen)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Instead(Gate):
     """Takes another way out than the one that it found."""
 
-    when: Outcome
-    takes: Outcome
+    when: DecisionOutcome
+    takes: DecisionOutcome
 
-    def rule_on(self, proposed: Answer, query: Query) -> Ruling:
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """A usable proposal gives way only to an opposite pose that can be used too."""
         ruling = super().rule_on(proposed, query)
-        if ruling.outcome is not self.when or (self.when is Outcome.PROPOSED and ruling.opposite_failed):
+        if ruling.outcome is not self.when or (
+            self.when is DecisionOutcome.PROPOSED and ruling.opposite_failed
+        ):
             return ruling
         opposite = ruling.opposite.position_in_base_m
-        chosen = opposite if self.takes is Outcome.OPPOSITE else np.full(3, np.nan)
+        chosen = opposite if self.takes is DecisionOutcome.OPPOSITE else np.full(3, np.nan)
         return replace(ruling, outcome=self.takes, chosen_position_in_base_m=chosen)
 
 
@@ -161,7 +163,7 @@ class Fallback:
         return Proposal(tcp_position_in_base_m + self.way_m / np.linalg.norm(way) * way)
 
 
-class Late(Around):
+class Late(ControllerWrapper):
     """The gate's refusal counts some cycles late: until then the arm heads for what was refused."""
 
     def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
@@ -176,7 +178,7 @@ class Late(Around):
         state, question = self.pilot.records.state[0], self.pilot.records.question[0]
         if question["made_now"]:
             decision = self.pilot.decisions[-1]
-            refused = decision["outcome"] == Outcome.OPPOSITE and np.all(
+            refused = decision["outcome"] == DecisionOutcome.OPPOSITE and np.all(
                 np.isfinite(decision["proposed_position_in_base_m"])
             )
             self._left = self._cycles if refused else 0
@@ -194,28 +196,28 @@ def _with(cls: type[Gate], **changed: Any) -> Seeds:
     return lambda system, magnitude: system.with_gate(cls, **changed)
 
 
-_gate = partial(Fault, part=Part.GATE)
+_gate = partial(SeededFault, part=FaultyPart.GATE)
 
 GATE_FAULTS = (
     _gate(
         name="threshold ignored",
         hazard="the arm goes where the network only guesses",
         seed_into=lambda s, factor: s.with_gate(LaxThreshold, factor=factor),
-        ladder=Ladder((np.inf, 4.0, 2.0, 1.6), "times the threshold"),
+        ladder=SeverityLevels((np.inf, 4.0, 2.0, 1.6), "times the threshold"),
         circumstance=IN_DOUBT,
     ),
     _gate(
         name="off by some cycles",
         hazard="the refusal comes late: meanwhile the arm heads for what was refused",
         seed_into=lambda s, cycles: s.with_pilot(lambda pilot: Late(pilot, cycles)),
-        ladder=Ladder((40.0, 20.0, 10.0, 5.0, 3.0), "cycles"),
+        ladder=SeverityLevels((40.0, 20.0, 10.0, 5.0, 3.0), "cycles"),
         circumstance=IN_DOUBT,
     ),
     _gate(
         name="wrong pose handed over",
         hazard="one position is checked and another one is gone to",
         seed_into=lambda s, angle: s.with_gate(WrongPose, angle_rad=angle),
-        ladder=Ladder((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi),
+        ladder=SeverityLevels((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi),
     ),
     _gate(
         name="checks the end and not the way",
@@ -257,25 +259,25 @@ GATE_FAULTS = (
     _gate(
         name="lets no proposal pass",
         hazard="the system in use is not the one whose avoider was tested",
-        seed_into=_with(Instead, when=Outcome.PROPOSED, takes=Outcome.OPPOSITE),
+        seed_into=_with(Instead, when=DecisionOutcome.PROPOSED, takes=DecisionOutcome.OPPOSITE),
         circumstance=CERTAIN,
     ),
     _gate(
         name="stops where it could fall back",
         hazard="an arm that stands still before a hand that comes",
-        seed_into=_with(Instead, when=Outcome.OPPOSITE, takes=Outcome.STOP),
+        seed_into=_with(Instead, when=DecisionOutcome.OPPOSITE, takes=DecisionOutcome.STOP),
         circumstance=IN_DOUBT,
     ),
     _gate(
         name="never stops",
         hazard="the arm heads for where it cannot go",
-        seed_into=_with(Instead, when=Outcome.STOP, takes=Outcome.OPPOSITE),
+        seed_into=_with(Instead, when=DecisionOutcome.STOP, takes=DecisionOutcome.OPPOSITE),
     ),
     _gate(
         name="fallback towards the hand",
         hazard="doubt ends in the worst of all places",
         seed_into=lambda s, way_m: s.with_gate(Blind, to=Check.TOWARDS_A_HAND, fallback=Fallback(way_m)),
-        ladder=Ladder((0.2, 0.1, 0.03), "mm", 1e3),
+        ladder=SeverityLevels((0.2, 0.1, 0.03), "mm", 1e3),
         circumstance=IN_DOUBT,
     ),
 )

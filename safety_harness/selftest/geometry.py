@@ -51,7 +51,7 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
     stops = np.where((present[1:] != present[:-1]).any(axis=1), 2.0 * FAR_M, 0.0)
     spent_m = np.concatenate([[0.0], np.cumsum(moved_m + stops)])
     found = Kept.PROVEN
-    with Cell(trace) as cell:
+    with PyBulletArm(trace) as cell:
         k, distance_m = 0, cell.distance_m(ticks[0])
         while distance_m >= limit_m - ROUNDING_M:
             if k == len(ticks) - 1:
@@ -76,7 +76,7 @@ def _most_moved_m(ticks: NDArray[np.void]) -> NDArray[np.float64]:
 
 
 @dataclass(eq=False)
-class Cell:
+class PyBulletArm:
     """A PyBullet client of its own with the arm of a trace and a body for each of its capsules."""
 
     trace: Trace
@@ -88,7 +88,7 @@ class Cell:
     _hand: int = -1
     _forearms: dict[float, int] = field(default_factory=dict)
 
-    def __enter__(self) -> Cell:
+    def __enter__(self) -> PyBulletArm:
         settings = self.trace.scenario.settings
         arm = load_arm(self.trace.scenario.robot.arm_name)
         self._client = int(pybullet.connect(pybullet.DIRECT))

@@ -10,11 +10,11 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.selftest.avoider_faults import asked, spoilt
-from safety_harness.selftest.fault import Fault, Part
+from safety_harness.selftest.fault import FaultyPart, SeededFault
 from safety_harness.selftest.motion_faults import told
 from safety_harness.selftest.perception_faults import parameters, seen
 from safety_harness.selftest.servoing_faults import turned_alpha
-from safety_harness.selftest.system import Records, System
+from safety_harness.selftest.system import ChangedSystem, Records
 from safety_harness.servoing.control import DESIRED
 
 NOISE_M = 1e-7
@@ -41,7 +41,7 @@ def _turned_half(records: ControllerRecords, magnitude: float) -> None:
     turned_alpha(records, np.pi)
 
 
-def _half_turn_later(system: System, magnitude: float) -> System:
+def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
     joints[-1] += 2.0 * np.pi if joints[-1] < 0.0 else -2.0 * np.pi
     return system.starting_at(joints)
@@ -84,8 +84,8 @@ def _stopped_and_told(magnitude: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] = 1.0
 
 
-_of_avoider = partial(Fault, part=Part.AVOIDER)
-_of_perception = partial(Fault, part=Part.PERCEPTION)
+_of_avoider = partial(SeededFault, part=FaultyPart.AVOIDER)
+_of_perception = partial(SeededFault, part=FaultyPart.PERCEPTION)
 
 HARMLESS = (
     _of_avoider(
@@ -106,30 +106,30 @@ HARMLESS = (
         seed_into=spoilt(lambda _: _single_precision),
         harmless="ten thousand times less than the arrival tolerance of 1 mm",
     ),
-    Fault(
+    SeededFault(
         name="direction of the object off by half a turn",
-        part=Part.SERVOING,
+        part=FaultyPart.SERVOING,
         hazard="alpha off by pi",
         seed_into=parameters(_turned_half),
         harmless="an axis has no head: the error of alpha is taken modulo pi",
     ),
-    Fault(
+    SeededFault(
         name="matrix that is not used",
-        part=Part.SERVOING,
+        part=FaultyPart.SERVOING,
         hazard="L* is lost",
         seed_into=parameters(_unused_matrix),
         harmless="the control law multiplies by its pseudoinverse, which is kept apart",
     ),
-    Fault(
+    SeededFault(
         name="wrist a whole turn on",
-        part=Part.MOTION,
+        part=FaultyPart.MOTION,
         hazard="another joint position for the same pose",
         seed_into=_half_turn_later,
         harmless="the pose is the same, and the joint stays within its limits of two turns",
     ),
-    Fault(
+    SeededFault(
         name="demand during a protective stop",
-        part=Part.MOTION,
+        part=FaultyPart.MOTION,
         hazard="the controller asks for motion while the arm is being stopped",
         seed_into=told(_stopped_and_told),
         harmless="the drives carry a stop through, whatever is asked for",

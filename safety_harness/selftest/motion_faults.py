@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.fault import Fault, Ladder, Part
+from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
 from safety_harness.selftest.perception_faults import parameters
-from safety_harness.selftest.system import Change, Records, System
+from safety_harness.selftest.system import Change, ChangedSystem, Records
 
 WRIST = 5
 JOINTS = tuple(f"joint {number}" for number in range(1, 7))
 PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))
 
 
-def told(change: Callable[[float, Records], None]) -> Callable[[System, float], System]:
+def told(change: Callable[[float, Records], None]) -> Callable[[ChangedSystem, float], ChangedSystem]:
     """Seeds a change of each command that remembers nothing."""
 
-    def seed_into(system: System, magnitude: float) -> System:
+    def seed_into(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         def make(admitted: Admitted) -> Change:
             def obey(command: Records) -> Records:
                 change(magnitude, command)
@@ -63,7 +63,7 @@ def _coarse(step_radps: float, command: Records) -> None:
     speeds[:] = np.round(speeds / step_radps) * step_radps
 
 
-def _wound(system: System, turns: float) -> System:
+def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
     joints[WRIST] += 2.0 * np.pi * turns
     return system.starting_at(joints)
@@ -84,7 +84,7 @@ def _rolls_on(share: float, admitted: Admitted) -> Change:
     return obey
 
 
-def _weak_brakes(system: System, factor: float) -> System:
+def _weak_brakes(system: ChangedSystem, factor: float) -> ChangedSystem:
     def weaken(world: Any) -> Any:
         drives = world.records.drives
         for name in ("reaction_time_s", "stop_time_base_s"):
@@ -104,32 +104,32 @@ def _unlimited(records: ControllerRecords, factor: float) -> None:
         records.parameters[name] *= factor
 
 
-_motion = partial(Fault, part=Part.MOTION)
+_motion = partial(SeededFault, part=FaultyPart.MOTION)
 
 MOTION_FAULTS = (
     _motion(
         name="overspeed",
         hazard="the arm is faster than it is told: nobody can step back in time",
         seed_into=told(_faster),
-        ladder=Ladder((4.0, 1.5, 1.1, 1.02), "times"),
+        ladder=SeverityLevels((4.0, 1.5, 1.1, 1.02), "times"),
     ),
     _motion(
         name="speed limit misread",
         hazard="the same, with the controller's knowledge",
         seed_into=parameters(_unlimited),
-        ladder=Ladder((4.0, 1.5, 1.1, 1.02), "times"),
+        ladder=SeverityLevels((4.0, 1.5, 1.1, 1.02), "times"),
     ),
     _motion(
         name="too slow",
         hazard="the arm gives way, but too late",
         seed_into=told(_faster),
-        ladder=Ladder((0.0, 0.2, 0.5, 0.8), "times"),
+        ladder=SeverityLevels((0.0, 0.2, 0.5, 0.8), "times"),
     ),
     _motion(
         name="wrong link",
         hazard="two joints' cables are exchanged: the arm goes anywhere",
         seed_into=told(_wrong_link),
-        ladder=Ladder(
+        ladder=SeverityLevels(
             (1.0, 2.0, 3.0, 4.0), names=("joints 1, 2", "joints 2, 3", "joints 3, 4", "joints 5, 6")
         ),
     ),
@@ -137,48 +137,48 @@ MOTION_FAULTS = (
         name="joint reversed",
         hazard="a joint turns the wrong way, and control drives it on",
         seed_into=told(_reversed),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
+        ladder=SeverityLevels((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
     ),
     _motion(
         name="joint stuck",
         hazard="the arm leaves its straight way",
         seed_into=told(_stuck),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
+        ladder=SeverityLevels((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS),
     ),
     _motion(
         name="drift",
         hazard="the arm creeps when it should stand still",
         seed_into=told(_drifting),
-        ladder=Ladder((0.3, 0.1, 0.01, 1e-3, 1e-4), "deg/s", 180.0 / np.pi),
+        ladder=SeverityLevels((0.3, 0.1, 0.01, 1e-3, 1e-4), "deg/s", 180.0 / np.pi),
     ),
     _motion(
         name="coarse drives",
         hazard="small speeds are lost, larger ones jump",
         seed_into=told(_coarse),
-        ladder=Ladder((0.3, 0.1, 0.03, 0.01), "deg/s", 180.0 / np.pi),
+        ladder=SeverityLevels((0.3, 0.1, 0.03, 0.01), "deg/s", 180.0 / np.pi),
     ),
     _motion(
         name="joint limit ignored",
         hazard="the arm winds its cables up until they tear",
         seed_into=_wound,
-        ladder=Ladder((3.0, 2.0), "turns of the wrist"),
+        ladder=SeverityLevels((3.0, 2.0), "turns of the wrist"),
     ),
     _motion(
         name="stop that does not stop",
         hazard="the arm goes on when nothing is safe",
         seed_into=lambda s, share: s.obeying(partial(_rolls_on, share)),
-        ladder=Ladder((1.0, 0.5, 0.2), "% of the speed", 100.0),
+        ladder=SeverityLevels((1.0, 0.5, 0.2), "% of the speed", 100.0),
     ),
     _motion(
         name="weak brakes",
         hazard="the arm stops later than its separation allows for",
         seed_into=_weak_brakes,
-        ladder=Ladder((10.0, 4.0, 2.0, 1.2), "times the time"),
+        ladder=SeverityLevels((10.0, 4.0, 2.0, 1.2), "times the time"),
     ),
     _motion(
         name="acceleration unlimited",
         hazard="the arm jerks: nobody can foresee where it goes",
         seed_into=parameters(_hasty),
-        ladder=Ladder((100.0, 10.0, 3.0, 2.1), "times"),
+        ladder=SeverityLevels((100.0, 10.0, 3.0, 2.1), "times"),
     ),
 )

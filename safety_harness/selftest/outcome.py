@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from safety_harness.selftest.fault import Fault
+from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.trial import Alarm, Rung
 
 
-class State(Enum):
+class FaultState(Enum):
     """What the trial of a fault says."""
 
     CAUGHT = "caught"
@@ -23,7 +23,7 @@ class State(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class FaultOutcome:
     """One fault's rungs, the gravest first; for a harmless one the alarms, of which there should be none.
 
     ``limit``: why nothing here can catch it, said beforehand.
@@ -40,24 +40,24 @@ class Outcome:
     applies: bool = True
 
     @property
-    def state(self) -> State:
+    def state(self) -> FaultState:
         """Caught means: at its gravest magnitude at least."""
         caught = bool(self.rungs) and self.rungs[0].caught
         if not self.applies:
-            return State.UNTOUCHED
+            return FaultState.UNTOUCHED
         if self.harmless:
             return self._harmless_state
         if caught:
-            return State.CAUGHT
-        return State.LIMIT if self.limit else State.SURVIVES
+            return FaultState.CAUGHT
+        return FaultState.LIMIT if self.limit else FaultState.SURVIVES
 
     @property
-    def _harmless_state(self) -> State:
+    def _harmless_state(self) -> FaultState:
         alarms = [alarm for rung in self.rungs for alarm in rung.alarms]
         contradicted = any(rung.geometry.contradicted for rung in self.rungs if rung.geometry)
         if contradicted or not all(alarm.true for alarm in alarms):
-            return State.FALSE_ALARM
-        return State.TRUE_ALARM if alarms else State.QUIET
+            return FaultState.FALSE_ALARM
+        return FaultState.TRUE_ALARM if alarms else FaultState.QUIET
 
     @property
     def smallest(self) -> Rung | None:
@@ -83,9 +83,9 @@ class Outcome:
         return smallest.confirmed if smallest else None
 
 
-def outcome_of(fault: Fault, rungs: Sequence[Rung], *, applies: bool = True) -> Outcome:
+def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = True) -> FaultOutcome:
     """What a fault's rungs say of it."""
-    return Outcome(
+    return FaultOutcome(
         fault=fault.name,
         part=fault.part.value,
         hazard=fault.hazard,
@@ -99,7 +99,7 @@ def outcome_of(fault: Fault, rungs: Sequence[Rung], *, applies: bool = True) -> 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tally:
+class SelfTestTally:
     """The figures of a whole trial.
 
     ``geometry_runs`` with harmless changes were judged by PyBullet's geometry as well, to the contrary of our
@@ -125,23 +125,23 @@ class Tally:
         return self.caught / self.faults if self.faults else 0.0
 
 
-def tally_of(outcomes: Sequence[Outcome]) -> Tally:
+def tally_of(outcomes: Sequence[FaultOutcome]) -> SelfTestTally:
     """Count."""
     states = [one.state for one in outcomes]
     tried = [rung for one in outcomes if not one.harmless for rung in one.rungs]
     geometries = [rung.geometry for one in outcomes for rung in one.rungs if rung.geometry]
-    caught, survivors = states.count(State.CAUGHT), states.count(State.SURVIVES)
-    limits = states.count(State.LIMIT)
-    return Tally(
+    caught, survivors = states.count(FaultState.CAUGHT), states.count(FaultState.SURVIVES)
+    limits = states.count(FaultState.LIMIT)
+    return SelfTestTally(
         faults=caught + survivors + limits,
         caught=caught,
         survivors=survivors,
         limits=limits,
         rungs=len(tried),
         rungs_caught=sum(rung.caught for rung in tried),
-        harmless=sum(map(states.count, (State.QUIET, State.FALSE_ALARM, State.TRUE_ALARM))),
-        false_alarms=states.count(State.FALSE_ALARM),
-        true_alarms=states.count(State.TRUE_ALARM),
+        harmless=sum(map(states.count, (FaultState.QUIET, FaultState.FALSE_ALARM, FaultState.TRUE_ALARM))),
+        false_alarms=states.count(FaultState.FALSE_ALARM),
+        true_alarms=states.count(FaultState.TRUE_ALARM),
         unconfirmed=sum(one.confirmed is False for one in outcomes),
         geometry_runs=sum(one.runs for one in geometries),
         geometry_contradicted=sum(len(one.contradicted) for one in geometries),

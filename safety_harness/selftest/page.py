@@ -6,28 +6,28 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.report.page_parts import render_page
-from safety_harness.selftest.document import About
-from safety_harness.selftest.outcome import Outcome, State, tally_of
+from safety_harness.selftest.document import SelfTestRun
+from safety_harness.selftest.outcome import FaultOutcome, FaultState, tally_of
 from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
 from safety_harness.whole_file import write_whole
 
 STATE_CLASS = {
-    State.CAUGHT: "holds",
-    State.QUIET: "holds",
-    State.SURVIVES: "violated",
-    State.FALSE_ALARM: "violated",
-    State.LIMIT: "inconclusive",
-    State.TRUE_ALARM: "inconclusive",
-    State.UNTOUCHED: "none",
+    FaultState.CAUGHT: "holds",
+    FaultState.QUIET: "holds",
+    FaultState.SURVIVES: "violated",
+    FaultState.FALSE_ALARM: "violated",
+    FaultState.LIMIT: "inconclusive",
+    FaultState.TRUE_ALARM: "inconclusive",
+    FaultState.UNTOUCHED: "none",
 }
 
 
-def write_page(path: Path, outcomes: Sequence[Outcome], about: About) -> None:
+def write_page(path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
     write_whole(path, render(outcomes, about))
 
 
-def render(outcomes: Sequence[Outcome], about: About) -> str:
+def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> str:
     """The page as text; the same arguments give the same bytes."""
     faults, harmless = in_table(outcomes)
     return render_page(

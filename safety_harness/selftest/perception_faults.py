@@ -13,17 +13,19 @@ from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.tracking import MAX_DETECTIONS
-from safety_harness.selftest.fault import Fault, Ladder, Part
-from safety_harness.selftest.system import Change, Delayed, Records, System
+from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
+from safety_harness.selftest.system import Change, ChangedSystem, Delayed, Records
 
 U, V, Z, AREA = range(4)
 GHOST_DEPTH_M = 1.45
 
 
-def seen(change: Callable[[Admitted, float, Records], None]) -> Callable[[System, float], System]:
+def seen(
+    change: Callable[[Admitted, float, Records], None],
+) -> Callable[[ChangedSystem, float], ChangedSystem]:
     """Seeds a change of each observation that remembers nothing."""
 
-    def seed_into(system: System, magnitude: float) -> System:
+    def seed_into(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         def make(admitted: Admitted) -> Change:
             def see(observation: Records) -> Records:
                 change(admitted, magnitude, observation)
@@ -36,7 +38,9 @@ def seen(change: Callable[[Admitted, float, Records], None]) -> Callable[[System
     return seed_into
 
 
-def parameters(edit: Callable[[ControllerRecords, float], None]) -> Callable[[System, float], System]:
+def parameters(
+    edit: Callable[[ControllerRecords, float], None],
+) -> Callable[[ChangedSystem, float], ChangedSystem]:
     """Seeds an edit of what the controller takes for given."""
     return lambda system, magnitude: system.with_records(lambda records: edit(records, magnitude))
 
@@ -138,91 +142,91 @@ def _short_sighted(records: ControllerRecords, distance_m: float) -> None:
     records.parameters["critical_distance_m"] = distance_m
 
 
-_perception = partial(Fault, part=Part.PERCEPTION)
+_perception = partial(SeededFault, part=FaultyPart.PERCEPTION)
 
 PERCEPTION_FAULTS = (
     _perception(
         name="latency that nobody counts",
         hazard="the arm gives way to where the hand was",
         seed_into=lambda s, delay_s: s.seeing(partial(_late, delay_s)),
-        ladder=Ladder((0.5, 0.2, 0.1, 0.04), "ms", 1e3),
+        ladder=SeverityLevels((0.5, 0.2, 0.1, 0.04), "ms", 1e3),
     ),
     _perception(
         name="wrong extrinsics, shifted",
         hazard="every hand is taken to be farther away than it is",
         seed_into=parameters(_shifted),
-        ladder=Ladder((0.3, 0.1, 0.05, 0.02), "mm", 1e3),
+        ladder=SeverityLevels((0.3, 0.1, 0.05, 0.02), "mm", 1e3),
     ),
     _perception(
         name="wrong extrinsics, turned",
         hazard="hands are seen elsewhere, the more the farther from the camera",
         seed_into=parameters(_rotated),
-        ladder=Ladder((0.2, 0.1, 0.05, 0.02), "deg", 180.0 / np.pi),
+        ladder=SeverityLevels((0.2, 0.1, 0.05, 0.02), "deg", 180.0 / np.pi),
     ),
     _perception(
         name="swapped image axes",
         hazard="rows for columns: hands are seen on the other side",
         seed_into=seen(_swapped),
-        ladder=Ladder((1.0, 0.5, 0.2), "% of the way", 100.0),
+        ladder=SeverityLevels((1.0, 0.5, 0.2), "% of the way", 100.0),
     ),
     _perception(
         name="filter that never learns velocity",
         hazard="a hand that comes fast is taken to stand still",
         seed_into=parameters(_no_velocity),
-        ladder=Ladder((1.0, 0.9999, 0.99), "% of the rates' variance lost", 100.0),
+        ladder=SeverityLevels((1.0, 0.9999, 0.99), "% of the rates' variance lost", 100.0),
     ),
     _perception(
         name="filter that trusts itself",
         hazard="measurements hardly count: the predicted hand stays where it was",
         seed_into=parameters(_deaf_filter),
-        ladder=Ladder((1e8, 1e6, 1e4), "times the noise"),
+        ladder=SeverityLevels((1e8, 1e6, 1e4), "times the noise"),
     ),
     _perception(
         name="prediction into the past",
         hazard="the controller sees hands where they were",
         seed_into=parameters(_backwards),
-        ladder=Ladder((-0.3, -0.1, 0.0), "ms of horizon", 1e3),
+        ladder=SeverityLevels((-0.3, -0.1, 0.0), "ms of horizon", 1e3),
     ),
     _perception(
         name="ghost hands",
         hazard="an arm that gives way to nobody: people switch its avoidance off",
         seed_into=seen(_ghost),
-        ladder=Ladder((1.0, 0.25, 0.05, 0.01), "% of the time", 100.0),
+        ladder=SeverityLevels((1.0, 0.25, 0.05, 0.01), "% of the time", 100.0),
     ),
     _perception(
         name="hand lost at the image border",
         hazard="a hand that comes in from the side is seen late",
         seed_into=seen(_lost_at_border),
-        ladder=Ladder((200.0, 120.0, 60.0), "px"),
+        ladder=SeverityLevels((200.0, 120.0, 60.0), "px"),
     ),
     _perception(
         name="one hand only",
         hazard="a second hand that nobody sees",
         seed_into=seen(_first_only),
-        ladder=Ladder((0.0, 1.0), "hands seen"),
+        ladder=SeverityLevels((0.0, 1.0), "hands seen"),
     ),
     _perception(
         name="wrong depth scale",
         hazard="a hand above the tool is taken to be below it",
         seed_into=seen(_wrong_depth),
-        ladder=Ladder((1.5, 1.2, 1.1, 1.05), "times"),
+        ladder=SeverityLevels((1.5, 1.2, 1.1, 1.05), "times"),
     ),
     _perception(
         name="high hands dropped",
         hazard="a hand from above is filtered out as something else",
         seed_into=seen(_near_only),
-        ladder=Ladder((1.6, 1.5, 1.4), "m below the camera"),
+        ladder=SeverityLevels((1.6, 1.5, 1.4), "m below the camera"),
     ),
     _perception(
         name="frames lost",
         hazard="the sensor is blind for part of every second",
         seed_into=seen(_blind),
-        ladder=Ladder((1.0, 0.8, 0.5, 0.2), "% of the time", 100.0),
+        ladder=SeverityLevels((1.0, 0.8, 0.5, 0.2), "% of the time", 100.0),
     ),
     _perception(
         name="critical distance misread",
         hazard="the arm waits until the hand is too near",
         seed_into=parameters(_short_sighted),
-        ladder=Ladder((0.1, 0.2, 0.3, 0.35), "mm", 1e3),
+        ladder=SeverityLevels((0.1, 0.2, 0.3, 0.35), "mm", 1e3),
     ),
 )

@@ -32,7 +32,7 @@ TELLING = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
+class SelfTestProfile:
     """``first`` are the scenarios tried before the others, ``others`` whether those are tried at all.
 
     ``draws`` of each space come after them.
@@ -44,12 +44,12 @@ class Profile:
     draws: int
 
 
-QUICK = Profile(name="quick", first=TELLING, others=False, draws=2)
-NIGHTLY = Profile(name="nightly", first=TELLING, others=True, draws=30)
+QUICK = SelfTestProfile(name="quick", first=TELLING, others=False, draws=2)
+NIGHTLY = SelfTestProfile(name="nightly", first=TELLING, others=True, draws=30)
 PROFILES = (QUICK, NIGHTLY)
 
 
-def profile_named(name: str) -> Profile:
+def profile_named(name: str) -> SelfTestProfile:
     """One of them; ScenarioError for any other name."""
     for profile in PROFILES:
         if profile.name == name:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.fault import Fault, Ladder, Part
+from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
 from safety_harness.selftest.perception_faults import parameters, seen
 from safety_harness.selftest.system import Change, Delayed, Records
 from safety_harness.servoing.features import ALPHA, X_N
@@ -90,62 +90,62 @@ def _frozen(admitted: Admitted, from_s: float, observation: Records) -> None:
         observation[0]["image_new"] = False
 
 
-_servoing = partial(Fault, part=Part.SERVOING)
+_servoing = partial(SeededFault, part=FaultyPart.SERVOING)
 
 SERVOING_FAULTS = (
     _servoing(
         name="gain never raised",
         hazard="the near gain from the start: the task takes for ever",
         seed_into=parameters(_low_gain),
-        ladder=Ladder((0.0, 0.25, 0.5, 0.7), "times the far gain"),
+        ladder=SeverityLevels((0.0, 0.25, 0.5, 0.7), "times the far gain"),
     ),
     _servoing(
         name="gain never switched",
         hazard="the far gain to the end: the arm overshoots where it works",
         seed_into=parameters(_unswitched),
-        ladder=Ladder((40.0, 4.0, 2.0), "times the near gain"),
+        ladder=SeverityLevels((40.0, 4.0, 2.0), "times the near gain"),
     ),
     _servoing(
         name="gain of the wrong sign",
         hazard="the arm runs away from its task until it is stopped",
         seed_into=parameters(_wrong_sign),
-        ladder=Ladder((-4.0, -1.0, -0.1), "times"),
+        ladder=SeverityLevels((-4.0, -1.0, -0.1), "times"),
     ),
     _servoing(
         name="gain too high",
         hazard="the arm swings about its goal",
         seed_into=parameters(_wrong_sign),
-        ladder=Ladder((1000.0, 400.0, 100.0, 20.0), "times"),
+        ladder=SeverityLevels((1000.0, 400.0, 100.0, 20.0), "times"),
     ),
     _servoing(
         name="wrong row of the interaction matrix",
         hazard="one feature is driven the wrong way: the camera turns away",
         seed_into=parameters(_negated_column),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
+        ladder=SeverityLevels((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
     ),
     _servoing(
         name="row of the interaction matrix lost",
         hazard="one feature is not servoed on: the arm ends beside its goal",
         seed_into=parameters(_lost_column),
-        ladder=Ladder((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
+        ladder=SeverityLevels((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=FEATURES),
     ),
     _servoing(
         name="direction of the object wrong",
         hazard="the tool arrives turned",
         seed_into=parameters(turned_alpha),
-        ladder=Ladder((np.pi / 2, 0.5, 0.1, 0.02, 0.005), "deg", 180.0 / np.pi),
+        ladder=SeverityLevels((np.pi / 2, 0.5, 0.1, 0.02, 0.005), "deg", 180.0 / np.pi),
     ),
     _servoing(
         name="wrong desired position",
         hazard="the tool arrives beside the object",
         seed_into=parameters(_wrong_goal),
-        ladder=Ladder((0.1, 0.03, 0.01, 0.003), "mm", 1e3),
+        ladder=SeverityLevels((0.1, 0.03, 0.01, 0.003), "mm", 1e3),
     ),
     _servoing(
         name="wrong hand-eye calibration",
         hazard="the arm spirals instead of going straight",
         seed_into=parameters(_wrong_mount),
-        ladder=Ladder((np.pi, 1.8, 1.2, 0.6), "deg", 180.0 / np.pi),
+        ladder=SeverityLevels((np.pi, 1.8, 1.2, 0.6), "deg", 180.0 / np.pi),
     ),
     _servoing(
         name="lost object not noticed",
@@ -156,12 +156,12 @@ SERVOING_FAULTS = (
         name="late images that nobody counts",
         hazard="the control loop swings",
         seed_into=lambda s, delay_s: s.seeing(partial(_late_image, delay_s)),
-        ladder=Ladder((20.0, 5.0, 2.0, 1.0), "s"),
+        ladder=SeverityLevels((20.0, 5.0, 2.0, 1.0), "s"),
     ),
     _servoing(
         name="frozen image",
         hazard="the arm goes on and on in the direction of the last picture",
         seed_into=seen(_frozen),
-        ladder=Ladder((0.5, 2.0, 5.0), "s after the start"),
+        ladder=SeverityLevels((0.5, 2.0, 5.0), "s after the start"),
     ),
 )

@@ -33,7 +33,7 @@ MakesChange = Callable[[Admitted], Change]  # afresh for each run, for what reme
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class ChangedSystem:
     """An admitted scenario, and what is changed in its controller and its world when it is run."""
 
     admitted: Admitted
@@ -41,11 +41,11 @@ class System:
     pilot: Callable[[AvoidingServo], Controller] | None = None
     worlds: tuple[Callable[[Any], World], ...] = ()
 
-    def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> System:
+    def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> ChangedSystem:
         """With another avoider, made of this one."""
         return replace(self, admitted=replace(self.admitted, avoider=wrap(self.admitted.avoider)))
 
-    def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> System:
+    def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> ChangedSystem:
         """With a gate of another class or with other fields."""
 
         def edit(pilot: AvoidingServo) -> None:
@@ -55,27 +55,27 @@ class System:
 
         return replace(self, edits=(*self.edits, edit))
 
-    def with_records(self, edit: Callable[[ControllerRecords], None]) -> System:
+    def with_records(self, edit: Callable[[ControllerRecords], None]) -> ChangedSystem:
         """With the parameters or the memory of each run's controller edited before it starts."""
         return replace(self, edits=(*self.edits, lambda pilot: edit(pilot.records)))
 
-    def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> System:
+    def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> ChangedSystem:
         """With a controller around the one that it has."""
         return replace(self, pilot=wrap)
 
-    def with_world(self, wrap: Callable[[Any], World]) -> System:
+    def with_world(self, wrap: Callable[[Any], World]) -> ChangedSystem:
         """With another world around the one that it runs in."""
         return replace(self, worlds=(*self.worlds, wrap))
 
-    def seeing(self, make: MakesChange) -> System:
+    def seeing(self, make: MakesChange) -> ChangedSystem:
         """With observations changed between the world and the controller."""
-        return self.with_world(lambda world: Between(world, see=make(self.admitted)))
+        return self.with_world(lambda world: WorldWrapper(world, see=make(self.admitted)))
 
-    def obeying(self, make: MakesChange) -> System:
+    def obeying(self, make: MakesChange) -> ChangedSystem:
         """With commands changed between the controller and the world."""
-        return self.with_world(lambda world: Between(world, obey=make(self.admitted)))
+        return self.with_world(lambda world: WorldWrapper(world, obey=make(self.admitted)))
 
-    def starting_at(self, joint_position_rad: NDArray[np.float64]) -> System:
+    def starting_at(self, joint_position_rad: NDArray[np.float64]) -> ChangedSystem:
         """With the arm at other joints (6,) at the start."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
@@ -123,7 +123,7 @@ class Delayed:
         return last
 
 
-class Between:
+class WorldWrapper:
     """A world whose observations or commands are changed on their way."""
 
     def __init__(self, world: World, *, see: Change | None = None, obey: Change | None = None) -> None:

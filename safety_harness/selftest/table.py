@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from safety_harness.report.words import count_words
-from safety_harness.selftest.outcome import Outcome, State, Tally
+from safety_harness.selftest.outcome import FaultOutcome, FaultState, SelfTestTally
 from safety_harness.selftest.trial import Geometry
 
 HEAD = ("part", "fault", "caught by", "in", "episodes", "slightest caught", "survives", "PyBullet")
@@ -13,7 +13,7 @@ HARMLESS_HEAD = ("part", "change", "why it cannot matter", "episodes", "alarms",
 NONE = "-"
 
 
-def row(one: Outcome) -> tuple[str, ...]:
+def row(one: FaultOutcome) -> tuple[str, ...]:
     """A fault's row under HEAD."""
     smallest, alarm, survivor = one.smallest, one.alarm, one.survivor
     first = one.rungs[0] if one.rungs else None
@@ -33,7 +33,7 @@ def row(one: Outcome) -> tuple[str, ...]:
     )
 
 
-def harmless_row(one: Outcome) -> tuple[str, ...]:
+def harmless_row(one: FaultOutcome) -> tuple[str, ...]:
     """A harmless change's row under HARMLESS_HEAD."""
     alarms = [str(alarm) for rung in one.rungs for alarm in rung.alarms]
     episodes = sum(rung.episodes for rung in one.rungs)
@@ -47,7 +47,7 @@ def geometry_words(found: Geometry) -> str:
     return f"{words}, to the contrary in {', '.join(found.contradicted)}" if found.contradicted else words
 
 
-def summary(tally: Tally) -> str:
+def summary(tally: SelfTestTally) -> str:
     """One line."""
     words = f"{tally.caught} of {count_words(tally.faults, 'fault', 'faults')} caught ({tally.kill_rate:.0%})"
     words += f", {tally.rungs_caught} of {tally.rungs} magnitudes tried"
@@ -87,12 +87,12 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return written + ["| " + " | ".join(cell.replace("|", "\\|") for cell in one) + " |" for one in rows]
 
 
-def in_table(outcomes: Sequence[Outcome]) -> tuple[list[Outcome], list[Outcome]]:
+def in_table(outcomes: Sequence[FaultOutcome]) -> tuple[list[FaultOutcome], list[FaultOutcome]]:
     """Faults and harmless changes."""
     faults = [one for one in outcomes if not one.harmless]
     return faults, [one for one in outcomes if one.harmless]
 
 
-def bad(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def bad(outcomes: Sequence[FaultOutcome]) -> list[FaultOutcome]:
     """What speaks against the harness: survivors without a stated limit, and false alarms."""
-    return [one for one in outcomes if one.state in (State.SURVIVES, State.FALSE_ALARM)]
+    return [one for one in outcomes if one.state in (FaultState.SURVIVES, FaultState.FALSE_ALARM)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.fault import Fault, Ladder, Part
+from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
 from safety_harness.selftest.perception_faults import parameters, seen
 from safety_harness.selftest.system import Change, Records
 
@@ -82,55 +82,55 @@ def _restarts(records: ControllerRecords, delay_s: float) -> None:
     records.parameters["restart_delay_s"] = delay_s
 
 
-_timing = partial(Fault, part=Part.TIMING)
+_timing = partial(SeededFault, part=FaultyPart.TIMING)
 
 TIMING_FAULTS = (
     _timing(
         name="late commands",
         hazard="the arm does what was right some time ago",
         seed_into=lambda s, delay_s: s.obeying(partial(_late_commands, delay_s)),
-        ladder=Ladder((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
+        ladder=SeverityLevels((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
     ),
     _timing(
         name="missed cycles",
         hazard="a controller that is not heard for part of every second",
         seed_into=lambda s, pause_s: s.obeying(partial(_missed, pause_s)),
-        ladder=Ladder((0.9, 0.5, 0.2, 0.05), "ms of a second", 1e3),
+        ladder=SeverityLevels((0.9, 0.5, 0.2, 0.05), "ms of a second", 1e3),
     ),
     _timing(
         name="late encoders",
         hazard="the controller takes the arm to be where it was",
         seed_into=lambda s, delay_s: s.seeing(partial(_late_joints, delay_s)),
-        ladder=Ladder((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
+        ladder=SeverityLevels((0.4, 0.2, 0.1, 0.04), "ms", 1e3),
     ),
     _timing(
         name="slow avoider",
         hazard="the hand moves on while the network thinks",
         seed_into=parameters(_slow),
-        ladder=Ladder((0.3, 0.15, 0.11), "ms", 1e3),
+        ladder=SeverityLevels((0.3, 0.15, 0.11), "ms", 1e3),
     ),
     _timing(
         name="frames stamped too early",
         hazard="a hand is extrapolated over a time that has not passed",
         seed_into=seen(_stamped_late),
-        ladder=Ladder((0.5, 0.2, 0.1, 0.05), "ms", 1e3),
+        ladder=SeverityLevels((0.5, 0.2, 0.1, 0.05), "ms", 1e3),
     ),
     _timing(
         name="fast clock",
         hazard="the controller's time runs ahead of the sensor's",
         seed_into=seen(_fast_clock),
-        ladder=Ladder((2.0, 1.2, 1.05, 1.02), "times"),
+        ladder=SeverityLevels((2.0, 1.2, 1.05, 1.02), "times"),
     ),
     _timing(
         name="hands forgotten",
         hazard="a hand that is hidden for a moment is taken to have gone",
         seed_into=parameters(_forgetful),
-        ladder=Ladder((0.0, 0.05, 0.2), "ms", 1e3),
+        ladder=SeverityLevels((0.0, 0.05, 0.2), "ms", 1e3),
     ),
     _timing(
         name="restart too soon",
         hazard="the arm starts while the hand is still on its way out",
         seed_into=parameters(_restarts),
-        ladder=Ladder((-100.0, 0.0, 0.2), "s after the hand has left"),
+        ladder=SeverityLevels((-100.0, 0.0, 0.2), "s after the hand has left"),
     ),
 )

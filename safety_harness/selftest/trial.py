@@ -13,10 +13,10 @@ from safety_harness.exceptions import FlakyAvoiderError
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Verdict
-from safety_harness.selftest.fault import Fault
+from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.geometry import Kept, hand_distance_kept
 from safety_harness.selftest.suite import Suite, claims_of
-from safety_harness.selftest.system import System
+from safety_harness.selftest.system import ChangedSystem
 from safety_harness.trace.trace import Trace
 
 SAME_TWICE = "the same question has the same answer"
@@ -103,19 +103,19 @@ class Rung:
 
 
 @dataclass(eq=False)
-class Trials:
+class FaultTrials:
     """Tries faults on a suite, and remembers what the sound system does there."""
 
     suite: Suite
     _sound: dict[tuple[int, str, bool], Words] = field(default_factory=dict)
 
-    def applies(self, fault: Fault) -> bool:
+    def applies(self, fault: SeededFault) -> bool:
         """A fault of the spread needs an avoider that states one."""
         if not fault.of_spread:
             return True
         return any(spread_threshold_of(one.avoider) is not None for one in self.suite.episodes)
 
-    def rung(self, fault: Fault, magnitude: float) -> Rung:
+    def rung(self, fault: SeededFault, magnitude: float) -> Rung:
         """Episode after episode, until something catches it."""
         words, alarms = fault.ladder.words(magnitude), tuple[Alarm, ...]()
         for number in range(len(self.suite.episodes)):
@@ -125,13 +125,13 @@ class Trials:
         return Rung(magnitude=magnitude, words=words, episodes=number + 1, alarms=alarms)
 
     def alarms(
-        self, fault: Fault, magnitude: float, number: int, *, in_pybullet: bool = False
+        self, fault: SeededFault, magnitude: float, number: int, *, in_pybullet: bool = False
     ) -> tuple[Alarm, ...]:
         """What is violated in an episode of the suite with the fault, and holds there without it."""
         sound, found, _ = self._with_and_without(fault, magnitude, number, in_pybullet=in_pybullet)
         return alarms_between(sound, found, self.suite.episodes[number].scenario.name)
 
-    def everywhere(self, fault: Fault) -> Rung:
+    def everywhere(self, fault: SeededFault) -> Rung:
         """Every alarm on the whole suite, for a fault of which there should be none; what geometry says."""
         magnitude, every, geometry = fault.ladder.values[0], list[Alarm](), Geometry()
         for number, admitted in enumerate(self.suite.episodes):
@@ -151,16 +151,16 @@ class Trials:
             geometry=geometry,
         )
 
-    def confirmed(self, fault: Fault, rung: Rung) -> bool:
+    def confirmed(self, fault: SeededFault, rung: Rung) -> bool:
         """Is one of the claims that caught it violated in PyBullet as well?"""
         there = self.alarms(fault, rung.magnitude, rung.episodes - 1, in_pybullet=True)
         return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
 
     def _with_and_without(
-        self, fault: Fault, magnitude: float, number: int, *, in_pybullet: bool = False
+        self, fault: SeededFault, magnitude: float, number: int, *, in_pybullet: bool = False
     ) -> tuple[Words, Words, Trace | None]:
         """The words on an episode without the fault and with it, and the run with it unless it failed."""
-        system = fault.circumstance.bring_about(System(self.suite.episodes[number]))
+        system = fault.circumstance.bring_about(ChangedSystem(self.suite.episodes[number]))
         key = (number, fault.circumstance.name, in_pybullet)
         if key not in self._sound:
             self._sound[key] = words_on(system.admitted, system.run(in_pybullet=in_pybullet))

@@ -12,19 +12,19 @@ from safety_harness.admission.kinematic import slower_because
 from safety_harness.campaign.pool import pool
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.fault import Fault
-from safety_harness.selftest.outcome import Outcome, outcome_of
-from safety_harness.selftest.profile import Profile
+from safety_harness.selftest.fault import SeededFault
+from safety_harness.selftest.outcome import FaultOutcome, outcome_of
+from safety_harness.selftest.profile import SelfTestProfile
 from safety_harness.selftest.suite import Suite
-from safety_harness.selftest.system import System
-from safety_harness.selftest.trial import SAME_TWICE, Rung, Trials, words_on
+from safety_harness.selftest.system import ChangedSystem
+from safety_harness.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
 
 
 @dataclass(frozen=True)
-class Plan:
+class SelfTestPlan:
     """What is tried, on what."""
 
-    profile: Profile
+    profile: SelfTestProfile
     folder: Path
     avoider: str | None
 
@@ -40,7 +40,7 @@ class Plan:
         )
 
 
-def try_out(trials: Trials, fault: Fault) -> Outcome:
+def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
     """Down the ladder until one survives, what is slighter still is not tried; the last catch in PyBullet.
 
     A harmless one is tried on the whole suite, and all its alarms are kept.
@@ -61,25 +61,25 @@ def try_out(trials: Trials, fault: Fault) -> Outcome:
     return outcome_of(fault, rungs)
 
 
-_TRIALS: list[Trials] = []  # of this process
+_TRIALS: list[FaultTrials] = []  # of this process
 
 
-def _begin(plan: Plan) -> None:
-    _TRIALS[:] = [Trials(plan.suite())]
+def _begin(plan: SelfTestPlan) -> None:
+    _TRIALS[:] = [FaultTrials(plan.suite())]
 
 
-def _try(number: int) -> Outcome:
+def _try(number: int) -> FaultOutcome:
     return try_out(_TRIALS[0], EVERY[number])
 
 
-def outcomes(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
     """The faults of these numbers in EVERY, each when it is finished; one job is done here."""
     if jobs == 1:
-        trials = Trials(plan.suite())
+        trials = FaultTrials(plan.suite())
         yield from (try_out(trials, EVERY[number]) for number in numbers)
         return
     with pool(jobs, partial(_begin, plan)) as processes:
-        running: set[Future[Outcome]] = {processes.submit(_try, number) for number in numbers}
+        running: set[Future[FaultOutcome]] = {processes.submit(_try, number) for number in numbers}
         while running:
             finished = wait(running, return_when=FIRST_COMPLETED).done
             running -= finished
@@ -92,7 +92,7 @@ def sound_remarks(suite: Suite) -> list[str]:
     avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(suite.episodes)))}
     said = [why for number in avoiders.values() if (why := slower_because(suite.episodes[number].avoider))]
     for name, number in avoiders.items():
-        system = System(suite.episodes[number])
+        system = ChangedSystem(suite.episodes[number])
         wrong = words_on(system.admitted, system.run())[SAME_TWICE]
         if wrong.verdict is not Verdict.HOLDS:
             said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")

@@ -12,10 +12,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless
+from safety_harness.compiled import njit_no_nrt
 
 
-class Kind(IntEnum):
+class MoveKind(IntEnum):
     """What a compiled move does."""
 
     LEG = 0
@@ -24,8 +24,8 @@ class Kind(IntEnum):
     FOLLOW_TCP = 3
 
 
-LEG, WAIT = int(Kind.LEG), int(Kind.WAIT)
-REACH_FOR_TCP, FOLLOW_TCP = int(Kind.REACH_FOR_TCP), int(Kind.FOLLOW_TCP)
+LEG, WAIT = int(MoveKind.LEG), int(MoveKind.WAIT)
+REACH_FOR_TCP, FOLLOW_TCP = int(MoveKind.REACH_FOR_TCP), int(MoveKind.FOLLOW_TCP)
 
 # A move of a scenario is a group of one or more of these, with one time limit.
 MOVE = np.dtype(
@@ -74,7 +74,7 @@ HAND = np.dtype(
 ARRIVED_M = 1e-9
 
 
-@arrayless
+@njit_no_nrt
 def advance_hands(
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND
     moves: NDArray[np.void],  # (m,) MOVE
@@ -113,7 +113,7 @@ def advance_hands(
         point_forearm(hands, k)
 
 
-@arrayless
+@njit_no_nrt
 def advance_move(
     hands: NDArray[np.void],
     k: int,
@@ -148,7 +148,7 @@ def advance_move(
     return float(max(left_s - used_s, 0.0))
 
 
-@arrayless
+@njit_no_nrt
 def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
     hand = hands[k]
@@ -167,7 +167,7 @@ def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
     return float(used_s)
 
 
-@arrayless
+@njit_no_nrt
 def follow_leg(
     hands: NDArray[np.void],
     k: int,
@@ -213,7 +213,7 @@ def follow_leg(
     return dt_s, False
 
 
-@arrayless
+@njit_no_nrt
 def begin_leg(
     hands: NDArray[np.void], k: int, target_in_base_m: NDArray[np.float64], distance_m: float
 ) -> None:
@@ -232,7 +232,7 @@ def begin_leg(
         hand.leg_direction_in_base[i] = hand.leg_direction_in_base[i] / length if length > 0.0 else 0.0
 
 
-@arrayless
+@njit_no_nrt
 def pursue(
     hands: NDArray[np.void],
     k: int,
@@ -274,7 +274,7 @@ def pursue(
     return dt_s, False
 
 
-@arrayless
+@njit_no_nrt
 def point_forearm(hands: NDArray[np.void], k: int) -> None:
     """Put the elbow one forearm's length from the hand towards the person."""
     hand = hands[k]
@@ -289,7 +289,7 @@ def point_forearm(hands: NDArray[np.void], k: int) -> None:
         hand.elbow_in_base_m[i] = hand.position_in_base_m[i] + hand.forearm_length_m * direction
 
 
-@arrayless
+@njit_no_nrt
 def follow_recording(hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float) -> None:
     """Put hand and elbow where the recording has them; straight between samples, at rest after it."""
     hand = hands[k]

@@ -26,7 +26,7 @@ from safety_harness.scenario.moves import (
 )
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Vector3
-from safety_harness.simulation.hand_motion import HAND, MOVE, Kind, advance_hands
+from safety_harness.simulation.hand_motion import HAND, MOVE, MoveKind, advance_hands
 
 NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 FIRST_DRAWN = 256
@@ -47,7 +47,7 @@ class Hands:
 class Step(NamedTuple):
     """One entry of a program: a MOVE, in the order of its fields."""
 
-    kind: int = int(Kind.LEG)
+    kind: int = int(MoveKind.LEG)
     target_in_base_m: Vector3 = NOWHERE
     speed_mps: float = 0.0
     distance_m: float = 0.0
@@ -105,7 +105,7 @@ def _program(hand: MovingHand, number: int, scenario: Scenario) -> list[Step]:
     program: list[Step] = []
     least_s = hand.delay_s
     if hand.delay_s > 0.0:
-        program.append(Step(int(Kind.WAIT), duration_s=hand.delay_s, after=1))
+        program.append(Step(int(MoveKind.WAIT), duration_s=hand.delay_s, after=1))
     for index, move in enumerate(hand.moves):
         if least_s > scenario.duration_s:
             break
@@ -124,13 +124,13 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
     """The steps of one move, but for a wander."""
     shift = hand.shift_in_base_m
     if isinstance(move, Wait):
-        return [Step(int(Kind.WAIT), duration_s=move.duration_s)]
+        return [Step(int(MoveKind.WAIT), duration_s=move.duration_s)]
     if isinstance(move, ReachForTcp | ReachForObject):
         return _reach(move, scenario.settings.object.position_in_base_m)
     if isinstance(move, FollowTcp):
         return [
             Step(
-                int(Kind.FOLLOW_TCP),
+                int(MoveKind.FOLLOW_TCP),
                 speed_mps=move.speed_mps,
                 distance_m=move.distance_m,
                 within_s=move.duration_s,
@@ -146,7 +146,7 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
 
 def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
     """To the TCP or to the object, in one go or with a hesitation on the way."""
-    kind = Kind.REACH_FOR_TCP if isinstance(move, ReachForTcp) else Kind.LEG
+    kind = MoveKind.REACH_FOR_TCP if isinstance(move, ReachForTcp) else MoveKind.LEG
     go = Step(
         int(kind),
         object_position_in_base_m,
@@ -156,7 +156,7 @@ def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
     )
     if move.hesitation is None:
         return [go]
-    wait = Step(int(Kind.WAIT), duration_s=move.hesitation.duration_s, within_s=move.at_most_s)
+    wait = Step(int(MoveKind.WAIT), duration_s=move.hesitation.duration_s, within_s=move.at_most_s)
     return [go._replace(distance_m=move.hesitation.distance_m), wait, go]
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless
+from safety_harness.compiled import njit_no_nrt
 from safety_harness.controller.cycle import ControllerRecords, act, look, report
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.robot.description import ArmModel
@@ -78,7 +78,7 @@ def refuse_rendered(scenario: Scenario) -> None:
             )
 
 
-@arrayless
+@njit_no_nrt
 def step(
     clocks: Records,
     hands: Records,
@@ -96,7 +96,7 @@ def step(
     commands: Records,
 ) -> bool:
     """One control period with a command (1,) COMMAND; True while the brakes act."""
-    told, joints = clocks[0].told_radps, clocks[0].joint_position_rad
+    told, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
     truth, period_s = truths[0], clocks[0].control_period_s
     braking = drive_on(clocks, drives, faults, truths, commands, told)
     for i in range(6):
@@ -119,7 +119,7 @@ def step(
     return braking
 
 
-@arrayless
+@njit_no_nrt
 def advance(
     world: WorldRecords,
     controller: ControllerRecords,

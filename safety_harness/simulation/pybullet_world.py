@@ -60,7 +60,7 @@ class PyBulletWorld:
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector()
         self.records = world_records(scenario, arm, joint_position_rad)
-        self._told_radps = np.empty(6)
+        self._commanded_radps = np.empty(6)
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
             raise SimulationError("PyBullet gave no client")
@@ -128,12 +128,12 @@ class PyBulletWorld:
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Drives, motors and physics for one control period; hands move meanwhile."""
-        braking = drive_on(*(self.records.for_drives + (command, self._told_radps)))
+        braking = drive_on(*(self.records.for_drives + (command, self._commanded_radps)))
         pybullet.setJointMotorControlArray(
             self._robot,
             self._joints,
             pybullet.VELOCITY_CONTROL,
-            targetVelocities=self._told_radps.tolist(),
+            targetVelocities=self._commanded_radps.tolist(),
             forces=self._efforts,
             physicsClientId=self._client,
         )

@@ -28,7 +28,7 @@ CLOCK = np.dtype(
         ("acted_faults", np.int64),  # bits, since the last observation was asked for
         # what a step works with
         ("tcp_in_base_m", np.float64, (3,)),  # before it
-        ("told_radps", np.float64, (6,)),  # the motors
+        ("commanded_radps", np.float64, (6,)),  # the motors
         ("joint_position_rad", np.float64, (6,)),  # after it
     ],
     align=True,

@@ -171,7 +171,12 @@ def hand_over(
 
 @inlined
 def drive_on(
-    clocks: Records, drives: Records, faults: Records, truths: Records, commands: Records, told_radps: Floats
+    clocks: Records,
+    drives: Records,
+    faults: Records,
+    truths: Records,
+    commands: Records,
+    commanded_radps: Floats,
 ) -> bool:
     """Fill what the motors are told (6,) by a command (1,) COMMAND; True while the brakes act."""
     command, d, time_s = commands[0], drives[0], now_s(clocks)
@@ -179,9 +184,9 @@ def drive_on(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
     )
     for i in range(6):
-        told_radps[i] = d.setpoint_radps[i]
+        commanded_radps[i] = d.setpoint_radps[i]
     if faults.shape[0] > 0:
-        clocks[0].acted_faults |= hold_joints(faults, told_radps, time_s)
+        clocks[0].acted_faults |= hold_joints(faults, commanded_radps, time_s)
     return bool(braking)
 
 

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import arrayless
+from safety_harness.compiled import njit_no_nrt
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
@@ -64,7 +64,7 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     return capsules.with_capsule("camera", 7, offset - half_m * along, offset + half_m * along, radius_m)
 
 
-@arrayless
+@njit_no_nrt
 def fill_truth(
     arms: NDArray[np.void],  # (1,) ARM
     capsule_link: NDArray[np.int64],  # (n,)

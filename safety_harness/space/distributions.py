@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.settings import Vector3
-from safety_harness.space.normal import Between
+from safety_harness.space.normal import TruncatedStandardNormal
 
 Vector = NDArray[np.float64]
 
@@ -76,8 +76,8 @@ class TruncatedNormal:
         _refuse_unless(self._standard.mass >= LEAST_MASS, "a millionth of it between low and high", self)
 
     @cached_property
-    def _standard(self) -> Between:
-        return Between((self.low - self.mean) / self.std, (self.high - self.mean) / self.std)
+    def _standard(self) -> TruncatedStandardNormal:
+        return TruncatedStandardNormal((self.low - self.mean) / self.std, (self.high - self.mean) / self.std)
 
     @property
     def simplest(self) -> tuple[float, ...]:

@@ -18,7 +18,7 @@ _SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
 
 
 @dataclass(frozen=True)
-class Between:
+class TruncatedStandardNormal:
     """A standard normal variable z, given that low <= z <= high."""
 
     low: float

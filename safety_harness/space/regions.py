@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.avoidance.isolation.onnx_file import LARGEST_BYTES
-from safety_harness.avoidance.json_fields import Fields
+from safety_harness.avoidance.json_fields import JsonFields
 from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model, model_bytes, seen_of
 from safety_harness.avoidance.onnx_metadata import onnx_metadata
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
@@ -103,4 +103,4 @@ def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
 def exported_seen(path: Path) -> SeenSpace | None:
     """What an ONNX file of ours says it has seen; None for one of others."""
     text = onnx_metadata(path, model_bytes(path, "an ONNX file", most=LARGEST_BYTES)).get(KEY)
-    return None if text is None else seen_of(Fields(path, text))
+    return None if text is None else seen_of(JsonFields(path, text))

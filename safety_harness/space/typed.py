@@ -46,7 +46,7 @@ class OneOf:
 
 
 @dataclass(frozen=True)
-class By:
+class Switch:
     """The value that belongs to the word that the choice called ``name`` has."""
 
     name: str
@@ -54,7 +54,7 @@ class By:
 
 
 @dataclass(frozen=True)
-class The:
+class Ref:
     """The value of the choice called ``name``."""
 
     name: str
@@ -78,8 +78,8 @@ Value: TypeAlias = (
     | InShell
     | InRegion
     | OneOf
-    | By
-    | The
+    | Switch
+    | Ref
     | Repeat
     | Values["Value"]
     | Mapping[str, "Value"]
@@ -181,7 +181,7 @@ def _node(value: Value, unit: str) -> Node:
             written(one, value.unit or unit) for one in (value.mean, value.std, value.low, value.high)
         )
         return Scalar(f"normal {mean} +- {std} from {low} to {high}", 1)
-    if isinstance(value, The):
+    if isinstance(value, Ref):
         return Scalar(f"the {value.name}", 1)
     if isinstance(value, Mapping):
         return _mapping({key: _node(child, "") for key, child in value.items()})
@@ -189,7 +189,7 @@ def _node(value: Value, unit: str) -> Node:
         return _point(value)
     if isinstance(value, OneOf):
         return _one_of(value, unit)
-    if isinstance(value, By):
+    if isinstance(value, Switch):
         options = {word: _node(option, unit) for word, option in value.options.items()}
         return _mapping({"by": Scalar(value.name, 1), **options})
     if isinstance(value, Repeat):

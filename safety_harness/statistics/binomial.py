@@ -13,7 +13,7 @@ from enum import Enum
 
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
-from safety_harness.statistics.sample import IndependentSample, Outcome, independent
+from safety_harness.statistics.sample import EpisodeOutcome, IndependentSample, independent
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
 
@@ -32,7 +32,7 @@ class Method(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bounds:
+class ProbabilityBounds:
     """The violation probability of one claim in one stratum.
 
     With ``confidence`` at least it is from ``low`` to ``high``; with ``joint_confidence`` all of the
@@ -75,7 +75,7 @@ def bounds_of(
     sides: Sides = Sides.UPPER,
     *,
     family: int | None = None,
-) -> tuple[Bounds, ...]:
+) -> tuple[ProbabilityBounds, ...]:
     """Bounds that all hold together with ``confidence`` (0 to 1), one for each sample, in their order.
 
     Bonferroni: of m bounds each may fail with (1 - confidence) / m.  The samples need not be independent
@@ -99,7 +99,9 @@ def ends_of(claims: int, strata: int) -> int:
     return Sides.BOTH.value * claims * strata
 
 
-def violation_bounds(sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER) -> Bounds:
+def violation_bounds(
+    sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER
+) -> ProbabilityBounds:
     """Of one sample alone: for two-sided bounds both ends hold together with ``confidence``."""
     return bounds_of([sample], confidence, sides)[0]
 
@@ -114,19 +116,21 @@ def chance_of_each(confidence: float, family: int) -> float:
     return (1.0 - confidence) / family
 
 
-def _bounds(sample: IndependentSample, chance: float, joint: float, family: int, sides: Sides) -> Bounds:
+def _bounds(
+    sample: IndependentSample, chance: float, joint: float, family: int, sides: Sides
+) -> ProbabilityBounds:
     early = sample.declaration.stop_early
     upper, lower = (anytime_upper, anytime_lower) if early else (upper_bound, lower_bound)
-    return Bounds(
+    return ProbabilityBounds(
         stratum=sample.declaration.stratum,
         claim=sample.claim,
         low=lower(sample.violations, sample.trials, chance) if sides is Sides.BOTH else 0.0,
         high=upper(sample.at_worst, sample.trials, chance),
         trials=sample.trials,
         violations=sample.violations,
-        inconclusive=sample.count(Outcome.INCONCLUSIVE),
-        failed=sample.count(Outcome.FAILED),
-        untested=sample.count(Outcome.UNTESTED),
+        inconclusive=sample.count(EpisodeOutcome.INCONCLUSIVE),
+        failed=sample.count(EpisodeOutcome.FAILED),
+        untested=sample.count(EpisodeOutcome.UNTESTED),
         planned=sample.declaration.planned,
         confidence=1.0 - sides.value * chance,
         joint_confidence=joint,

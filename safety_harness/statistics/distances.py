@@ -15,7 +15,7 @@ from scipy.special import bdtrc
 
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import Floats, IndependentSample, Outcome, fixed_length
+from safety_harness.statistics.sample import EpisodeOutcome, Floats, IndependentSample, fixed_length
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -117,7 +117,7 @@ def _rank(n: int, share: float, confidence: float) -> int:
 def _tested(sample: IndependentSample) -> Floats:
     """Margins (n,) of the tested runs, ascending; minus infinity where a verdict or a margin is missing."""
     known = fixed_length(sample)
-    tested = known.outcomes != Outcome.UNTESTED
+    tested = known.outcomes != EpisodeOutcome.UNTESTED
     if not tested.any():
         place = Place(field="margins")
         raise StatisticsError(place=place, expected=f"a tested run ({known.name})", got="none")

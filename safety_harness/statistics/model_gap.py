@@ -19,10 +19,10 @@ import numpy as np
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import PERHAPS, IndependentSample, Outcome, fixed_length
+from safety_harness.statistics.sample import PERHAPS, EpisodeOutcome, IndependentSample, fixed_length
 
 # What counts as a violation in either world, so that the two bounds add up.
-_MAYBE = (Outcome.VIOLATED, *PERHAPS)
+_MAYBE = (EpisodeOutcome.VIOLATED, *PERHAPS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,10 +19,10 @@ from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
 from safety_harness.statistics.sample import (
     PERHAPS,
+    EpisodeOutcome,
     Floats,
     IndependentSample,
     Ints,
-    Outcome,
     fixed_length,
 )
 from safety_harness.statistics.studentised import ends_of_t
@@ -32,7 +32,7 @@ _EQUAL = 1e-12  # relative: what is no difference but rounding
 
 
 @dataclass(frozen=True, kw_only=True)
-class Comparison:
+class PairedComparison:
     """First minus second: ``low`` to ``high`` holds the difference in violation probability.
 
     ``only_first`` and ``only_second`` count episodes that for certain only one of them violates, ``both``
@@ -78,7 +78,9 @@ class MarginComparison:
     model_only: bool
 
 
-def compare(first: IndependentSample, second: IndependentSample, confidence: float = 0.95) -> Comparison:
+def compare(
+    first: IndependentSample, second: IndependentSample, confidence: float = 0.95
+) -> PairedComparison:
     """The difference in violation probability, exactly.
 
     The difference is D = t (2 s - 1): t the probability that only one of the two violates, s that it is the
@@ -93,8 +95,8 @@ def compare(first: IndependentSample, second: IndependentSample, confidence: flo
     most = _extreme(int(np.sum(worst == 1)), int(np.sum(worst == -1)), n, chance)
     least = -_extreme(int(np.sum(best == -1)), int(np.sum(best == 1)), n, chance)
     clear = worst == best
-    violated = [one.outcomes == Outcome.VIOLATED for one in (first, second)]
-    return Comparison(
+    violated = [one.outcomes == EpisodeOutcome.VIOLATED for one in (first, second)]
+    return PairedComparison(
         claim=first.claim,
         stratum=first.declaration.stratum,
         episodes=n,
@@ -186,7 +188,7 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
     """First minus second (n,), at its most and at its least: -1, 0 or 1 each."""
-    sure = [(one.outcomes == Outcome.VIOLATED).astype(np.int64) for one in (first, second)]
+    sure = [(one.outcomes == EpisodeOutcome.VIOLATED).astype(np.int64) for one in (first, second)]
     perhaps = [(own | np.isin(one.outcomes, PERHAPS)) for own, one in zip(sure, (first, second), strict=True)]
     return perhaps[0] - sure[1], sure[0] - perhaps[1]
 

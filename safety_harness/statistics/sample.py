@@ -25,7 +25,7 @@ _SHA256 = re.compile("[0-9a-f]{64}")
 _OF_STREAM = object()
 
 
-class Outcome(IntEnum):
+class EpisodeOutcome(IntEnum):
     """What one episode says of one claim.  The numbers are stored: never reuse one."""
 
     HOLDS = 0
@@ -35,8 +35,8 @@ class Outcome(IntEnum):
     FAILED = 4  # the run could not be carried on
 
 
-JUDGED = (Outcome.HOLDS, Outcome.VIOLATED)
-PERHAPS = (Outcome.INCONCLUSIVE, Outcome.FAILED)  # may have been violations, or none
+JUDGED = (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
+PERHAPS = (EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED)  # may have been violations, or none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +120,7 @@ class IndependentSample:
             _made_by=_OF_STREAM,
         )
 
-    def count(self, outcome: Outcome) -> int:
+    def count(self, outcome: EpisodeOutcome) -> int:
         """How many episodes came out like that."""
         return int(np.count_nonzero(self.outcomes == outcome))
 
@@ -132,12 +132,12 @@ class IndependentSample:
     @property
     def trials(self) -> int:
         """Episodes that put the claim to the test, or may have: all but the untested."""
-        return len(self.outcomes) - self.count(Outcome.UNTESTED)
+        return len(self.outcomes) - self.count(EpisodeOutcome.UNTESTED)
 
     @property
     def violations(self) -> int:
         """Episodes that violate the claim for certain: what a lower bound counts."""
-        return self.count(Outcome.VIOLATED)
+        return self.count(EpisodeOutcome.VIOLATED)
 
     @property
     def at_worst(self) -> int:
@@ -248,7 +248,7 @@ def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
     """Known outcomes, and margins whose sign is theirs."""
     where = f"in stratum {declaration.stratum!r}"
-    unknown = ~np.isin(codes, [int(outcome) for outcome in Outcome])
+    unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
         k = _first(unknown)
         raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
@@ -260,12 +260,14 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
     without = np.isin(codes, JUDGED) & np.isnan(margins)
     if without.any():
         k = _first(without)
-        got = f"NaN for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
+        got = f"NaN for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
         raise _refusal("margins", f"a margin wherever there is a verdict {where}", got)
-    wrong = ((codes == Outcome.HOLDS) & (margins < 0.0)) | ((codes == Outcome.VIOLATED) & (margins > 0.0))
+    wrong = ((codes == EpisodeOutcome.HOLDS) & (margins < 0.0)) | (
+        (codes == EpisodeOutcome.VIOLATED) & (margins > 0.0)
+    )
     if wrong.any():
         k = _first(wrong)
-        got = f"{margins[k]:+g} for episode {k[0]}, which {Outcome(int(codes[k])).name.lower()}"
+        got = f"{margins[k]:+g} for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
         expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
         raise _refusal("margins", expected, got)
 
@@ -275,15 +277,15 @@ def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[n
     tested = occasions > 0
     for wrong, expected in (
         (occasions < 0, "numbers of occasions"),
-        ((codes == Outcome.UNTESTED) & tested, "no occasion in an untested run: it is inconclusive"),
+        ((codes == EpisodeOutcome.UNTESTED) & tested, "no occasion in an untested run: it is inconclusive"),
         (
-            (codes == Outcome.HOLDS) & ~tested,
+            (codes == EpisodeOutcome.HOLDS) & ~tested,
             "an occasion in every run that holds: without one it is untested",
         ),
     ):
         if wrong.any():
             k = _first(wrong)
-            got = f"{occasions[k]} in episode {k[0]}, {Outcome(int(codes[k])).name.lower()}"
+            got = f"{occasions[k]} in episode {k[0]}, {EpisodeOutcome(int(codes[k])).name.lower()}"
             raise _refusal("exercised", f"{expected} (stratum {declaration.stratum!r})", got)
 
 

@@ -19,7 +19,7 @@ from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import JUDGED, Declaration, Floats, Ints, Outcome, checked_stream
+from safety_harness.statistics.sample import JUDGED, Declaration, EpisodeOutcome, Floats, Ints, checked_stream
 from safety_harness.statistics.studentised import ends_of_t
 
 _OF_DESIGN = object()
@@ -162,7 +162,7 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
 def violation_split(sample: NestedSample, confidence: float = 0.95) -> ViolationSplit:
     """Scenarios that always, sometimes and never violate in k draws: Clopper and Pearson, Bonferroni."""
     outcomes = _nested(sample).outcomes
-    violated, held = (outcomes == which for which in (Outcome.VIOLATED, Outcome.HOLDS))
+    violated, held = (outcomes == which for which in (EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS))
     sometimes = violated.any(axis=1) & held.any(axis=1)
     always, never = violated.all(axis=1), held.all(axis=1)
     unclear = int(np.count_nonzero(~(sometimes | always | never)))

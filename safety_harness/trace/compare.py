@@ -11,7 +11,7 @@ from safety_harness.trace.trace import Trace
 
 
 @dataclass(frozen=True)
-class Difference:
+class TraceDifference:
     """The first record in which two traces differ, and the fields that do."""
 
     what: str  # "tick" or "decision"
@@ -28,7 +28,7 @@ class Difference:
         )
 
 
-def first_difference(first: Trace, second: Trace) -> Difference | None:
+def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
     """None if ticks and decisions are the same bits; else the earliest differing record.
 
     Of a decision and a tick at the same time it is the decision, which the tick's command follows.
@@ -41,7 +41,7 @@ def first_difference(first: Trace, second: Trace) -> Difference | None:
     return min(differences, key=lambda difference: difference.time_s, default=None)
 
 
-def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> Difference | None:
+def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> TraceDifference | None:
     shorter = min(len(first), len(second))
     names = first.dtype.names or ()
     index, fields = shorter, []
@@ -57,13 +57,13 @@ def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> Di
             fields.append(name)
     if fields:
         a, b = first[index], second[index]
-        return Difference(
+        return TraceDifference(
             what, index, float(a["time_s"]), tuple(fields), str(a[fields[0]]), str(b[fields[0]])
         )
     if len(first) == len(second):
         return None
     longer = first if len(first) > len(second) else second
-    return Difference(
+    return TraceDifference(
         what,
         shorter,
         float(longer[shorter]["time_s"]),

@@ -21,7 +21,7 @@ from safety_harness.compiled import compiled
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
-from safety_harness.trace.records import DECISION, Check, Limit, Mode, Outcome, Trigger
+from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace, once_a_trace
 
 BOOLEANS = ("hand_present", "object_visible", "track_valid")
@@ -210,7 +210,7 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     yield from at_first(time_s != at_tick, "time_s", "decision", "the time of its tick", time_s)
     yield from _costs(trace)
     yield from _enumerated(decisions["trigger"], "trigger", "decision", Trigger)
-    yield from _enumerated(decisions["outcome"], "outcome", "decision", Outcome)
+    yield from _enumerated(decisions["outcome"], "outcome", "decision", DecisionOutcome)
     spread_m = decisions["proposed_spread_m"]
     no_spread = (spread_m < 0.0) | np.isinf(spread_m)  # NaN: none was given
     yield from at_first(no_spread, "proposed_spread_m", "decision", "a spread, which is finite", spread_m)

@@ -45,7 +45,7 @@ class Trigger(IntEnum):
     ANOTHER_HAND = 2  # while moving: a hand that the last decision did not know of
 
 
-class Outcome(IntEnum):
+class DecisionOutcome(IntEnum):
     """What a decision led to."""
 
     PROPOSED = 0  # the avoider's own position

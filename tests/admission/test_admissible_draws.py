@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness import admit, parse_space, read_space
-from safety_harness.admission.spaces import HOPELESS, draw_admissible
+from safety_harness.admission.spaces import MAX_REJECTION_RATIO, draw_admissible
 from safety_harness.exceptions import InadmissibleError, ModelError
 
 FOLDER = Path(__file__).parents[2] / "scenarios/spaces"
@@ -50,11 +50,12 @@ def test_each_of_them_is_admitted_and_keeps_the_number_of_its_draw() -> None:
 def test_a_hopeless_space_is_refused_with_the_most_frequent_reason() -> None:
     space = parse_space(TEXT.replace("START", "{box: [[3 m, 3 m, 0 m], [4 m, 4 m, 1 m]]}"), Path("far.yaml"))
     told: list[int] = []
-    with pytest.raises(InadmissibleError, match=f"0 of {HOPELESS} draws") as caught:
+    with pytest.raises(InadmissibleError, match=f"0 of {MAX_REJECTION_RATIO} draws") as caught:
         draw_admissible(space, seed=1, count=3, on_draw=told.append)
-    assert told == list(range(1, HOPELESS + 1))
+    assert told == list(range(1, MAX_REJECTION_RATIO + 1))
     assert (
-        f"{HOPELESS} times it was tcp start: expected a TCP start that the arm can reach" in caught.value.hint
+        f"{MAX_REJECTION_RATIO} times it was tcp start: expected a TCP start that the arm can reach"
+        in caught.value.hint
     )
     assert caught.value.place.line == 4
 

@@ -10,7 +10,7 @@ import pytest
 
 from safety_harness.admission.agreement import (
     Agreement,
-    Difference,
+    LargestDifference,
     from_json,
     measured_agreement,
     present_source,
@@ -29,7 +29,7 @@ EXAMPLE = Agreement(
     agreed_near=4,
     optimistic=("one: hand distance: PyBullet violated, kinematic holds",),
     disagreements=("one: hand distance: PyBullet violated, kinematic holds",),
-    differences=(Difference("TCP position [m]", 3e-4, "stuck"),),
+    differences=(LargestDifference("TCP position [m]", 3e-4, "stuck"),),
     left_out=(),
 )
 

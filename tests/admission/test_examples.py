@@ -17,7 +17,7 @@ from safety_harness.exceptions import ModelError
 from safety_harness.report.words import flag_words
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DEFAULTS, Avoidance
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[2]
@@ -47,24 +47,24 @@ def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_class_of_a_file_decides() -> None:
     decisions = run("../examples/upwards.py:Upwards").decisions
-    assert (decisions["outcome"] == Outcome.PROPOSED).all()
+    assert (decisions["outcome"] == DecisionOutcome.PROPOSED).all()
     up = decisions["chosen_position_in_base_m"] - decisions["tcp_position_in_base_m"]
     assert up == pytest.approx(np.tile([0.0, 0.0, 0.1], (len(up), 1)), abs=1e-12)
 
 
 def test_an_object_of_a_file_decides_while_it_is_certain_enough() -> None:
     decisions = run("../examples/three_guesses.py:guesses").decisions
-    assert (decisions["outcome"] == Outcome.PROPOSED).all()
+    assert (decisions["outcome"] == DecisionOutcome.PROPOSED).all()
     assert (decisions["proposed_spread_m"].max(axis=1) <= decisions["spread_threshold_m"]).all()
     decisions = run("../examples/three_guesses.py:hesitant").decisions
-    assert (decisions["outcome"] == Outcome.OPPOSITE).all()
+    assert (decisions["outcome"] == DecisionOutcome.OPPOSITE).all()
     assert (decisions["proposed_failed"] & Check.UNCERTAIN).all()
     assert (decisions["proposed_spread_m"].max(axis=1) > decisions["spread_threshold_m"]).all()
 
 
 def test_a_model_file_decides(model_file: Path) -> None:
     decisions = run(str(model_file)).decisions
-    assert (decisions["outcome"] == Outcome.PROPOSED).all()
+    assert (decisions["outcome"] == DecisionOutcome.PROPOSED).all()
     assert decisions["chosen_position_in_base_m"] == pytest.approx(
         np.tile([0.66, 0.05, 0.45], (len(decisions), 1)), abs=1e-6
     )
@@ -80,7 +80,7 @@ def test_an_onnx_file_decides(tmp_path: Path) -> None:
     path = tmp_path / "up.onnx"
     subprocess.run([sys.executable, str(EXAMPLES / "onnx_model.py"), str(path)], check=True, cwd=ROOT)
     decisions = run(str(path)).decisions
-    assert (decisions["outcome"] == Outcome.PROPOSED).all()
+    assert (decisions["outcome"] == DecisionOutcome.PROPOSED).all()
     up = decisions["chosen_position_in_base_m"] - decisions["tcp_position_in_base_m"]
     assert up == pytest.approx(np.tile([0.0, 0.0, 0.1], (len(up), 1)), abs=1e-6)
     assert decisions["proposed_spread_m"] == pytest.approx(np.full((len(up), 3), 0.005))

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 
 from safety_harness.admission.admit import kinematics, start_joint_position
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.gate import Gate, Query, Ruling, leads_away
+from safety_harness.avoidance.gate import Gate, GateDecision, Query, leads_away
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
 from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, GateKind
-from safety_harness.trace.records import FAULT_CHARACTERS, Check, Outcome
+from safety_harness.trace.records import FAULT_CHARACTERS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 KINEMATICS = kinematics()
@@ -119,7 +119,7 @@ def opposite_of(question: Query) -> np.ndarray:
 
 def test_a_proposal_that_can_be_reached_is_taken_as_it_is() -> None:
     ruling = GATE.rule(Displaced((0.01, 0.05, 0.04)), query())
-    assert ruling.outcome is Outcome.PROPOSED
+    assert ruling.outcome is DecisionOutcome.PROPOSED
     assert ruling.proposed_failed is Check.NONE
     expected = np.add(query().tcp_position_in_base_m, (0.01, 0.05, 0.04))
     assert ruling.chosen_position_in_base_m == pytest.approx(expected, abs=1e-15)
@@ -127,7 +127,7 @@ def test_a_proposal_that_can_be_reached_is_taken_as_it_is() -> None:
 
 def test_a_far_proposal_falls_back_to_the_opposite_pose() -> None:
     ruling = GATE.rule(Displaced((0.0, 2.0, 0.0)), query())
-    assert ruling.outcome is Outcome.OPPOSITE
+    assert ruling.outcome is DecisionOutcome.OPPOSITE
     assert ruling.proposed_failed == Check.UNREACHABLE
     assert ruling.opposite_failed is Check.NONE
     assert ruling.chosen_position_in_base_m == pytest.approx(opposite_of(query()), abs=1e-14)
@@ -136,7 +136,7 @@ def test_a_far_proposal_falls_back_to_the_opposite_pose() -> None:
 
 def test_where_neither_can_be_reached_the_arm_stops() -> None:
     ruling = replace(GATE, fallback=OppositePose(3.0)).rule(Displaced((0.0, 2.0, 0.0)), query())
-    assert ruling.outcome is Outcome.STOP
+    assert ruling.outcome is DecisionOutcome.STOP
     assert Check.UNREACHABLE in ruling.proposed_failed
     assert Check.UNREACHABLE in ruling.opposite_failed
     assert np.isnan(ruling.chosen_position_in_base_m).all()
@@ -144,15 +144,15 @@ def test_where_neither_can_be_reached_the_arm_stops() -> None:
 
 def test_a_hand_at_the_tcp_leaves_only_the_proposal_or_a_stop() -> None:
     at_tcp = query(hand=query().tcp_position_in_base_m)
-    assert GATE.rule(Displaced((0.0, 0.05, 0.0)), at_tcp).outcome is Outcome.PROPOSED
+    assert GATE.rule(Displaced((0.0, 0.05, 0.0)), at_tcp).outcome is DecisionOutcome.PROPOSED
     stopped = GATE.rule(Displaced((0.0, 2.0, 0.0)), at_tcp)
-    assert (stopped.outcome, stopped.opposite_failed) == (Outcome.STOP, Check.NOT_FINITE)
+    assert (stopped.outcome, stopped.opposite_failed) == (DecisionOutcome.STOP, Check.NOT_FINITE)
 
 
 @pytest.mark.parametrize(("broken", "fault"), BROKEN.values(), ids=BROKEN.keys())
 def test_a_broken_avoider_is_a_recorded_fault_and_the_run_goes_on(broken: Avoider, fault: str) -> None:
     ruling = GATE.rule(broken, query())
-    assert (ruling.outcome, ruling.proposed_failed) == (Outcome.OPPOSITE, Check.NOT_FINITE)
+    assert (ruling.outcome, ruling.proposed_failed) == (DecisionOutcome.OPPOSITE, Check.NOT_FINITE)
     assert fault in ruling.fault
     assert ruling.fault.isprintable()
     assert ruling.chosen_position_in_base_m == pytest.approx(opposite_of(query()), abs=1e-14)
@@ -160,7 +160,7 @@ def test_a_broken_avoider_is_a_recorded_fault_and_the_run_goes_on(broken: Avoide
     assert trace.complete
     assert len(trace.decisions) > 0
     assert (trace.decisions["proposed_failed"] == Check.NOT_FINITE).all()
-    assert (trace.decisions["outcome"] == Outcome.OPPOSITE).all()
+    assert (trace.decisions["outcome"] == DecisionOutcome.OPPOSITE).all()
     assert np.isnan(trace.decisions["proposed_position_in_base_m"]).all()
     assert (trace.decisions["fault"] == ruling.fault).all()
 
@@ -191,14 +191,14 @@ def test_a_proposal_below_the_table_clearance_is_refused(above_m: float, failed:
     down_m = LOWEST_M + above_m - low.tcp_position_in_base_m[2]
     ruling = GATE.rule(Displaced((0.0, 0.0, down_m)), low)
     assert ruling.proposed_failed == failed
-    assert (ruling.outcome is Outcome.PROPOSED) == (failed is Check.NONE)
+    assert (ruling.outcome is DecisionOutcome.PROPOSED) == (failed is Check.NONE)
 
 
 def test_an_opposite_pose_below_the_table_clearance_is_refused_too() -> None:
     low = query(offset=(0.02, 0.0, -0.55))
     above = replace(low, hand_position_in_base_m=np.add(low.tcp_position_in_base_m, (0.0, 0.0, 0.2)))
     ruling = GATE.rule(Displaced((0.0, 0.0, -0.2)), above)
-    assert ruling.outcome is Outcome.STOP
+    assert ruling.outcome is DecisionOutcome.STOP
     assert Check.TABLE in ruling.opposite_failed
 
 
@@ -211,7 +211,7 @@ def test_an_end_that_can_be_reached_by_no_straight_way_is_refused() -> None:
 
 def test_staying_where_it_is_leads_away_from_nothing() -> None:
     assert GATE.rule(Displaced((0.0, 0.0, 0.0)), query()).proposed_failed == Check.TOWARDS_A_HAND
-    assert PLAIN.rule(Displaced((0.0, 0.0, 0.0)), query()).outcome is Outcome.PROPOSED
+    assert PLAIN.rule(Displaced((0.0, 0.0, 0.0)), query()).outcome is DecisionOutcome.PROPOSED
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -231,12 +231,12 @@ def test_a_spread_above_the_avoiders_own_threshold_on_any_axis_is_refused(
     unsure = Unsure((0.01, 0.05, 0.04), spread_m * np.eye(3)[axis], threshold_m)
     ruling = GATE.rule(unsure, query())
     assert ruling.proposed_failed == failed
-    assert ruling.outcome is (Outcome.OPPOSITE if failed else Outcome.PROPOSED)
+    assert ruling.outcome is (DecisionOutcome.OPPOSITE if failed else DecisionOutcome.PROPOSED)
     assert ruling.proposed.spread_m[axis] == spread_m  # kept for the trace
     assert np.array_equal(
         ruling.spread_threshold_m, np.nan if threshold_m is None else threshold_m, equal_nan=True
     )
-    assert PLAIN.rule(unsure, query()).outcome is Outcome.PROPOSED
+    assert PLAIN.rule(unsure, query()).outcome is DecisionOutcome.PROPOSED
 
 
 def test_the_trace_has_the_spread_its_threshold_and_the_check() -> None:
@@ -244,7 +244,7 @@ def test_the_trace_has_the_spread_its_threshold_and_the_check() -> None:
     assert len(trace.decisions) > 0
     assert (trace.decisions["spread_threshold_m"] == 0.02).all()
     assert (trace.decisions["proposed_failed"] == Check.UNCERTAIN).all()
-    assert (trace.decisions["outcome"] == Outcome.OPPOSITE).all()
+    assert (trace.decisions["outcome"] == DecisionOutcome.OPPOSITE).all()
 
 
 @pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.3, 1.0, 0.2), (0.5, -1.0, 0.0), (0.0, 0.0, 1.0)])
@@ -296,15 +296,15 @@ def test_a_way_towards_another_predicted_hand_is_refused_and_so_is_the_opposite_
         other = here.tcp_position_in_base_m + distance_m * away / np.linalg.norm(away)
         two = replace(here, hands_in_base_m=np.array([HAND, other]))
         ruling = GATE.rule(OppositePose(0.1), two)
-        assert ruling.outcome is Outcome.STOP
+        assert ruling.outcome is DecisionOutcome.STOP
         assert ruling.proposed_failed == ruling.opposite_failed == Check.TOWARDS_A_HAND
-        assert PLAIN.rule(OppositePose(0.1), two).outcome is Outcome.PROPOSED
+        assert PLAIN.rule(OppositePose(0.1), two).outcome is DecisionOutcome.PROPOSED
 
 
 def test_the_opposite_pose_stands_in_where_the_proposal_leads_to_the_hand() -> None:
     here = query()
     ruling = GATE.rule(Displaced(tuple(0.3 * (HAND - here.tcp_position_in_base_m))), here)
-    assert (ruling.outcome, ruling.proposed_failed) == (Outcome.OPPOSITE, Check.TOWARDS_A_HAND)
+    assert (ruling.outcome, ruling.proposed_failed) == (DecisionOutcome.OPPOSITE, Check.TOWARDS_A_HAND)
 
 
 def test_a_way_into_the_arms_own_body_is_refused_and_one_out_of_it_is_not() -> None:
@@ -338,12 +338,12 @@ def test_an_avoider_cannot_change_the_question_or_the_answer_afterwards() -> Non
     ruling = GATE.rule(Vandal(), question)
     for name in vars(untouched):
         assert np.array_equal(getattr(question, name), getattr(untouched, name)), name
-    assert ruling.outcome is Outcome.PROPOSED
+    assert ruling.outcome is DecisionOutcome.PROPOSED
     assert ruling.opposite.position_in_base_m == pytest.approx(opposite_of(untouched), abs=1e-14)
 
 
 def test_the_gate_remembers_nothing() -> None:
-    def bits(ruling: Ruling) -> bytes:
+    def bits(ruling: GateDecision) -> bytes:
         return ruling.chosen_position_in_base_m.tobytes() + ruling.opposite.position_in_base_m.tobytes()
 
     before = GATE.rule(Displaced((0.0, 0.05, 0.0)), query())

@@ -9,24 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.campaign.crew import Chunk
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.exceptions import InadmissibleError, Place
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 
 def row_of(stratum: int, episode: int, *, claims: int = 2, trace: bytes | None = None) -> Row:
     """Margins that hang on the episode alone: every seventh violates."""
     margin = (episode % 7) - 0.5
-    outcome = Outcome.VIOLATED if margin < 0.0 else Outcome.HOLDS
+    outcome = EpisodeOutcome.VIOLATED if margin < 0.0 else EpisodeOutcome.HOLDS
     return Row(
         stratum=stratum,
         episode=episode,
         seed=episode,
-        judgements=(Judgement(outcome, margin, 0.1, 1),) * claims,
+        judgements=(ClaimJudgement(outcome, margin, 0.1, 1),) * claims,
         draws=1,
         seconds=0.2,
         worker=str(os.getpid()),
-        trace=trace if outcome is Outcome.VIOLATED else None,
+        trace=trace if outcome is EpisodeOutcome.VIOLATED else None,
     )
 
 

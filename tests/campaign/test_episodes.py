@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from safety_harness.admission.admit import Admitter
-from safety_harness.admission.spaces import HOPELESS
+from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign import episodes
 from safety_harness.campaign.episodes import (
-    Bench,
+    EpisodeRunner,
     judgement_of,
     random_episodes,
     root_seed,
@@ -22,7 +22,7 @@ from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
 from tests.campaign.plans import PLAN, plan_in
@@ -36,11 +36,11 @@ def without_place(row: Row) -> Row:
 @pytest.mark.parametrize("world", ["kinematic", "PyBullet"])
 def test_an_episode_is_the_same_in_whatever_order_and_company(tmp_path: Path, world: str) -> None:
     plan = plan_in(tmp_path, PLAN.replace("world: kinematic", f"world: {world}"))
-    together = list(Bench(plan).run(0, range(6)))
-    backwards = [next(Bench(plan).run(0, [k])) for k in (5, 3, 0)]
+    together = list(EpisodeRunner(plan).run(0, range(6)))
+    backwards = [next(EpisodeRunner(plan).run(0, [k])) for k in (5, 3, 0)]
     assert [without_place(together[k]) for k in (5, 3, 0)] == [without_place(row) for row in backwards]
     assert len({row.seed for row in together}) == 6
-    other = next(Bench(plan).run(1, [0]))
+    other = next(EpisodeRunner(plan).run(1, [0]))
     assert other.seed != together[0].seed
 
 
@@ -54,13 +54,13 @@ def test_an_episode_does_not_hang_on_its_stratum_s_position(tmp_path: Path) -> N
 
 def test_the_row_says_what_the_run_was(tmp_path: Path) -> None:
     plan = plan_in(tmp_path)
-    rows = list(Bench(plan, worker="me").run(0, range(30)))
+    rows = list(EpisodeRunner(plan, worker="me").run(0, range(30)))
     violating = [row for row in rows if row.violates]
     assert violating
     row = violating[0]
-    assert row.judgements[0].outcome is Outcome.VIOLATED
+    assert row.judgements[0].outcome is EpisodeOutcome.VIOLATED
     assert row.judgements[0].margin < 0.0
-    assert row.judgements[1].outcome is Outcome.HOLDS
+    assert row.judgements[1].outcome is EpisodeOutcome.HOLDS
     assert row.draws == 1
     assert row.worker == "me"
     assert row.decisions == row.proposed + row.opposite + row.stopped
@@ -71,7 +71,7 @@ def test_the_row_says_what_the_run_was(tmp_path: Path) -> None:
     assert [claim.sentence for claim in trace.scenario.claims] == [claim.sentence for claim in plan.claims]
     kept = {row.episode for row in rows if row.trace is not None}
     assert kept == {row.episode for row in violating} | random_episodes(plan, 0)
-    assert not any(row.trace for row in Bench(plan).run(0, [row.episode], keep_violations=False)) or (
+    assert not any(row.trace for row in EpisodeRunner(plan).run(0, [row.episode], keep_violations=False)) or (
         row.episode in random_episodes(plan, 0)
     )
 
@@ -86,23 +86,23 @@ def test_the_random_sample_is_declared_before_and_within_the_stratum(tmp_path: P
 
 def test_what_admission_refuses_is_drawn_again_and_counted(tmp_path: Path) -> None:
     space = TEXT.replace("[0 mm, from -40 mm", "[from 0 mm to 3 m, from -40 mm")
-    rows = list(Bench(plan_in(tmp_path, PLAN, space)).run(0, range(6)))
+    rows = list(EpisodeRunner(plan_in(tmp_path, PLAN, space)).run(0, range(6)))
     assert max(row.draws for row in rows) > 1
     assert not any(row.failure for row in rows)
 
 
 def test_an_episode_of_which_every_draw_is_refused_has_failed_and_is_not_left_out(tmp_path: Path) -> None:
     space = TEXT.replace("[0 mm, from -40 mm", "[from 2 m to 3 m, from -40 mm")
-    row = next(Bench(plan_in(tmp_path, PLAN, space)).run(0, [0]))
-    assert [one.outcome for one in row.judgements] == [Outcome.FAILED] * 2
-    assert row.draws == HOPELESS
+    row = next(EpisodeRunner(plan_in(tmp_path, PLAN, space)).run(0, [0]))
+    assert [one.outcome for one in row.judgements] == [EpisodeOutcome.FAILED] * 2
+    assert row.draws == MAX_REJECTION_RATIO
     assert "tcp start" in row.failure
 
 
 def test_a_mistake_in_the_plan_is_raised_and_not_counted(tmp_path: Path) -> None:
     plan = plan_in(tmp_path, PLAN.replace("opposite pose", "nobody"))
     with pytest.raises(InadmissibleError, match="nobody") as caught:
-        next(Bench(plan).run(0, [0]))
+        next(EpisodeRunner(plan).run(0, [0]))
     assert caught.value.place.line == 3
 
 
@@ -111,8 +111,8 @@ def test_a_run_that_cannot_be_carried_on_has_failed(tmp_path: Path, monkeypatch:
         raise RuntimeError("the physics gave up")
 
     monkeypatch.setattr("safety_harness.campaign.episodes.run_trial", broken)
-    row = next(Bench(plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))).run(0, [0]))
-    assert [one.outcome for one in row.judgements] == [Outcome.FAILED] * 2
+    row = next(EpisodeRunner(plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))).run(0, [0]))
+    assert [one.outcome for one in row.judgements] == [EpisodeOutcome.FAILED] * 2
     assert "the physics gave up" in row.failure
 
 
@@ -122,7 +122,7 @@ def test_an_error_of_the_harness_fails_its_episode_at_the_second_time_and_no_oth
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, world: str, home: object, where: str
 ) -> None:
     plan = plan_in(tmp_path, PLAN.replace("world: kinematic", f"world: {world}"))
-    undisturbed = list(Bench(plan).run(0, range(3)))
+    undisturbed = list(EpisodeRunner(plan).run(0, range(3)))
     whole, raised = getattr(home, where), 0
 
     def odd(first: object, *rest: object, **others: object) -> object:
@@ -133,11 +133,11 @@ def test_an_error_of_the_harness_fails_its_episode_at_the_second_time_and_no_oth
         return whole(first, *rest, **others)
 
     monkeypatch.setattr(home, where, odd)
-    before, broken, after = Bench(plan).run(0, range(3))
+    before, broken, after = EpisodeRunner(plan).run(0, range(3))
     assert [without_place(row) for row in (before, after)] == [
         without_place(row) for row in (undisturbed[0], undisturbed[2])
     ]
-    assert [one.outcome for one in broken.judgements] == [Outcome.FAILED] * 2
+    assert [one.outcome for one in broken.judgements] == [EpisodeOutcome.FAILED] * 2
     assert "the harness itself: ZeroDivisionError: division of a margin by zero (test_epi" in broken.failure
     assert broken.seed == undisturbed[1].seed
     assert raised == 2
@@ -147,7 +147,7 @@ def test_an_error_of_the_harness_that_does_not_come_again_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = plan_in(tmp_path)
-    undisturbed = next(Bench(plan).run(0, [0]))
+    undisturbed = next(EpisodeRunner(plan).run(0, [0]))
     whole, calls = episodes.fault_of, 0
 
     def odd(trace: Trace) -> str:
@@ -158,7 +158,7 @@ def test_an_error_of_the_harness_that_does_not_come_again_changes_nothing(
         return whole(trace)
 
     monkeypatch.setattr(episodes, "fault_of", odd)
-    assert without_place(next(Bench(plan).run(0, [0]))) == without_place(undisturbed)
+    assert without_place(next(EpisodeRunner(plan).run(0, [0]))) == without_place(undisturbed)
     assert calls == 2
 
 
@@ -170,7 +170,7 @@ def test_a_worker_without_memory_is_replaced_and_its_episode_not_blamed(
 
     monkeypatch.setattr(episodes, "fault_of", short)
     with pytest.raises(MemoryError):
-        next(Bench(plan_in(tmp_path)).run(0, [0]))
+        next(EpisodeRunner(plan_in(tmp_path)).run(0, [0]))
 
 
 def test_a_run_in_company_that_breaks_costs_the_others_nothing(
@@ -178,7 +178,7 @@ def test_a_run_in_company_that_breaks_costs_the_others_nothing(
 ) -> None:
     whole = episodes.run_many
     plan = plan_in(tmp_path)
-    expected = list(Bench(plan).run(0, range(3)))
+    expected = list(EpisodeRunner(plan).run(0, range(3)))
 
     def breaks(admitted: list[object]) -> object:
         if any(one.scenario.name == "short#1" for one in admitted):  # type: ignore[attr-defined]
@@ -186,7 +186,7 @@ def test_a_run_in_company_that_breaks_costs_the_others_nothing(
         return whole(admitted)  # type: ignore[arg-type]
 
     monkeypatch.setattr(episodes, "run_many", breaks)
-    rows = list(Bench(plan).run(0, range(3)))
+    rows = list(EpisodeRunner(plan).run(0, range(3)))
     assert [bool(row.failure) for row in rows] == [False, True, False]
     assert without_place(rows[2]) == without_place(expected[2])
 
@@ -209,21 +209,21 @@ def test_only_a_whole_run_that_never_tested_the_claim_says_nothing_of_it(visit: 
     never, seen = evaluation(Verdict.INCONCLUSIVE, 0), evaluation(Verdict.INCONCLUSIVE, 3)
     held, violated = evaluation(Verdict.HOLDS, 3), evaluation(Verdict.VIOLATED, 3, -1.0)
 
-    def outcome(of: Evaluation, trace: Trace) -> Outcome:
+    def outcome(of: Evaluation, trace: Trace) -> EpisodeOutcome:
         return judgement_of(of, trace, why_broken(trace)).outcome
 
     assert [outcome(one, visit) for one in (never, seen, held, violated)] == [
-        Outcome.UNTESTED,
-        Outcome.INCONCLUSIVE,
-        Outcome.HOLDS,
-        Outcome.VIOLATED,
+        EpisodeOutcome.UNTESTED,
+        EpisodeOutcome.INCONCLUSIVE,
+        EpisodeOutcome.HOLDS,
+        EpisodeOutcome.VIOLATED,
     ]
     assert [outcome(one, cut) for one in (never, seen, violated)] == [
-        Outcome.FAILED,
-        Outcome.FAILED,
-        Outcome.VIOLATED,
+        EpisodeOutcome.FAILED,
+        EpisodeOutcome.FAILED,
+        EpisodeOutcome.VIOLATED,
     ]
-    assert [outcome(one, spoilt) for one in (never, seen)] == [Outcome.INCONCLUSIVE] * 2
+    assert [outcome(one, spoilt) for one in (never, seen)] == [EpisodeOutcome.INCONCLUSIVE] * 2
 
 
 MINE = """\
@@ -255,7 +255,7 @@ SLEEPY = MINE.replace(
 def test_an_episode_does_not_depend_on_how_long_its_answers_take(tmp_path: Path, world: str) -> None:
     (tmp_path / "mine.py").write_text(SLEEPY)
     text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic", f"world: {world}")
-    bench = Bench(plan_in(tmp_path, text))
+    bench = EpisodeRunner(plan_in(tmp_path, text))
     rows = []
     for seconds in ("0", "0.12"):
         (tmp_path / "mine.s").write_text(seconds)
@@ -271,9 +271,9 @@ def test_an_episode_whose_avoider_hangs_has_failed_and_the_others_go_on(tmp_path
     (tmp_path / "mine.py").write_text("import time\n" + hangs)
     text = PLAN.replace("opposite pose", "mine.py:Mine").replace("world: kinematic", f"world: {world}")
     plan = plan_in(tmp_path, text, TEXT + "settings: {clock: {wall limit: 500 ms}}\n")
-    rows = list(Bench(plan).run(0, range(6)))
+    rows = list(EpisodeRunner(plan).run(0, range(6)))
     failed = [row for row in rows if row.failure]
     assert 0 < len(failed) < 6
     for row in failed:
         assert "the run failed: NoAnswerError" in row.failure
-        assert {one.outcome for one in row.judgements} == {Outcome.FAILED}
+        assert {one.outcome for one in row.judgements} == {EpisodeOutcome.FAILED}

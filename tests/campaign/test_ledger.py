@@ -17,10 +17,10 @@ from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import connect, only_runner
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.exceptions import LedgerError, OutputError, StatisticsError
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.plans import ledger_in, plan_in
 
 
@@ -30,8 +30,8 @@ def plan(tmp_path: Path) -> Plan:
 
 
 def row(episode: int, stratum: int = 0, *, margin: float = 0.1, trace: bytes | None = None) -> Row:
-    outcome = Outcome.VIOLATED if margin < 0.0 else Outcome.HOLDS
-    judgements = (Judgement(outcome, margin, 0.2, 3), Judgement(Outcome.UNTESTED))
+    outcome = EpisodeOutcome.VIOLATED if margin < 0.0 else EpisodeOutcome.HOLDS
+    judgements = (ClaimJudgement(outcome, margin, 0.2, 3), ClaimJudgement(EpisodeOutcome.UNTESTED))
     return Row(
         stratum=stratum,
         episode=episode,
@@ -56,7 +56,7 @@ def test_what_is_recorded_is_there_again_to_the_last_bit(tmp_path: Path, plan: P
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         episodes, outcomes, margins = ledger.outcomes(0, 0)
         assert episodes.tolist() == [0, 2]
-        assert outcomes.tolist() == [Outcome.HOLDS, Outcome.VIOLATED]
+        assert outcomes.tolist() == [EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED]
         assert margins.tolist() == [margin, -1.0]
         assert all(map(math.isnan, ledger.outcomes(0, 1)[2]))
         assert ledger.trace(0, 0) == b"abc"
@@ -89,8 +89,8 @@ def test_the_tally_counts_outcomes_and_finds_the_worst_margin(tmp_path: Path, pl
         ledger.record([row(0), row(1, margin=-0.5), row(2, margin=-0.2), Row.failed(0, 3, 1, 2, "why")])
         tally = tally_of(ledger)
         one = tally.of_claim(0)
-        assert one.counts[Outcome.VIOLATED] == 2
-        assert one.counts[Outcome.FAILED] == 1
+        assert one.counts[EpisodeOutcome.VIOLATED] == 2
+        assert one.counts[EpisodeOutcome.FAILED] == 1
         assert (one.worst, one.worst_episode) == (-0.5, 1)
         assert (tally.strata[0].failed, tally.done, tally.planned) == (1, 4, 50)
         by_hand = tally_of(ledger)
@@ -123,7 +123,9 @@ def test_the_fingerprint_is_that_of_the_results_and_of_nothing_else(tmp_path: Pa
     rows = [row(k, margin=0.1 * k) for k in range(4)]
     same = of("a", rows)
     assert same == of("b", [replace(one, seconds=9.0, worker="other") for one in reversed(rows)])
-    last = replace(rows[3], judgements=(Judgement(Outcome.HOLDS, math.nextafter(0.3, 1.0), 0.2, 3),) * 2)
+    last = replace(
+        rows[3], judgements=(ClaimJudgement(EpisodeOutcome.HOLDS, math.nextafter(0.3, 1.0), 0.2, 3),) * 2
+    )
     assert same != of("c", [*rows[:3], last])
     assert same != of("d", rows[:3])
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import merge
 from safety_harness.campaign.merkle import merkle_root, root_of
@@ -69,7 +69,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = plan_in(folder, SMALL)
     with ledger_in(folder, plan) as ledger:
         for stratum, one in enumerate(plan.strata):
-            ledger.record(Bench(plan).run(stratum, range(one.runs)))
+            ledger.record(EpisodeRunner(plan).run(stratum, range(one.runs)))
         return ledger.path
 
 

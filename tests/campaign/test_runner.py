@@ -14,15 +14,15 @@ from pathlib import Path
 import pytest
 
 from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost
-from safety_harness.campaign.episodes import Bench, random_episodes
+from safety_harness.campaign.episodes import EpisodeRunner, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Limits, Processes
-from safety_harness.campaign.runner import ATTEMPTS, Progress, run_campaign
+from safety_harness.campaign.runner import ATTEMPTS, RunnerProgress, run_campaign
 from safety_harness.campaign.session import carry_on, plan_of, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.exceptions import CampaignError, InadmissibleError, LedgerError, OutputError
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
@@ -85,7 +85,7 @@ def test_an_episode_that_is_always_lost_has_failed_to_run_and_costs_no_other(
         assert run_campaign(plan, ledger, crew)
         tally = tally_of(ledger)
         assert [one.failed for one in tally.strata] == [1, 1]
-        assert ledger.outcomes(0, 0)[1][5] == Outcome.FAILED
+        assert ledger.outcomes(0, 0)[1][5] == EpisodeOutcome.FAILED
         assert ledger.sample("near", plan.claims[1].sentence).at_worst == 5 + 1  # counted as a violation
         ((why,),) = ledger.all("SELECT failure FROM episode WHERE stratum = 0 AND episode = 5")
         assert "failed to run" in why
@@ -200,7 +200,7 @@ def test_a_clock_of_the_day_that_goes_backwards_changes_nothing(
 
 
 def test_progress_says_how_it_stands(tmp_path: Path, plan: Plan) -> None:
-    shown: list[Progress] = []
+    shown: list[RunnerProgress] = []
     with ledger_in(tmp_path, plan) as ledger:
         run_campaign(plan, ledger, Here(2), on_progress=shown.append)
     assert shown[-1].tally.complete
@@ -308,7 +308,7 @@ def test_a_real_plan_in_processes_is_bit_for_bit_the_same_as_in_one(tmp_path: Pa
     plan = plan_in(tmp_path, text.replace("violations: 3", "violations: 100"))
     with ledger_in(tmp_path / "alone", plan) as ledger:
         for stratum, runs in ((0, 12), (1, 8)):
-            ledger.record(Bench(plan).run(stratum, range(runs)))
+            ledger.record(EpisodeRunner(plan).run(stratum, range(runs)))
         alone = fingerprint_of(ledger)
     path = tmp_path / "together" / "ledger.sqlite"
     looks = iter([False, False, True])

@@ -5,35 +5,35 @@ from __future__ import annotations
 from safety_harness.certification.evidence import (
     FORMAT,
     Bound,
-    Calibration,
+    CalibrationCheck,
     ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
     CounterexampleEvidence,
+    DeclaredPlan,
     Evidence,
-    Finding,
-    Outcome,
-    Plan,
-    Provenance,
+    EvidenceProvenance,
+    OpenFinding,
     Quantile,
     Record,
-    SearchEvidence,
+    SearchSummary,
     SeparationCase,
     SeparationTerm,
-    Standing,
+    StandardTerm,
     StoredFile,
-    Stratum,
-    System,
-    Term,
+    StratumResult,
+    SystemDescription,
 )
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.tools import (
-    Agreement,
+    CaughtFault,
     CellCount,
-    Coverage,
+    CoverageOfRuns,
     Credibility,
-    Fault,
     Oracle,
     Rerun,
     SelfTest,
+    WorldAgreement,
 )
 
 HOSTILE = "<script>alert(1)</script><b>bold</b> & \"quoted\" 'single'"
@@ -46,11 +46,11 @@ def bound(lower: float, upper: float) -> Bound:
 
 
 def outcome(
-    stratum: str, standing: Standing, *, violated: int = 0, without: int = 0, upper: float = 0.0016
-) -> Outcome:
-    untested = 3000 if standing is Standing.UNTESTED else 40
+    stratum: str, standing: ClaimStatus, *, violated: int = 0, without: int = 0, upper: float = 0.0016
+) -> ClaimResult:
+    untested = 3000 if standing is ClaimStatus.UNTESTED else 40
     none = untested == 3000
-    return Outcome(
+    return ClaimResult(
         stratum=stratum,
         planned=3000,
         runs=3000,
@@ -71,14 +71,16 @@ def outcome(
     )
 
 
-def claim(number: int, sentence: str, standing: Standing, outcomes: tuple[Outcome, ...]) -> ClaimEvidence:
+def claim(
+    number: int, sentence: str, standing: ClaimStatus, outcomes: tuple[ClaimResult, ...]
+) -> ClaimEvidence:
     return ClaimEvidence(
         number=number,
         sentence=sentence,
-        target=None if standing is Standing.ESTIMATED else 0.002,
+        target=None if standing is ClaimStatus.ESTIMATED else 0.002,
         hazard="crushing between arm and hand",
         hazard_is_authors=number == 1,
-        terms=(Term(standard="ISO/TS 15066", term="protective separation distance S_p (5.5.4)"),),
+        terms=(StandardTerm(standard="ISO/TS 15066", term="protective separation distance S_p (5.5.4)"),),
         rationale="The hand must never come nearer than this to any part of the arm.",
         exercised_when="a hand comes within 400 mm of the arm",
         unit="mm",
@@ -91,12 +93,12 @@ def claim(number: int, sentence: str, standing: Standing, outcomes: tuple[Outcom
 
 def claims() -> tuple[ClaimEvidence, ...]:
     made = (
-        ("hand distance never below 50 mm", Standing.REFUTED, 31, 0, 0.0171),
-        ("moves away from the hand", Standing.SHOWN, 0, 0, 0.0016),
-        ("joint speeds within limits", Standing.DOUBTED, 0, 3, 0.0019),
-        ("protective separation kept", Standing.NOT_SHOWN, 2, 0, 0.0031),
-        ("stops within 600 ms", Standing.UNTESTED, 0, 0, 0.0),
-        (f"always hand distance > 30 mm {HOSTILE}", Standing.ESTIMATED, 4, 0, 0.004),
+        ("hand distance never below 50 mm", ClaimStatus.REFUTED, 31, 0, 0.0171),
+        ("moves away from the hand", ClaimStatus.SHOWN, 0, 0, 0.0016),
+        ("joint speeds within limits", ClaimStatus.DOUBTED, 0, 3, 0.0019),
+        ("protective separation kept", ClaimStatus.NOT_SHOWN, 2, 0, 0.0031),
+        ("stops within 600 ms", ClaimStatus.UNTESTED, 0, 0, 0.0),
+        (f"always hand distance > 30 mm {HOSTILE}", ClaimStatus.ESTIMATED, 4, 0, 0.004),
     )
     return tuple(
         claim(
@@ -112,11 +114,11 @@ def claims() -> tuple[ClaimEvidence, ...]:
 
 
 def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
-    every = tuple(one for one in claims() if not only_shown or one.standing is Standing.SHOWN)
+    every = tuple(one for one in claims() if not only_shown or one.standing is ClaimStatus.SHOWN)
     return Evidence(
         format=FORMAT,
         interrupted=False,
-        plan=Plan(
+        plan=DeclaredPlan(
             name=f"mc-dropout beside a reaching hand {HOSTILE}",
             about="A UR10 with an eye-in-hand camera servoes beside one person who reaches onto the table.",
             file="plan.yaml",
@@ -131,9 +133,9 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             stop_early=False,
             search_runs=2000,
         ),
-        standing=Standing.SHOWN if only_shown else Standing.REFUTED,
+        standing=ClaimStatus.SHOWN if only_shown else ClaimStatus.REFUTED,
         strata=tuple(
-            Stratum(
+            StratumResult(
                 name=name,
                 space="spaces/nominal.yaml",
                 about="a hand comes near, stays and leaves",
@@ -149,7 +151,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             for name in STRATA
         ),
         claims=every,
-        system=System(
+        system=SystemDescription(
             avoider="mc-dropout",
             avoider_sha256=HASH,
             robot="UR10",
@@ -189,7 +191,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             for name in STRATA
         ),
         calibration=tuple(
-            Calibration(
+            CalibrationCheck(
                 stratum=name,
                 sentence="95 % intervals hold the target in at least 90 % of decisions",
                 decided=decided,
@@ -198,7 +200,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             )
             for name, decided in zip(STRATA, ("holds", "violated", "inconclusive"), strict=True)
         ),
-        coverage=Coverage(
+        coverage=CoverageOfRuns(
             runs=60,
             without_hand=0,
             cells=(
@@ -239,9 +241,9 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             )
             for number in range(1, counterexamples + 1)
         ),
-        search=SearchEvidence(runs=2000, searcher="default", lines=("2000 runs, 14 distinct violations",)),
+        search=SearchSummary(runs=2000, searcher="default", lines=("2000 runs, 14 distinct violations",)),
         credibility=Credibility(
-            agreement=Agreement(
+            agreement=WorldAgreement(
                 scenarios=562,
                 verdicts=16141,
                 disagreements=0,
@@ -269,14 +271,14 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         selftest=SelfTest(
             profile="quick",
             faults=(
-                Fault(
+                CaughtFault(
                     name="sign of the error",
                     part="servoing",
                     hazard="the arm runs away",
                     caught_by="converged",
                     smallest="1",
                 ),
-                Fault(
+                CaughtFault(
                     name="late gate",
                     part="gate",
                     hazard="a doubtful answer is used",
@@ -293,11 +295,11 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         findings=()
         if only_shown
         else (
-            Finding(text="hand distance never below 50 mm is refuted in 3 strata", place="claim-1"),
-            Finding(text="stops within 600 ms was never put to the test", place="claim-5"),
+            OpenFinding(text="hand distance never below 50 mm is refuted in 3 strata", place="claim-1"),
+            OpenFinding(text="stops within 600 ms was never put to the test", place="claim-5"),
         ),
         record=Record(rows_sha256=HASH, declaration_sha256="", drawn_with="matplotlib 3.11.2"),
-        provenance=Provenance(
+        provenance=EvidenceProvenance(
             package_version="0.1.0",
             source_hash="0123456789abcdef",
             python="3.11.9",

@@ -8,16 +8,16 @@ from itertools import combinations, product
 import pytest
 
 from safety_harness.certification.altered import chance_to_miss, rows_to_turn, runs_to_see
-from safety_harness.certification.evidence import Outcome, Standing
+from safety_harness.certification.evidence import ClaimResult, ClaimStatus
 from safety_harness.certification.verdicts import standing_of
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 from tests.certification.made_up_evidence import bound
 
-MET = (Standing.SHOWN, Standing.DOUBTED)
+MET = (ClaimStatus.SHOWN, ClaimStatus.DOUBTED)
 
 
-def outcome(counts: tuple[int, ...], target: float | None, chance: float, early: bool) -> Outcome:
+def outcome(counts: tuple[int, ...], target: float | None, chance: float, early: bool) -> ClaimResult:
     """Holds, violated, without a verdict, untested; with the standing that the report gives it."""
     holds, violated, without, untested = counts
     tested, runs = holds + violated + without, sum(counts)
@@ -35,7 +35,7 @@ def outcome(counts: tuple[int, ...], target: float | None, chance: float, early:
         may_stop_early=early,
         model_only=False,
     )
-    return Outcome(
+    return ClaimResult(
         stratum="all",
         planned=runs,
         runs=runs,
@@ -97,5 +97,5 @@ def test_a_verdict_that_no_row_can_turn_to_another_side_is_turned_by_leaving_it_
 
 def test_verdicts_on_runs_that_are_missing_are_none() -> None:
     whole = outcome((5, 0, 0, 0), 0.5, 0.05, early=False)
-    incomplete = replace(whole, bound=None, standing=Standing.INCOMPLETE)
+    incomplete = replace(whole, bound=None, standing=ClaimStatus.INCOMPLETE)
     assert rows_to_turn(incomplete, 0.5, early=False) is None

@@ -7,10 +7,10 @@ from xml.etree import ElementTree
 
 from made_up_evidence import evidence
 
-from safety_harness.certification.argument import Element, Kind, argument_of
+from safety_harness.certification.argument import Element, ElementKind, argument_of
 from safety_harness.certification.argument_svg import _Layout, argument_svg
 from safety_harness.certification.evidence import Evidence
-from safety_harness.certification.tools import Coverage, Credibility
+from safety_harness.certification.tools import CoverageOfRuns, Credibility
 
 
 def every(element: Element) -> list[Element]:
@@ -19,7 +19,7 @@ def every(element: Element) -> list[Element]:
 
 def without_evidence() -> Evidence:
     none = Credibility(agreement=None, reruns=(), oracles=(), oracles_measured_with="", absent=())
-    empty = Coverage(runs=0, without_hand=0, cells=(), about="")
+    empty = CoverageOfRuns(runs=0, without_hand=0, cells=(), about="")
     return replace(evidence(counterexamples=0), credibility=none, selftest=None, search=None, coverage=empty)
 
 
@@ -28,11 +28,11 @@ def test_every_goal_leads_to_solutions_or_is_marked_in_the_picture_as_undevelope
         drawn = argument_svg(argument_of(one), prefix="a-")
         open_goals = 0
         for element in every(argument_of(one)):
-            if element.kind in (Kind.GOAL, Kind.STRATEGY):
+            if element.kind in (ElementKind.GOAL, ElementKind.STRATEGY):
                 leaves = [
                     inner for inner in every(element) if not inner.below and inner not in element.beside
                 ]
-                solved = any(inner.kind is Kind.SOLUTION for inner in leaves)
+                solved = any(inner.kind is ElementKind.SOLUTION for inner in leaves)
                 assert solved or any(inner.undeveloped for inner in leaves), element.text
                 open_goals += element.undeveloped
             else:

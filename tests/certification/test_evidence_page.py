@@ -7,7 +7,7 @@ import page
 import pytest
 from made_up_evidence import HOSTILE, STRATA, evidence
 
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.certification.page import render
 
 
@@ -46,10 +46,10 @@ def test_a_report_with_an_inconclusive_claim_is_not_green() -> None:
     fine = page.parse(render(evidence(only_shown=True, counterexamples=0), {}))
     assert [node.attributes["class"] for node in fine.all("div", "banner")] == ["banner fine"]
     whole = evidence(counterexamples=0)
-    for standing in Standing:
-        if standing is Standing.SHOWN:
+    for standing in ClaimStatus:
+        if standing is ClaimStatus.SHOWN:
             continue
-        only = tuple(claim for claim in whole.claims if claim.standing in (standing, Standing.SHOWN))
+        only = tuple(claim for claim in whole.claims if claim.standing in (standing, ClaimStatus.SHOWN))
         shown = page.parse(render(replace(whole, standing=standing, claims=only), {}))
         banners = [node.attributes["class"] for node in shown.all("div", "banner")]
         assert not any("fine" in one for one in banners), standing

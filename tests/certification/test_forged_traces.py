@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.campaign.episodes import Bench, trace_bytes
+from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.stored import trace_of
@@ -24,7 +24,7 @@ SMALL = PLAN.replace("runs: 30", "runs: 3").replace("runs: 20", "runs: 2")
 @pytest.fixture
 def ran(tmp_path: Path) -> Iterator[tuple[Plan, Path]]:
     plan = plan_in(tmp_path, SMALL)
-    bench = Bench(plan)
+    bench = EpisodeRunner(plan)
     with ledger_in(tmp_path, plan) as ledger:
         for stratum, one in enumerate(plan.strata):
             ledger.record(bench.run(stratum, range(one.runs)))

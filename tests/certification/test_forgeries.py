@@ -13,7 +13,7 @@ from safety_harness.campaign.episodes import trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER, plan_of
 from safety_harness.certification import folder, verify_pages
-from safety_harness.certification.check import Check
+from safety_harness.certification.check import Examination
 from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence
@@ -65,7 +65,7 @@ def _without_files(text: str) -> bytes:
     return text[: text.rindex('\n "files"')].encode()
 
 
-def checked(report: Path, **options: object) -> dict[str, Check]:
+def checked(report: Path, **options: object) -> dict[str, Examination]:
     options = {"runs": 0, "seed": 1} | options
     return {check.name: check for check in verify(report, **options)}  # type: ignore[arg-type]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.stopping import Stopping
@@ -27,7 +27,7 @@ def plan(tmp_path: Path) -> Plan:
 
 @pytest.fixture
 def ledger(tmp_path: Path, plan: Plan) -> Iterator[Ledger]:
-    bench = Bench(plan)
+    bench = EpisodeRunner(plan)
     with ledger_in(tmp_path / "report", plan) as made:
         for stratum in range(2):
             made.record(bench.run(stratum, range(9)))
@@ -77,7 +77,7 @@ def test_an_earlier_report_leaves_nothing_in_the_next_ones_manifest(plan: Plan, 
 def test_a_plan_that_may_stop_early_is_interrupted_until_it_stops(tmp_path: Path) -> None:
     text = SMALL.replace("  - claim: joint speeds within limits\n", "").replace("runs: 9", "runs: 60")
     plan = plan_in(tmp_path, text + "stop early: yes\n")
-    row = next(iter(Bench(plan).run(0, [0], keep_violations=False)))
+    row = next(iter(EpisodeRunner(plan).run(0, [0], keep_violations=False)))
     with ledger_in(tmp_path / "report", plan) as ledger:
         for stratum in range(2):
             ledger.record(replace(row, stratum=stratum, episode=k, seed=k, trace=None) for k in range(50))

@@ -4,7 +4,7 @@ from xml.etree import ElementTree
 
 from made_up_evidence import STRATA, evidence
 
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.certification.junit import junit_xml
 
 
@@ -17,7 +17,7 @@ def test_only_what_is_shown_passes() -> None:
         assert int(suite.get("tests", "")) == len(one.claims)
         for case in suite:
             passed = len(case) == 0
-            assert passed == (standings[case.get("name", "")] is Standing.SHOWN)
+            assert passed == (standings[case.get("name", "")] is ClaimStatus.SHOWN)
 
 
 def test_refuted_is_a_failure_and_what_is_open_an_error() -> None:

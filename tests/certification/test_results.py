@@ -11,22 +11,24 @@ import scipy.stats
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.rows import Judgement, Row
-from safety_harness.certification.evidence import Bound, Standing
+from safety_harness.campaign.rows import ClaimJudgement, Row
+from safety_harness.certification.evidence import Bound, ClaimStatus
 from safety_harness.certification.results import bounds, claims_of, refuse_hopeless, strata_of
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
-MARGIN = {Outcome.HOLDS: 0.05, Outcome.VIOLATED: -0.02}
+MARGIN = {EpisodeOutcome.HOLDS: 0.05, EpisodeOutcome.VIOLATED: -0.02}
 
 
-def row(stratum: int, episode: int, first: Outcome, second: Outcome = Outcome.HOLDS) -> Row:
+def row(
+    stratum: int, episode: int, first: EpisodeOutcome, second: EpisodeOutcome = EpisodeOutcome.HOLDS
+) -> Row:
     judgements = tuple(
-        Judgement(
+        ClaimJudgement(
             outcome,
             MARGIN.get(outcome, np.nan) + 1e-6 * episode,
-            exercised=int(outcome is not Outcome.UNTESTED),
+            exercised=int(outcome is not EpisodeOutcome.UNTESTED),
         )
         for outcome in (first, second)
     )
@@ -54,9 +56,14 @@ def ledger(tmp_path: Path, plan: Plan) -> Iterator[Ledger]:
 
 
 def filled(ledger: Ledger, *, inconclusive: int = 0) -> None:
-    ledger.record(row(0, k, Outcome.VIOLATED if k < 3 else Outcome.HOLDS) for k in range(30))
+    ledger.record(row(0, k, EpisodeOutcome.VIOLATED if k < 3 else EpisodeOutcome.HOLDS) for k in range(30))
     ledger.record(
-        row(1, k, Outcome.INCONCLUSIVE if k < inconclusive else Outcome.HOLDS, Outcome.UNTESTED)
+        row(
+            1,
+            k,
+            EpisodeOutcome.INCONCLUSIVE if k < inconclusive else EpisodeOutcome.HOLDS,
+            EpisodeOutcome.UNTESTED,
+        )
         for k in range(20)
     )
 
@@ -83,7 +90,10 @@ def test_what_is_shown_as_an_interval_covers_as_often_as_is_said_beside_it(
     shown: list[Bound] = []
     for violated in range(21):
         with ledger_in(tmp_path / str(violated), plan) as ledger:
-            ledger.record(row(1, k, Outcome.VIOLATED if k < violated else Outcome.HOLDS) for k in range(20))
+            ledger.record(
+                row(1, k, EpisodeOutcome.VIOLATED if k < violated else EpisodeOutcome.HOLDS)
+                for k in range(20)
+            )
             found = claims_of(plan, ledger)[0].outcomes[1].bound
             assert found is not None
             shown.append(found)
@@ -100,10 +110,10 @@ def test_a_ledger_whose_rows_contradict_themselves_has_no_bound_and_says_why(
     plan: Plan, ledger: Ledger
 ) -> None:
     filled(ledger, inconclusive=1)
-    relabelled = f"UPDATE judgement SET outcome = {int(Outcome.UNTESTED)} WHERE outcome = "
-    ledger.execute(relabelled + str(int(Outcome.INCONCLUSIVE)))
+    relabelled = f"UPDATE judgement SET outcome = {int(EpisodeOutcome.UNTESTED)} WHERE outcome = "
+    ledger.execute(relabelled + str(int(EpisodeOutcome.INCONCLUSIVE)))
     claim = claims_of(plan, ledger)[0]
-    assert claim.outcomes[1].standing is Standing.INCOMPLETE
+    assert claim.outcomes[1].standing is ClaimStatus.INCOMPLETE
     assert claim.outcomes[1].bound is None
     assert "no occasion in an untested run" in claim.outcomes[1].why
     ledger.execute("UPDATE episode SET seed = seed % 10 WHERE stratum = 0")
@@ -117,24 +127,24 @@ def test_inconclusive_runs_count_against_the_claim_and_leave_doubt(plan: Plan, l
     doubted = claim.outcomes[1]
     assert doubted.bound is not None
     assert doubted.bound.upper == pytest.approx(scipy.stats.beta.ppf(1.0 - chance, 2, 19))
-    assert doubted.standing is Standing.DOUBTED
+    assert doubted.standing is ClaimStatus.DOUBTED
     assert "1 had no verdict; they count as violations" in doubted.why
 
 
 def test_in_pybullet_a_run_without_a_verdict_is_what_leaves_doubt(tmp_path: Path) -> None:
     plan = plan_in(tmp_path, PLAN.replace("world: kinematic", "world: PyBullet"))
-    for inconclusive, standing in ((0, Standing.SHOWN), (1, Standing.DOUBTED)):
+    for inconclusive, standing in ((0, ClaimStatus.SHOWN), (1, ClaimStatus.DOUBTED)):
         with ledger_in(tmp_path / str(inconclusive), plan) as ledger:
             filled(ledger, inconclusive=inconclusive)
             claim = claims_of(plan, ledger)[0]
-            assert [outcome.standing for outcome in claim.outcomes] == [Standing.SHOWN, standing]
+            assert [outcome.standing for outcome in claim.outcomes] == [ClaimStatus.SHOWN, standing]
             assert claim.standing is standing
 
 
 def test_a_bound_of_the_kinematic_world_is_of_the_model_only(plan: Plan, ledger: Ledger) -> None:
     filled(ledger)
     shown = claims_of(plan, ledger)[0].outcomes[1]
-    assert shown.standing is Standing.DOUBTED
+    assert shown.standing is ClaimStatus.DOUBTED
     assert "model only" in shown.why
 
 
@@ -142,15 +152,15 @@ def test_a_claim_that_was_not_put_to_the_test_has_no_bound(plan: Plan, ledger: L
     filled(ledger)
     second = claims_of(plan, ledger)[1]
     assert second.outcomes[1].bound is None
-    assert second.outcomes[1].standing is Standing.UNTESTED
-    assert second.standing is Standing.UNTESTED
+    assert second.outcomes[1].standing is ClaimStatus.UNTESTED
+    assert second.standing is ClaimStatus.UNTESTED
 
 
 def test_while_runs_are_missing_there_is_no_bound(plan: Plan, ledger: Ledger) -> None:
-    ledger.record(row(0, k, Outcome.HOLDS) for k in range(29))
-    ledger.record(row(1, k, Outcome.HOLDS) for k in range(20))
+    ledger.record(row(0, k, EpisodeOutcome.HOLDS) for k in range(29))
+    ledger.record(row(1, k, EpisodeOutcome.HOLDS) for k in range(20))
     first, second = claims_of(plan, ledger)[0].outcomes
-    assert (first.standing, first.bound, first.runs) == (Standing.INCOMPLETE, None, 29)
+    assert (first.standing, first.bound, first.runs) == (ClaimStatus.INCOMPLETE, None, 29)
     assert second.bound is not None  # and it is no tighter for what is missing elsewhere
     chance = (1.0 - plan.confidence) / bounds(plan)
     assert second.bound.upper == pytest.approx(1.0 - chance ** (1.0 / 20.0))

@@ -12,7 +12,7 @@ import pytest
 from safety_harness.certification import folder as folder_module
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.findings import of_searches
-from safety_harness.certification.gather import Trials
+from safety_harness.certification.gather import HarnessTrials
 from safety_harness.certification.searched import FINDINGS, read_findings, search_evidence, searches_of
 from safety_harness.cli import certify as certify_module
 from safety_harness.cli.certify import _Job, certify
@@ -126,7 +126,7 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     plan, asked = plan_in(tmp_path, SEARCHING), list[Path]()
     answers = [fails, lambda: INTERRUPTED, lambda: BAD_INPUT, lambda: AS_EXPECTED]
     monkeypatch.setattr(certify_module, "fuzz", searching(answers, asked))
-    job = _Job(plan, tmp_path, Trials(), "certify")
+    job = _Job(plan, tmp_path, HarnessTrials(), "certify")
     assert not job._search()  # the first fails, the second is interrupted
     stale = asked[1] / "as-found.yaml"
     stale.write_text("of the search that was interrupted")

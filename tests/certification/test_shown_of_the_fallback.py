@@ -8,15 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import FallbackTally, fallback_of
 from safety_harness.certification.argument import argument_of
-from safety_harness.certification.evidence import UNANSWERED, Standing
+from safety_harness.certification.evidence import UNANSWERED, ClaimStatus
 from safety_harness.certification.findings import of_strata
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import render
 from safety_harness.certification.results import claims_of, strata_of
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 from tests.certification.made_up_evidence import evidence
 
@@ -30,7 +30,7 @@ def row(stratum: int, episode: int, claims: int, *, silent: int = 0, why: str = 
         stratum=stratum,
         episode=episode,
         seed=episode,
-        judgements=(Judgement(Outcome.HOLDS, 0.05, 0.1, 1),) * claims,
+        judgements=(ClaimJudgement(EpisodeOutcome.HOLDS, 0.05, 0.1, 1),) * claims,
         draws=1,
         decisions=2,
         proposed=2 - silent,
@@ -42,7 +42,7 @@ def row(stratum: int, episode: int, claims: int, *, silent: int = 0, why: str = 
 
 def standings(
     folder: Path, *, silent: Sequence[int], claimed: bool
-) -> tuple[list[Standing], list[str], list[str], list[FallbackTally]]:
+) -> tuple[list[ClaimStatus], list[str], list[str], list[FallbackTally]]:
     """Of the first claim in both strata: standings, why, findings of the strata, and the counts.
 
     ``silent`` says to how many of its two questions each run of the second stratum got no answer.
@@ -61,18 +61,18 @@ def standings(
 @pytest.mark.parametrize("claimed", [False, True])
 def test_an_avoider_that_always_answers_changes_nothing(tmp_path: Path, claimed: bool) -> None:
     found, why, findings, counts = standings(tmp_path, silent=[0] * 20, claimed=claimed)
-    assert found == [Standing.SHOWN, Standing.SHOWN]
+    assert found == [ClaimStatus.SHOWN, ClaimStatus.SHOWN]
     assert not any("fallback" in text for text in [*why, *findings])
     assert [one.words for one in counts] == [""] * 3
 
 
-@pytest.mark.parametrize(("claimed", "expected"), [(False, Standing.DOUBTED), (True, Standing.SHOWN)])
+@pytest.mark.parametrize(("claimed", "expected"), [(False, ClaimStatus.DOUBTED), (True, ClaimStatus.SHOWN)])
 def test_one_missing_answer_leaves_doubt_unless_the_plan_says_how_many_there_may_be(
-    tmp_path: Path, claimed: bool, expected: Standing
+    tmp_path: Path, claimed: bool, expected: ClaimStatus
 ) -> None:
     found, why, findings, counts = standings(tmp_path, silent=[1] + [0] * 19, claimed=claimed)
     words = "the avoider did not always answer: with the fallback in its place in 1 of 40 decisions"
-    assert found == [Standing.SHOWN, expected]
+    assert found == [ClaimStatus.SHOWN, expected]
     assert "fallback" not in why[0]
     assert words in why[1]
     assert findings == [f"nearer: {words}; most often: {WHY}"]
@@ -86,7 +86,7 @@ def test_one_missing_answer_leaves_doubt_unless_the_plan_says_how_many_there_may
 @pytest.mark.parametrize("claimed", [False, True])
 def test_nothing_is_shown_in_green_of_an_avoider_that_never_answered(tmp_path: Path, claimed: bool) -> None:
     found, why, _, counts = standings(tmp_path, silent=[2] * 20, claimed=claimed)
-    assert found == [Standing.SHOWN, Standing.DOUBTED]
+    assert found == [ClaimStatus.SHOWN, ClaimStatus.DOUBTED]
     assert "the avoider did not answer: with the fallback in its place in 40 of 40 decisions" in why[1]
     assert counts[0].words.startswith("the avoider did not always answer")
 

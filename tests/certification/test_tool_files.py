@@ -10,7 +10,7 @@ from safety_harness.certification.findings import of_selftest
 from safety_harness.certification.tool_files import STATES, read_oracles, read_selftest
 from safety_harness.exceptions import InputError
 from safety_harness.selftest.document import document
-from safety_harness.selftest.outcome import State
+from safety_harness.selftest.outcome import FaultState
 from tests.selftest.made_up_faults import EVERY_KIND, about
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -72,7 +72,7 @@ def test_what_selftest_writes_is_read_with_its_limits(tmp_path: Path) -> None:
 
 
 def test_every_state_that_selftest_writes_is_known() -> None:
-    assert set(STATES) == {state.value for state in State}
+    assert set(STATES) == {state.value for state in FaultState}
 
 
 @pytest.mark.parametrize(
@@ -122,4 +122,4 @@ def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_every_state_of_a_self_test_can_be_read() -> None:
-    assert set(STATES) == {state.value for state in State}
+    assert set(STATES) == {state.value for state in FaultState}

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from safety_harness.certification.evidence import GRAVITY, Bound, Standing
+from safety_harness.certification.evidence import SEVERITY_ORDER, Bound, ClaimStatus
 from safety_harness.certification.verdicts import (
     at_least,
     at_most,
@@ -16,7 +16,7 @@ from safety_harness.certification.verdicts import (
 )
 
 
-def word(**changes: Any) -> Standing:
+def word(**changes: Any) -> ClaimStatus:
     known: dict[str, Any] = {
         "target": 0.01,
         "bound": Bound(lower=0.0, upper=0.005, confidence=0.99, method="exact"),
@@ -36,27 +36,27 @@ def between(lower: float, upper: float) -> Bound:
 
 
 def test_a_claim_is_shown_when_its_upper_bound_meets_the_target() -> None:
-    assert word() is Standing.SHOWN
-    assert word(bound=between(0.0, 0.01)) is Standing.SHOWN
-    assert word(bound=between(0.0, 0.0100001)) is Standing.NOT_SHOWN
+    assert word() is ClaimStatus.SHOWN
+    assert word(bound=between(0.0, 0.01)) is ClaimStatus.SHOWN
+    assert word(bound=between(0.0, 0.0100001)) is ClaimStatus.NOT_SHOWN
 
 
 def test_it_is_refuted_only_when_the_lower_bound_is_above_the_target() -> None:
-    assert word(bound=between(0.02, 0.05)) is Standing.REFUTED
-    assert word(bound=between(0.01, 0.05)) is Standing.NOT_SHOWN
+    assert word(bound=between(0.02, 0.05)) is ClaimStatus.REFUTED
+    assert word(bound=between(0.01, 0.05)) is ClaimStatus.NOT_SHOWN
 
 
 def test_runs_without_a_verdict_leave_doubt_on_what_is_shown() -> None:
-    assert word(without_verdict=1) is Standing.DOUBTED
-    assert word(model_only=True) is Standing.DOUBTED
+    assert word(without_verdict=1) is ClaimStatus.DOUBTED
+    assert word(model_only=True) is ClaimStatus.DOUBTED
 
 
 def test_what_is_missing_is_never_a_verdict() -> None:
-    assert word(runs=999, tested=999) is Standing.INCOMPLETE
-    assert word(runs=999, tested=999, may_stop_early=True) is Standing.SHOWN
-    assert word(tested=0, bound=None) is Standing.UNTESTED
-    assert word(target=None) is Standing.ESTIMATED
-    assert word(bound=None) is Standing.INCOMPLETE
+    assert word(runs=999, tested=999) is ClaimStatus.INCOMPLETE
+    assert word(runs=999, tested=999, may_stop_early=True) is ClaimStatus.SHOWN
+    assert word(tested=0, bound=None) is ClaimStatus.UNTESTED
+    assert word(target=None) is ClaimStatus.ESTIMATED
+    assert word(bound=None) is ClaimStatus.INCOMPLETE
 
 
 def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever_shown() -> None:
@@ -73,7 +73,7 @@ def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever
     shown = 0
     for values in product(*choices.values()):
         one = dict(zip(choices, values, strict=True))
-        if word(**one) is Standing.SHOWN:
+        if word(**one) is ClaimStatus.SHOWN:
             shown += 1
             assert one["target"] is not None
             assert one["bound"].upper <= one["target"]
@@ -85,11 +85,11 @@ def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever
 
 
 def test_the_gravest_standing_speaks_for_all() -> None:
-    assert gravest([Standing.SHOWN, Standing.NOT_SHOWN]) is Standing.NOT_SHOWN
-    assert gravest([Standing.SHOWN] * 3) is Standing.SHOWN
-    assert gravest([]) is Standing.UNTESTED
-    assert set(GRAVITY) == set(Standing)
-    assert GRAVITY[-1] is Standing.SHOWN
+    assert gravest([ClaimStatus.SHOWN, ClaimStatus.NOT_SHOWN]) is ClaimStatus.NOT_SHOWN
+    assert gravest([ClaimStatus.SHOWN] * 3) is ClaimStatus.SHOWN
+    assert gravest([]) is ClaimStatus.UNTESTED
+    assert set(SEVERITY_ORDER) == set(ClaimStatus)
+    assert SEVERITY_ORDER[-1] is ClaimStatus.SHOWN
 
 
 @pytest.mark.parametrize(

@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 from scipy.stats import binomtest
 
-from safety_harness.campaign.episodes import Bench
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification import folder, verify_pages
 from safety_harness.certification import verify as verify_module
 from safety_harness.certification.altered import Turn, chance_to_miss
-from safety_harness.certification.check import Check
+from safety_harness.certification.check import Examination
 from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text, read_evidence
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.page import render
@@ -86,7 +86,7 @@ def test_a_report_stands_with_every_part_of_it_made_again(
 
 
 def test_it_says_how_few_rows_turn_a_verdict_and_repeats_as_many_as_its_chance_asks(report: Path) -> None:
-    def runs(**options: object) -> Check:
+    def runs(**options: object) -> Examination:
         checks = verify(report, seed=1, **options)  # type: ignore[arg-type]
         return next(check for check in checks if check.name == "runs")
 
@@ -100,7 +100,7 @@ def test_it_says_how_few_rows_turn_a_verdict_and_repeats_as_many_as_its_chance_a
 
 
 def test_more_runs_than_some_minutes_take_are_made_only_when_asked_for() -> None:
-    turns = [Turn("a claim", "all", Standing.NOT_SHOWN, 1)]
+    turns = [Turn("a claim", "all", ClaimStatus.NOT_SHOWN, 1)]
     drawing = Drawing(runs=None, miss=0.01, seed=1)
     assert drawing.number(12_000, turns) == MOST_AGAIN
     _, (left_open,) = drawing.told(12_000, MOST_AGAIN, turns, each_s=0.25)
@@ -244,7 +244,7 @@ def edited(report: Path, **parts: object) -> None:
 @pytest.mark.parametrize(
     ("parts", "said"),
     [
-        ({"standing": Standing.SHOWN}, "standing: "),
+        ({"standing": ClaimStatus.SHOWN}, "standing: "),
         ({"findings": ()}, "findings: 0 of them in the report"),
         ({"counterexamples": ()}, "counterexamples: 0 of them"),
         ({"strata": ()}, "strata: 0 of them"),
@@ -274,7 +274,7 @@ def test_words_that_other_software_writes_otherwise_are_no_fault(
     edited(report, claims=reworded)
     assert "claims[0].rationale: In other words." in faults(report)
     monkeypatch.setattr(verify_module, "same_software", lambda *_: False)
-    found: dict[str, Check] = {check.name: check for check in verify(report, runs=0, seed=1)}
+    found: dict[str, Examination] = {check.name: check for check in verify(report, runs=0, seed=1)}
     assert found["numbers"].stands
     assert any("claims[0].rationale" in note for note in found["numbers"].notes)
     assert found["pages"].stands
@@ -401,7 +401,7 @@ def test_a_program_that_only_some_draws_name_is_seen_before_anything_is_run(tmp_
 
 @pytest.mark.parametrize("avoider", [SEEN, HIDDEN])
 def test_no_draw_is_executed_unasked_wherever_it_names_a_program(tmp_path: Path, avoider: str) -> None:
-    bench = Bench(with_program(tmp_path / "theirs", avoider), programs=False)
+    bench = EpisodeRunner(with_program(tmp_path / "theirs", avoider), programs=False)
     refused = 0
     for episode in range(8):
         try:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.certification.document import read_evidence
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.cli import campaign
 from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.certify import certify, verify
@@ -169,7 +169,7 @@ def test_a_certificate_is_never_green_for_an_avoider_that_did_not_answer(
     assert "ok  " not in out
     assert out.count(IN_PLACE) == 2  # at the claim and at the end
     evidence = read_evidence(Path("report/evidence.json"))
-    assert evidence.standing is Standing.DOUBTED
+    assert evidence.standing is ClaimStatus.DOUBTED
     page = Path("report/evidence.html").read_text()
     assert IN_PLACE in page.split("<title>")[1].split("</title>")[0]
     assert IN_PLACE in page.split("<h1>")[1].split("</h1>")[0]

@@ -16,13 +16,13 @@ import pytest
 from typer.testing import CliRunner
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.cli.campaign import compare, export, merge, query, resume, run, status
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
 from safety_harness.report.words import rounded_up
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
 from tests.campaign.benches import row_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
@@ -155,9 +155,15 @@ def test_two_avoiders_are_compared_on_the_same_episodes(
 def test_an_avoider_that_is_shown_to_be_worse_ends_a_comparison_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name, outcome, margin in (("good", Outcome.HOLDS, 0.1), ("bad", Outcome.VIOLATED, -0.1)):
+    for name, outcome, margin in (
+        ("good", EpisodeOutcome.HOLDS, 0.1),
+        ("bad", EpisodeOutcome.VIOLATED, -0.1),
+    ):
         with ledger_in(tmp_path / name, plan_in(tmp_path / name)) as ledger:
-            judgements = (Judgement(outcome, margin, 0.2, 1), Judgement(Outcome.HOLDS, 0.1, 0.2, 1))
+            judgements = (
+                ClaimJudgement(outcome, margin, 0.2, 1),
+                ClaimJudgement(EpisodeOutcome.HOLDS, 0.1, 0.2, 1),
+            )
             ledger.record(
                 Row(stratum=stratum, episode=k, seed=k, judgements=judgements)
                 for stratum, count in enumerate((30, 20))

@@ -19,7 +19,7 @@ from safety_harness.certification import folder as folder_module
 from safety_harness.certification import verify_pages
 from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.document import read_evidence, schema
-from safety_harness.certification.evidence import Standing
+from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.certification.findings import of_examples
 from safety_harness.cli import certify as certify_module
 from safety_harness.cli import fuzz as fuzz_module
@@ -61,7 +61,7 @@ def test_a_plan_becomes_a_folder_that_says_all_of_it(made: Path) -> None:
     jsonschema.Draft202012Validator(schema()).validate(json.loads((made / "evidence.json").read_text()))
     assert [outcome.runs for outcome in evidence.claims[0].outcomes] == [30, 20]
     assert evidence.plan.model_only
-    assert evidence.standing is not Standing.SHOWN
+    assert evidence.standing is not ClaimStatus.SHOWN
     ElementTree.parse(made / "junit.xml")
     text = (made / "evidence.html").read_text()
     assert "Model only" in text
@@ -251,7 +251,7 @@ def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
     assert certify(tmp_path / "plan.yaml", out=out, workers=1) == INTERRUPTED
     partial = read_evidence(out / "evidence.json")
     assert partial.interrupted
-    assert partial.standing in (Standing.INCOMPLETE, Standing.UNTESTED)
+    assert partial.standing in (ClaimStatus.INCOMPLETE, ClaimStatus.UNTESTED)
     assert all(outcome.bound is None for outcome in partial.claims[0].outcomes[:1])
     monkeypatch.setattr(certify_module, "carry_on", real)
     assert certify(tmp_path / "plan.yaml", out=out, workers=1) == DIFFERS

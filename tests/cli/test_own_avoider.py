@@ -13,7 +13,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.records import Outcome
+from safety_harness.trace.records import DecisionOutcome
 
 ROOT = Path(__file__).parents[2]
 VISIT = """\
@@ -136,7 +136,7 @@ def test_a_run_with_an_avoider_that_ends_its_process_comes_to_its_end_and_repeat
     trace = load_trace(trace_of("out"))
     assert trace.complete
     assert set(trace.decisions["fault"]) == {fault}
-    assert set(trace.decisions["outcome"]) == {Outcome.OPPOSITE}
+    assert set(trace.decisions["outcome"]) == {DecisionOutcome.OPPOSITE}
     assert "asked" not in out
     assert fault in err
     assert replay(trace_of("out"), "mine.py:Mine") == AS_EXPECTED

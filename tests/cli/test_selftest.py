@@ -14,9 +14,9 @@ from safety_harness.cli import selftest as command
 from safety_harness.cli.main import app
 from safety_harness.cli.selftest import DATA, PAGE, selftest
 from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.outcome import Outcome, outcome_of
+from safety_harness.selftest.outcome import FaultOutcome, outcome_of
 from safety_harness.selftest.trial import Rung
-from safety_harness.selftest.work import Plan
+from safety_harness.selftest.work import SelfTestPlan
 
 SHIPPED = Path(__file__).parents[2] / "scenarios"
 
@@ -88,7 +88,7 @@ def test_bad_input_is_explained(options: list[str], words: str, tmp_path: Path) 
 def test_ctrl_c_keeps_what_was_tried(
     scenarios: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def two_then_ctrl_c(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+    def two_then_ctrl_c(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
         for number in numbers[:2]:
             yield outcome_of(EVERY[number], (Rung(magnitude=1.0, words="1", episodes=1),))
         raise KeyboardInterrupt
@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_what_was_tried(
 def test_a_defect_of_ours_keeps_what_was_tried_and_is_exit_code_1(
     scenarios: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def one_then_a_defect(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+    def one_then_a_defect(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
         yield outcome_of(EVERY[numbers[0]], (Rung(magnitude=1.0, words="1", episodes=1),))
         raise ZeroDivisionError("made up")
 
@@ -123,7 +123,7 @@ def test_what_is_finished_is_written_before_the_next_is_tried(
     """So that it is there whatever ends the process."""
     written: list[int] = []
 
-    def looking(plan: Plan, numbers: list[int], jobs: int) -> Iterator[Outcome]:
+    def looking(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
         for number in numbers[:3]:
             yield outcome_of(EVERY[number], (Rung(magnitude=1.0, words="1", episodes=1),))
             found = json.loads((tmp_path / "out" / DATA).read_text("utf-8"))

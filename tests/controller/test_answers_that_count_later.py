@@ -11,7 +11,7 @@ from bench import AWAY, Bench
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.settings import DEFAULTS
-from safety_harness.trace.records import Check, Mode, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
 PERIOD_S = DEFAULTS.clock.control_period_s
 FORGETFUL = replace(DEFAULTS, hand_filter=replace(DEFAULTS.hand_filter, track_timeout_s=2.5 * PERIOD_S))
@@ -37,7 +37,7 @@ def test_an_answer_counts_at_the_first_tick_at_which_its_delay_is_over(delay_s: 
     decision = bench.controller.decisions[0]
     assert decision["tick"] == 3 + ticks
     assert decision["time_s"] == pytest.approx((3 + ticks) * PERIOD_S)
-    assert decision["outcome"] == Outcome.PROPOSED
+    assert decision["outcome"] == DecisionOutcome.PROPOSED
 
 
 def test_a_delay_of_seven_periods_lasts_seven_though_their_quotient_is_rounded_up() -> None:
@@ -74,7 +74,7 @@ def test_what_comes_after_the_deadline_does_not_count_and_the_opposite_pose_does
     assert bench.tick(near)["mode"] == Mode.REPULSING
     decision = bench.controller.decisions[0]
     assert (decision["tick"], decision["proposed_failed"]) == (ticks, Check.LATE)
-    assert decision["outcome"] == Outcome.OPPOSITE
+    assert decision["outcome"] == DecisionOutcome.OPPOSITE
 
 
 def test_if_every_hand_has_gone_meanwhile_the_decision_is_about_the_one_of_the_question() -> None:

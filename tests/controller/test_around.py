@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from bench import AWAY, Bench
 
-from safety_harness.controller.around import Around
+from safety_harness.controller.around import ControllerWrapper
 
 
 def assert_same(one: np.ndarray | np.void, other: np.ndarray | np.void) -> None:
@@ -15,7 +15,7 @@ def assert_same(one: np.ndarray | np.void, other: np.ndarray | np.void) -> None:
 def test_a_controller_around_another_is_that_one_where_it_changes_nothing() -> None:
     bare, wrapped = Bench(), Bench()
     inner = wrapped.controller
-    wrapped.controller = around = Around(inner)  # type: ignore[assignment]
+    wrapped.controller = around = ControllerWrapper(inner)  # type: ignore[assignment]
     for hands in ((AWAY,), (bare.beside(0.3),), (bare.beside(0.3),), ()):
         assert_same(bare.tick(*hands), wrapped.tick(*hands))
         assert_same(bare.command, wrapped.command)

@@ -14,7 +14,7 @@ from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, GateKind
-from safety_harness.trace.records import Check, Limit, Mode, Outcome, Trigger
+from safety_harness.trace.records import Check, DecisionOutcome, Limit, Mode, Trigger
 
 UNREACHABLE = Displaced((0.0, 3.0, 0.0))
 CRITICAL_M = DEFAULTS.avoidance.critical_distance_m
@@ -79,7 +79,7 @@ def test_the_decision_says_what_was_asked_and_why() -> None:
     assert decision["hand_position_in_base_m"] == pytest.approx(near, abs=5e-3)  # the nearest of the two
     assert decision["tcp_position_in_base_m"] == pytest.approx(bench.tcp, abs=1e-12)
     assert np.array_equal(decision["joint_position_rad"], bench.joints)
-    assert Outcome(decision["outcome"]) is Outcome.PROPOSED
+    assert DecisionOutcome(decision["outcome"]) is DecisionOutcome.PROPOSED
     assert bench.tick(AWAY, near)["decision"] == -1  # once
 
 
@@ -98,7 +98,7 @@ def test_servoing_stops_where_no_pose_can_be_reached() -> None:
     row = bench.tick(bench.beside(0.3))
     assert mode(row) is Mode.PROTECTIVE_STOP
     assert bench.command["protective_stop"].all()
-    assert Outcome(last(bench)["outcome"]) is Outcome.STOP
+    assert DecisionOutcome(last(bench)["outcome"]) is DecisionOutcome.STOP
     assert Check.UNREACHABLE in Check(int(last(bench)["opposite_failed"]))
     assert np.isnan(last(bench)["chosen_position_in_base_m"]).all()
 

@@ -14,26 +14,26 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Initially,
     Not,
     Or,
     Relation,
     Truth,
     Until,
-    Whenever,
     conjunction,
     disjunction,
 )
 from safety_harness.formulas.quantities import mm, ms
 from safety_harness.formulas.semantics import (
     LEAST,
-    Bounds,
+    MarginBounds,
     Margins,
     comparison_bounds,
     margins,
     truth_bounds,
 )
-from safety_harness.formulas.signal import Between, Flag, Measure, Sampled
+from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled
 from safety_harness.formulas.span import Span
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
@@ -47,7 +47,7 @@ def never(trace: Trace) -> Sampled:
 
 
 X, Y = (
-    Measure(words=words, dimension=LENGTH, meaning="-", between=Between.HELD, sample=never)
+    Measure(words=words, dimension=LENGTH, meaning="-", between=Interpolation.HELD, sample=never)
     for words in ("x", "y")
 )
 P, Q = (Flag(words=words, meaning="-", sample=never) for words in ("p", "q"))
@@ -96,7 +96,7 @@ def runs(least: int = 1, most: int = 12, *, gaps: bool = True) -> st.SearchStrat
     )
 
 
-def bounds_of(atom: Comparison | Truth, run: Run) -> Bounds:
+def bounds_of(atom: Comparison | Truth, run: Run) -> MarginBounds:
     values = np.array(run[atom.signal.words])
     return truth_bounds(values) if isinstance(atom, Truth) else comparison_bounds(atom, values, values)
 
@@ -142,7 +142,7 @@ def by_definition(formula: Formula, run: Run) -> list[tuple[float, float]]:
                     before = [at(node.first, i) for i in range(k, j)]
                     ways.append(least([at(node.second, j), *before]))
                 return most(ways)
-            case Whenever():
+            case Globally():
                 answers = [(at(node.trigger, j), at(node.response, j)) for j in range(k, n)]
                 return least([asked(*answer) for answer in answers])
             case Initially():

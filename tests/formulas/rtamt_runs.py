@@ -14,10 +14,10 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Not,
     Or,
     Until,
-    Whenever,
 )
 from safety_harness.formulas.span import Span
 
@@ -41,7 +41,7 @@ def in_rtamt(formula: Formula) -> str:
             return f"({word}{window(formula.span)} {in_rtamt(formula.body)})"
         case Until():
             return f"({in_rtamt(formula.first)} until{window(formula.span)} {in_rtamt(formula.second)})"
-        case Whenever():
+        case Globally():
             return f"(always ({in_rtamt(formula.trigger)} -> {in_rtamt(formula.response)}))"
     raise AssertionError(formula)
 

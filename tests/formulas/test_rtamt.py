@@ -21,10 +21,10 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Not,
     Relation,
     Truth,
-    Whenever,
     conjunction,
 )
 from safety_harness.formulas.language import hand_distance, tcp_speed
@@ -106,7 +106,7 @@ def test_at_the_limit_itself_rtamt_tells_neither_strict_from_not_nor_a_formula_f
 def test_a_trigger_has_a_margin_for_rtamt_and_none_here() -> None:
     """Class 4: how far one is from being asked is not how far one is from failing."""
     run = run_of(0.003, 0.003, y=-0.001)
-    whenever = Whenever(ABOVE_0, Comparison(Y, Relation.ABOVE, mm(0)))
+    whenever = Globally(ABOVE_0, Comparison(Y, Relation.ABOVE, mm(0)))
     assert theirs(whenever, run) == -0.001
     assert ours(whenever, run) == (-0.001, -0.001)
     barely = run_of(0.0005, 0.0005, y=-0.001)

@@ -25,10 +25,10 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Not,
     Relation,
     Until,
-    Whenever,
     conjunction,
     disjunction,
 )
@@ -54,7 +54,7 @@ def test_every_margin_is_that_of_the_definition(formula: Formula, run: Run) -> N
 @many
 @given(anything, anything, runs())
 def test_a_trigger_asks_for_the_response_where_it_holds(trigger: Formula, reply: Formula, run: Run) -> None:
-    whenever = Whenever(trigger, reply)
+    whenever = Globally(trigger, reply)
     assert pairs(whenever, run) == by_definition(whenever, run)
 
 

@@ -15,12 +15,12 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Initially,
     Not,
     Relation,
     Truth,
     Until,
-    Whenever,
     conjunction,
     disjunction,
 )
@@ -89,7 +89,7 @@ def built(inner: st.SearchStrategy[Formula]) -> st.SearchStrategy[Formula]:
 
 
 inner = st.recursive(atoms(), built, max_leaves=6)
-tops = inner | st.builds(Whenever, inner, inner) | st.builds(Initially, inner)
+tops = inner | st.builds(Globally, inner, inner) | st.builds(Initially, inner)
 claims = tops | st.builds(conjunction, tops, tops)
 
 

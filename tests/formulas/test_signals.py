@@ -15,7 +15,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_trial
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.formulas.cells import tent
-from safety_harness.formulas.signal import Between, Flag, Measure, Sampled
+from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.capsules import load_capsules
@@ -24,7 +24,7 @@ from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.read import read_scenario
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -62,7 +62,7 @@ def test_every_signal_has_a_value_for_each_tick_within_its_bounds(words: str, vi
     assert known.any()
     assert np.all(one.low[known] <= one.value[known])
     assert np.all(one.value[known] <= one.high[known])
-    if BY_WORDS[words].between is not Between.BOUNDED:
+    if BY_WORDS[words].between is not Interpolation.BOUNDED:
         assert one.low is one.value is one.high
 
 
@@ -73,7 +73,7 @@ def test_truths_are_those_of_the_records(two_hands: Trace) -> None:
     stops = sampled("falling back", two_hands).value == 1.0
     assert stops.any()
     assert np.array_equal(stops, mode == Mode.PROTECTIVE_STOP)
-    assert two_hands.decisions["outcome"][0] == Outcome.STOP
+    assert two_hands.decisions["outcome"][0] == DecisionOutcome.STOP
     made = np.flatnonzero(sampled("deciding", two_hands).value)
     assert np.array_equal(made, two_hands.decisions["tick"])
 

@@ -12,11 +12,11 @@ from safety_harness.formulas.formula import (
     Comparison,
     Eventually,
     Formula,
+    Globally,
     Not,
     Relation,
     Truth,
     Until,
-    Whenever,
 )
 from safety_harness.formulas.quantities import mm, ms
 from safety_harness.formulas.span import Span
@@ -43,7 +43,7 @@ def test_what_is_said_at_the_witness_is_the_margin(formula: Formula, run: Run) -
 @settings(max_examples=200, deadline=None)
 @given(formulas(comparisons | truths), formulas(comparisons | truths), runs())
 def test_the_witness_of_whenever_is_in_its_response(trigger: Formula, reply: Formula, run: Run) -> None:
-    margins = margins_of(Whenever(trigger, reply), run)
+    margins = margins_of(Globally(trigger, reply), run)
     found = witness(margins, 0, PERIOD_S, low=True)
     margin = float(margins.bounds.low[0])
     if found.atom is not None and abs(margin) < inf:
@@ -63,7 +63,7 @@ def test_each_operator_names_the_tick_that_decides() -> None:
     assert of(Not(Eventually(ABOVE_0)), *x) == Witness(0, ABOVE_0)
     assert of(Eventually(ABOVE_0, Span(ms(8), ms(16))), *x) == Witness(2, ABOVE_0)
     assert of(Until(ABOVE_0, Not(Truth(P))), *x) == Witness(0, ABOVE_0)
-    assert of(Whenever(Truth(P), ABOVE_0), *x) == Witness(2, ABOVE_0)
+    assert of(Globally(Truth(P), ABOVE_0), *x) == Witness(2, ABOVE_0)
     assert of(Always(ABOVE_0, Span(ms(0), ms(40))), *x) == Witness(4, None)
 
 

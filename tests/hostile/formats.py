@@ -23,7 +23,7 @@ from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
-from safety_harness.campaign.rows import Judgement, Row
+from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
@@ -39,7 +39,7 @@ from safety_harness.scenario.read import read_scenario
 from safety_harness.selftest.document import document
 from safety_harness.settings import DEFAULTS, ObjectKind
 from safety_harness.space.read import read_space
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace, save_trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 from tests.certification.made_up_evidence import evidence
@@ -173,7 +173,10 @@ def ledger_bytes() -> bytes:
     """A ledger with a few episodes."""
     folder = _folder() / "ledger"
     with ledger_in(folder, plan_in(folder)) as ledger:
-        judgements = (Judgement(Outcome.HOLDS, 0.1, 0.2, 3), Judgement(Outcome.UNTESTED))
+        judgements = (
+            ClaimJudgement(EpisodeOutcome.HOLDS, 0.1, 0.2, 3),
+            ClaimJudgement(EpisodeOutcome.UNTESTED),
+        )
         ledger.record(
             Row(stratum=0, episode=k, seed=11 + k, judgements=judgements, draws=1, cell="a", trace=b"x" * 100)
             for k in range(20)

@@ -13,7 +13,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_trial
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.trace import Trace
@@ -27,12 +27,12 @@ def shipped(name: str) -> Trace:
     return run_trial(admit(read_scenario(SCENARIOS / f"{name}.yaml")))
 
 
-def claim(entry: Entry) -> Claim:
+def claim(entry: CatalogueEntry) -> Claim:
     return Claim(sentence=entry.example, expected=Verdict.HOLDS)
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_its_shipped_scenario_exercises_it(entry: Entry) -> None:
+def test_its_shipped_scenario_exercises_it(entry: CatalogueEntry) -> None:
     trace = shipped(entry.scenario)
     evaluation = property_of(claim(entry), trace.scenario).evaluate(trace)
     assert evaluation.exercised > 0, evaluation
@@ -41,7 +41,7 @@ def test_its_shipped_scenario_exercises_it(entry: Entry) -> None:
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_something_breaks_it(entry: Entry) -> None:
+def test_something_breaks_it(entry: CatalogueEntry) -> None:
     trace = BROKEN[entry.example]()
     evaluation = property_of(claim(entry), trace.scenario).evaluate(trace)
     assert evaluation.verdict is Verdict.VIOLATED, evaluation

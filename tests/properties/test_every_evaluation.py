@@ -11,7 +11,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import Entry, count, quantity
+from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
@@ -39,7 +39,7 @@ def whole(evaluation: Evaluation, trace: Trace) -> None:
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_its_evaluation_is_whole_whatever_the_trace(entry: Entry) -> None:
+def test_its_evaluation_is_whole_whatever_the_trace(entry: CatalogueEntry) -> None:
     own = shipped(entry.scenario)
     for trace in (own, shipped("servoing-alone"), *(truncated(own, n) for n in (0, 1, 3, 200))):
         prop = property_of(claim(entry), trace.scenario)
@@ -50,7 +50,7 @@ def test_its_evaluation_is_whole_whatever_the_trace(entry: Entry) -> None:
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_it_is_understood_in_capitals_and_no_half_of_it_is(entry: Entry) -> None:
+def test_it_is_understood_in_capitals_and_no_half_of_it_is(entry: CatalogueEntry) -> None:
     assert entry.understands(f"  {entry.example.upper()} ")
     assert not entry.understands(entry.example[: len(entry.example) // 2])
     assert not entry.understands(f"never {entry.example}")

@@ -24,7 +24,7 @@ from safety_harness.properties.fallback import CertainIsUsed, UncertainFallsBack
 from safety_harness.properties.fallback_poses import FallbackPoses
 from safety_harness.properties.stopping import StopsWhereNothingIsReachable
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.records import Mode, Outcome
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 UNCERTAIN, USED = UncertainFallsBack(cycles=2), CertainIsUsed()
@@ -93,7 +93,7 @@ def test_noting_down_the_opposite_pose_does_not_make_up_for_going_elsewhere() ->
     trace = uses_what_it_doubts()
     said = edited(
         trace,
-        outcome=Outcome.OPPOSITE,
+        outcome=DecisionOutcome.OPPOSITE,
         chosen_position_in_base_m=trace.decisions["opposite_position_in_base_m"],
     )
     evaluation = UNCERTAIN.evaluate(said)
@@ -105,7 +105,7 @@ def test_using_an_answer_is_judged_by_the_way_too() -> None:
     trace = uses_no_answer()
     said = edited(
         trace,
-        outcome=Outcome.PROPOSED,
+        outcome=DecisionOutcome.PROPOSED,
         chosen_position_in_base_m=trace.decisions["proposed_position_in_base_m"],
     )
     evaluation = USED.evaluate(said)

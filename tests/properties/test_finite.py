@@ -11,7 +11,7 @@ from examples import VISIT, ConstantSpeed, Nonsense, run, scenario
 from safety_harness.properties.finite import FiniteTrace
 from safety_harness.scenario.faults import AvoiderNaN
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.records import DECISION, TICK, Outcome
+from safety_harness.trace.records import DECISION, TICK, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 FINITE = FiniteTrace()
@@ -36,7 +36,7 @@ def test_one_number_of_one_tick_is_found(name: str, value: float, visit: Trace) 
 @pytest.mark.parametrize("name", [n for n in numbers(DECISION) if n not in ("time_s", "spread_threshold_m")])
 def test_one_number_of_one_decision_is_found(name: str, visit: Trace) -> None:
     decisions = visit.decisions.copy()
-    decisions["outcome"][0] = Outcome.OPPOSITE
+    decisions["outcome"][0] = DecisionOutcome.OPPOSITE
     decisions[name][(0, *[1] * (decisions[name].ndim - 1))] = np.nan
     evaluation = FINITE.evaluate(replace(visit, decisions=decisions))
     assert (evaluation.verdict, evaluation.margin) == (Verdict.VIOLATED, -1.0)

@@ -16,7 +16,7 @@ from safety_harness.properties.reference import progress
 from safety_harness.scenario.model import MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind, Settings
-from safety_harness.trace.records import Limit, Mode, Outcome, Trigger
+from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
 STAYS = hand(MoveTo(position_in_base_m=(0.84, -0.35, 0.25), speed_mps=1.0), Wait(duration_s=9.0))
@@ -182,7 +182,7 @@ def test_a_chosen_position_that_is_none_is_no_evidence(visit: Trace) -> None:
 def test_the_reference_is_never_ahead_of_the_trapezoid(visit: Trace) -> None:
     """Oracle: from rest the closed form of a trapezoid with the full speed and acceleration."""
     decision = visit.decisions[0]
-    assert decision["outcome"] != Outcome.STOP
+    assert decision["outcome"] != DecisionOutcome.STOP
     avoidance = visit.scenario.settings.avoidance
     first, last = int(decision["tick"]), last_tick(visit, 0)
     ticks = visit.ticks.copy()

@@ -23,7 +23,7 @@ from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
 from safety_harness.properties.separation import separation_terms
 from safety_harness.properties.servoing import Converged, GainSwitchReached
 from safety_harness.properties.spread_calibration import (
-    Intervals,
+    IntervalRule,
     SpreadCalibration,
     Target,
     target_in_base_m,
@@ -228,7 +228,7 @@ def test_each_decision_has_candidates_of_its_own(visit: Trace) -> None:
 
 
 def test_a_hundred_decisions_are_enough(visit: Trace) -> None:
-    wide = Intervals(multiplier=1.0, residual_std_m=(9.0, 9.0, 9.0), target=Target.LABEL)
+    wide = IntervalRule(multiplier=1.0, residual_std_m=(9.0, 9.0, 9.0), target=Target.LABEL)
     calibration = SpreadCalibration(intervals=wide)
     assert calibration.evaluate([visit] * 99).verdict is Verdict.INCONCLUSIVE
     assert calibration.evaluate([visit] * 99).exercised == 99

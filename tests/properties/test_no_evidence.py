@@ -9,7 +9,7 @@ from test_catalogue import IDS, claim, shipped
 
 from safety_harness.admission.claims import property_of
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import Entry
+from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
 
@@ -26,14 +26,14 @@ def truncated(trace: Trace, ticks: int) -> Trace:
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_an_empty_trace_is_no_evidence(entry: Entry) -> None:
+def test_an_empty_trace_is_no_evidence(entry: CatalogueEntry) -> None:
     trace = shipped(entry.scenario)
     evaluation = property_of(claim(entry), trace.scenario).evaluate(truncated(trace, 0))
     assert evaluation.verdict is Verdict.INCONCLUSIVE
 
 
 @pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
-def test_a_trace_that_was_cut_short_never_holds(entry: Entry) -> None:
+def test_a_trace_that_was_cut_short_never_holds(entry: CatalogueEntry) -> None:
     trace = shipped(entry.scenario)
     prop = property_of(claim(entry), trace.scenario)
     for ticks in (1, 2, 100, len(trace.ticks) // 2, len(trace.ticks) - 1):

@@ -16,7 +16,7 @@ from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.properties.spread_calibration import (
     LEAST_DECISIONS,
-    Intervals,
+    IntervalRule,
     SpreadCalibration,
     Target,
     first_covered,
@@ -61,8 +61,8 @@ def exact(visit: Trace) -> list[Trace]:
 
 
 @lru_cache
-def intervals(avoider: str) -> Intervals:
-    found = Intervals.of(load_model(shipped_model(avoider)))
+def intervals(avoider: str) -> IntervalRule:
+    found = IntervalRule.of(load_model(shipped_model(avoider)))
     assert found is not None
     return found
 

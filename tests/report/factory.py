@@ -11,7 +11,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import MAX_HANDS, Claim, MovingHand, OffsetStart, Scenario, Verdict
 from safety_harness.scenario.moves import ReachForTcp, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.trace.records import DECISION, TICK, Check, Limit, Mode, Outcome, Trigger
+from safety_harness.trace.records import DECISION, TICK, Check, DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Provenance, Trace
 
 PROVENANCE = Provenance(
@@ -135,7 +135,7 @@ def decisions(ticks: np.ndarray, times_s: tuple[float, ...]) -> np.ndarray:
         out[index]["proposed_spread_m"] = 0.011
         out[index]["spread_threshold_m"] = 0.0125
         out[index]["opposite_position_in_base_m"] = tcp + np.array([-0.02, 0.09, 0.03])
-        out[index]["outcome"] = list(Outcome)[index]
+        out[index]["outcome"] = list(DecisionOutcome)[index]
     out[0]["chosen_position_in_base_m"] = out[0]["proposed_position_in_base_m"]
     out[1]["chosen_position_in_base_m"] = out[1]["opposite_position_in_base_m"]
     out[1]["proposed_failed"] = Check.PATH_UNREACHABLE

@@ -11,15 +11,15 @@ import pytest
 from safety_harness.report.coverage_map import CLASSES, SIZES_PX, coverage_map, size_class
 from safety_harness.report.page_parts import asset
 from safety_harness.report.svg import standalone
-from safety_harness.search.coverage import Cell, Coverage
+from safety_harness.search.coverage import Coverage, CoverageCell
 
-MANY = Cell("front", "to 0.5 m/s", "farther", "seen", "proposed position")
-ONE = Cell("below", "above 1 m/s", "touching", "both unseen", "protective stop")
+MANY = CoverageCell("front", "to 0.5 m/s", "farther", "seen", "proposed position")
+ONE = CoverageCell("below", "above 1 m/s", "touching", "both unseen", "protective stop")
 COVERAGE = Coverage(Counter({MANY: 1234, ONE: 1}))
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def drawn(coverage: Coverage, violations: dict[Cell, int] | None = None) -> ElementTree.Element:
+def drawn(coverage: Coverage, violations: dict[CoverageCell, int] | None = None) -> ElementTree.Element:
     return ElementTree.fromstring(coverage_map(coverage, violations or {}, prefix="m-", title="Coverage"))
 
 

@@ -13,7 +13,7 @@ from page import parse
 
 from safety_harness.report.decisions import (
     MOST_FAULT_NOTES,
-    Tally,
+    DecisionTally,
     avoiders,
     decision_rows,
     failed_checks,
@@ -23,7 +23,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render
 from safety_harness.report.words import CHECK_MEANINGS, failed_words, flag_words, spread_words
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 FAULT = "ZeroDivisionError: <b>division</b> (mine.py:3)"
@@ -85,17 +85,17 @@ def test_a_spread_above_its_threshold_never_looks_like_one_that_is_not(
 def test_the_outcomes_of_all_runs_are_counted_together() -> None:
     faulty = changed(fault=["", FAULT, ""])
     traces = [faulty, factory.no_hands_run().trace, factory.holds_run().trace]
-    tally = Tally.of(traces)
+    tally = DecisionTally.of(traces)
     assert (tally.made, tally.proposed, tally.opposite, tally.stops, tally.faults) == (6, 2, 2, 2, 1)
-    assert Tally.of([]).made == 0
+    assert DecisionTally.of([]).made == 0
     assert avoiders(traces) == [("opposite", 3)]
 
 
 def test_what_went_otherwise_than_proposed_is_said_and_nothing_else() -> None:
-    tally = Tally.of([changed(outcome=int(Outcome.OPPOSITE), fault=[FAULT, FAULT, ""])])
+    tally = DecisionTally.of([changed(outcome=int(DecisionOutcome.OPPOSITE), fault=[FAULT, FAULT, ""])])
     assert tally.departures == ["3 of 3 decisions fell back to the opposite pose"]
     assert tally.fault_words == "2 faults"
-    calm = Tally.of([changed(outcome=int(Outcome.PROPOSED))])
+    calm = DecisionTally.of([changed(outcome=int(DecisionOutcome.PROPOSED))])
     assert (calm.departures, calm.fault_words) == ([], "")
 
 

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from page import Node, parse
 
-from safety_harness.admission.agreement import Agreement, Difference, present_source
+from safety_harness.admission.agreement import Agreement, LargestDifference, present_source
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
 from safety_harness.search.confirm import Complaint
 from safety_harness.search.counterexample import Counterexample
-from safety_harness.search.coverage import Cell, Coverage
+from safety_harness.search.coverage import Coverage, CoverageCell
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.disagreement import Disagreement, InOneWorld, disagreement_of
 from safety_harness.search.explain import Ingredient
@@ -32,7 +32,7 @@ from safety_harness.search.trials import in_kinematic
 from tests.search.short_space import SHORT
 
 GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))
-CELL = Cell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
+CELL = CoverageCell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
 AGREEMENT = Agreement(
     source=present_source(),
     shipped=62,
@@ -45,7 +45,7 @@ AGREEMENT = Agreement(
     agreed_near=170,
     optimistic=("a scenario: PyBullet violated, kinematic holds",),
     disagreements=("a scenario: PyBullet violated, kinematic holds",),
-    differences=(Difference("TCP position [m]", 3.3e-4, "a-stuck-joint"),),
+    differences=(LargestDifference("TCP position [m]", 3.3e-4, "a-stuck-joint"),),
     left_out=(),
 )
 

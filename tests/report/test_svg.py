@@ -14,7 +14,7 @@ from safety_harness.report.path_artists import capsule_outline, close_up_mm
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.svg import drawing, new_figure, plain, to_svg
 from safety_harness.report.timeline import timeline
-from safety_harness.trace.records import Outcome
+from safety_harness.trace.records import DecisionOutcome
 
 
 def text_of(svg: str) -> list[str]:
@@ -173,15 +173,17 @@ def test_the_logarithmic_axis_has_a_labelled_decade_at_both_ends_of_what_it_show
 def test_a_decision_is_drawn_by_its_outcome_and_ringed_for_its_fault() -> None:
     run = factory.holds_run()
 
-    def drawn(outcomes: list[Outcome], fault: str = "") -> str:
+    def drawn(outcomes: list[DecisionOutcome], fault: str = "") -> str:
         decisions = run.trace.decisions.copy()
         decisions["outcome"], decisions["fault"] = outcomes, fault
         return timeline(replace(run, trace=replace(run.trace, decisions=decisions)), prefix="t-")
 
-    pictures = {drawn([outcome] * 3) for outcome in Outcome}
-    assert len({re.sub("<desc.*?</desc>", "", picture) for picture in pictures}) == len(Outcome)
-    assert drawn([Outcome.PROPOSED] * 3, "it broke") not in pictures
-    assert "1 opposite pose, 2 protective stop" in drawn([Outcome.OPPOSITE, Outcome.STOP, Outcome.STOP])
+    pictures = {drawn([outcome] * 3) for outcome in DecisionOutcome}
+    assert len({re.sub("<desc.*?</desc>", "", picture) for picture in pictures}) == len(DecisionOutcome)
+    assert drawn([DecisionOutcome.PROPOSED] * 3, "it broke") not in pictures
+    assert "1 opposite pose, 2 protective stop" in drawn(
+        [DecisionOutcome.OPPOSITE, DecisionOutcome.STOP, DecisionOutcome.STOP]
+    )
 
 
 @pytest.mark.parametrize("size", [1e-13, 2e-3, 1.0])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from safety_harness.scenario.fault_phrases import PHRASES, Key
+from safety_harness.scenario.fault_phrases import PHRASES, FaultKey
 from safety_harness.scenario.faults import MOST_FALSE_HANDS, FalseHand, Fault, Joint
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
@@ -226,7 +226,7 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
     )
 
 
-def fault_values(key: Key) -> st.SearchStrategy[Any]:
+def fault_values(key: FaultKey) -> st.SearchStrategy[Any]:
     """Values that a file may give for one key of a fault."""
     if key.dimension is None:
         return st.sampled_from(Joint)

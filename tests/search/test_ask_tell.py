@@ -10,13 +10,13 @@ import pytest
 from safety_harness.exceptions import SearchOrderError
 from safety_harness.search.ask_tell import AskTell, least
 from safety_harness.search.cube import Column, Cube, Points
-from safety_harness.search.sampling import Uniform
+from safety_harness.search.sampling import UniformSampling
 
 SQUARE = Cube((Column(), Column()))
 
 
 def asking() -> AskTell:
-    return AskTell(Uniform(SQUARE, claims=1, seed=0), dimension=2, claims=1)
+    return AskTell(UniformSampling(SQUARE, claims=1, seed=0), dimension=2, claims=1)
 
 
 class Proposes:

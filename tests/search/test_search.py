@@ -12,8 +12,8 @@ from safety_harness.properties.base import Unit
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.findings import Findings
 from safety_harness.search.outcomes import SCALES, Goal, Outcomes
-from safety_harness.search.sampling import Uniform
-from safety_harness.search.search import HOPELESS, find_violations
+from safety_harness.search.sampling import UniformSampling
+from safety_harness.search.search import MAX_REJECTION_RATIO, find_violations
 
 CUBE = Cube((Column(), Column(), Column((0.0, 0.5, 1.0), flat=True)))
 GOALS = (Goal("first", 0.1), Goal("second", 1.0))
@@ -34,7 +34,7 @@ class World:
 
 
 def searched(evaluate: object = None, *, budget: int = 300, batch: int = 7, seed: int = 0) -> Findings:
-    searcher = Uniform(CUBE, claims=2, seed=seed)
+    searcher = UniformSampling(CUBE, claims=2, seed=seed)
     world = World() if evaluate is None else evaluate
     return find_violations(CUBE, GOALS, world, searcher, budget=budget, batch=batch)  # type: ignore[arg-type]
 
@@ -108,7 +108,10 @@ def test_a_space_of_which_nothing_can_be_tried_is_given_up_with_the_reason() -> 
 def test_it_is_not_given_up_while_one_point_in_two_hundred_can_be_tried() -> None:
     def seldom(points: Points, first: int) -> Outcomes:
         outcomes = World()(points, first)
-        reasons = ["" if (first + k) % (HOPELESS // 2) == 0 else "out of reach" for k in range(len(points))]
+        reasons = [
+            "" if (first + k) % (MAX_REJECTION_RATIO // 2) == 0 else "out of reach"
+            for k in range(len(points))
+        ]
         return Outcomes(
             outcomes.margins, outcomes.conclusive, reasons, outcomes.mishaps, outcomes.kinds, outcomes.cells
         )
@@ -162,7 +165,7 @@ def test_mishaps_are_findings_told_apart_by_their_words() -> None:
 
 
 def test_margins_are_told_over_their_scales() -> None:
-    class Listens(Uniform):
+    class Listens(UniformSampling):
         told: Points
 
         def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:

@@ -13,7 +13,7 @@ from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.default import Default
 from safety_harness.search.diverse import Diverse
-from safety_harness.search.sampling import Uniform
+from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
 from tests.search.planted import CUBE
 
@@ -69,7 +69,9 @@ def test_both_alternatives_are_tried_and_every_interval(make: MakesSearcher) -> 
 
 @pytest.mark.parametrize("make", [Default, CmaEs], ids=NAME)
 def test_it_goes_where_scores_fall_before_anything_is_violated(make: MakesSearcher) -> None:
-    points, by_chance = (tried(one, lambda points: bowl(points) + 1.0, 600) for one in (make, Uniform))
+    points, by_chance = (
+        tried(one, lambda points: bowl(points) + 1.0, 600) for one in (make, UniformSampling)
+    )
     assert np.median(bowl(points[300:])[:, 0]) < 0.7 * np.median(bowl(by_chance[300:])[:, 0])
 
 
@@ -81,7 +83,7 @@ def test_the_diverse_one_visits_cells_that_chance_seldom_does() -> None:
         return np.floor(-np.log2(way)).astype(int).tolist()
 
     visited = []
-    for make in (Diverse, Uniform):
+    for make in (Diverse, UniformSampling):
         search = AskTell(make(MIXED, claims=1, seed=1), MIXED.dimension, 1)
         seen: list[int] = []
         while len(seen) < 600:

@@ -15,7 +15,7 @@ from safety_harness.exceptions import InadmissibleError, ScenarioError, Simulati
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search import trials as trials_module
 from safety_harness.search.confirm import Complaint, Confirm
-from safety_harness.search.coverage import AXES, Cell, Coverage, cell_of
+from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
 from safety_harness.search.draws import OtherDraws
 from safety_harness.search.explain import circumstances, ingredients, seen_of
 from safety_harness.search.outcomes import Outcomes
@@ -120,7 +120,7 @@ def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPat
 
 def test_a_run_is_in_one_cell_of_the_coverage() -> None:
     trials, found = outcomes()
-    assert found.cells[1] == Cell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
+    assert found.cells[1] == CoverageCell("right", "to 1 m/s", "touching", "hand unseen", "proposed position")
     assert found.kinds[1] == "right, proposed position"
     assert sum(trials.coverage.counts.values()) == len(POINTS)
     assert cell_of(fast_run(), seen_of(fast_run().scenario)) == found.cells[1]
@@ -128,8 +128,8 @@ def test_a_run_is_in_one_cell_of_the_coverage() -> None:
 
 def test_coverage_counts_by_axis_by_two_and_says_what_is_missing() -> None:
     coverage = Coverage()
-    cell = Cell("left", "at rest", "farther", "seen", "no decision")
-    coverage.add([cell, cell, Cell("right", "at rest", "touching", "seen", "opposite pose"), None])
+    cell = CoverageCell("left", "at rest", "farther", "seen", "no decision")
+    coverage.add([cell, cell, CoverageCell("right", "at rest", "touching", "seen", "opposite pose"), None])
     assert coverage.without == 1
     assert coverage.along("direction") == dict.fromkeys(AXES["direction"], 0) | {"left": 2, "right": 1}
     assert coverage.table("direction", "outcome")["left"]["no decision"] == 2

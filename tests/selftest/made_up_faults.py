@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from safety_harness.selftest.document import About
-from safety_harness.selftest.outcome import Outcome
+from safety_harness.selftest.document import SelfTestRun
+from safety_harness.selftest.outcome import FaultOutcome
 from safety_harness.selftest.trial import Alarm, Geometry, Rung
 
 ALARM = Alarm(claim="hand distance never below 50 mm", scenario="a visit", margin="-3.0 mm", before="+9 mm")
@@ -29,8 +29,10 @@ def looked_at(one: Rung, *contradicted: str) -> Rung:
     return replace(one, geometry=Geometry(runs=3, kept=1, broken=2, contradicted=contradicted))
 
 
-def outcome(name: str, *rungs: Rung, harmless: str = "", limit: str = "", applies: bool = True) -> Outcome:
-    return Outcome(
+def outcome(
+    name: str, *rungs: Rung, harmless: str = "", limit: str = "", applies: bool = True
+) -> FaultOutcome:
+    return FaultOutcome(
         fault=name,
         part="motion",
         hazard="<b>made up</b>",
@@ -55,8 +57,8 @@ WRONGED = outcome("wronged", looked_at(rung(1.0, TRUE)), harmless="it is so")
 EVERY_KIND = (CAUGHT, SURVIVES, LIMIT, UNTOUCHED, QUIET, LOUD, WRONGED)
 
 
-def about(*, interrupted: bool = False) -> About:
-    return About(
+def about(*, interrupted: bool = False) -> SelfTestRun:
+    return SelfTestRun(
         profile="quick",
         avoider=None,
         scenarios="scenarios",

@@ -8,7 +8,7 @@ from pathlib import Path
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.scenario.read import read_scenario
 from safety_harness.selftest.suite import Suite
-from safety_harness.selftest.trial import Trials
+from safety_harness.selftest.trial import FaultTrials
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
@@ -19,5 +19,5 @@ def shipped(name: str) -> Admitted:
 
 
 @lru_cache
-def trials(*names: str) -> Trials:
-    return Trials(Suite(tuple(shipped(name) for name in names)))
+def trials(*names: str) -> FaultTrials:
+    return FaultTrials(Suite(tuple(shipped(name) for name in names)))

@@ -23,10 +23,10 @@ from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import Wait
 from safety_harness.selftest import trial
 from safety_harness.selftest.catalogue import HARMLESS
-from safety_harness.selftest.fault import Fault, Part
-from safety_harness.selftest.geometry import BODIES, Cell, Kept, hand_distance_kept
-from safety_harness.selftest.outcome import State
-from safety_harness.selftest.system import System
+from safety_harness.selftest.fault import FaultyPart, SeededFault
+from safety_harness.selftest.geometry import BODIES, Kept, PyBulletArm, hand_distance_kept
+from safety_harness.selftest.outcome import FaultState
+from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import LEAST_M, SAME_TWICE, confirmed_by
 from safety_harness.selftest.work import try_out
 from safety_harness.trace.trace import Trace
@@ -37,7 +37,7 @@ PROVEN, REFUTED = ("network-certain", "second-hand"), ("fast-reach", "hand-at-th
 
 @lru_cache
 def sound(name: str) -> Trace:
-    return System(shipped(name)).run()
+    return ChangedSystem(shipped(name)).run()
 
 
 def by_coal_m(trace: Trace, tick: int) -> float:
@@ -74,14 +74,14 @@ def capsule(a: np.ndarray, b: np.ndarray, radius: float) -> tuple[coal.Capsule, 
 @pytest.mark.parametrize("name", [*PROVEN, *REFUTED])
 def test_two_libraries_measure_the_same_distances(name: str) -> None:
     trace = sound(name)
-    with Cell(trace) as cell:
+    with PyBulletArm(trace) as cell:
         for tick in range(0, len(trace.ticks), 40):
             theirs, other = cell.distance_m(trace.ticks[tick]), by_coal_m(trace, tick)
             assert theirs == pytest.approx(other, abs=1e-5) or max(theirs, other) < 0.0
 
 
 @pytest.mark.parametrize("fault", HARMLESS, ids=lambda fault: fault.name)
-def test_where_compliance_is_proven_a_harmless_change_raises_no_alarm(fault: Fault) -> None:
+def test_where_compliance_is_proven_a_harmless_change_raises_no_alarm(fault: SeededFault) -> None:
     """By PyBullet, and by coal at every eighth tick with all that can happen between."""
     name = "second-hand" if fault.name == "boxes in another order" else "network-certain"
     rung = trials(name, "nothing-reachable").everywhere(fault)
@@ -89,7 +89,7 @@ def test_where_compliance_is_proven_a_harmless_change_raises_no_alarm(fault: Fau
     assert rung.geometry is not None
     assert (rung.geometry.runs, rung.geometry.contradicted) == (2, ())
     assert rung.geometry.kept > 0
-    trace = fault.seed_into(System(shipped(name)), fault.ladder.values[0]).run()
+    trace = fault.seed_into(ChangedSystem(shipped(name)), fault.ladder.values[0]).run()
     ways = tuple(trace.ticks[field].tobytes() for field in ("joint_position_rad", *BODIES))
     if ways not in PROVEN_BY_COAL:  # most of these changes change no bit
         assert_proven_by_coal(trace)
@@ -159,11 +159,13 @@ def test_what_may_be_broken_between_two_ticks_and_what_is_no_number_stay_open() 
     assert hand_distance_kept(replace(beside, ticks=beside.ticks[:0]), LEAST_M) is Kept.OPEN
 
 
-def nothing(system: System, magnitude: float) -> System:
+def nothing(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     return system
 
 
-NO_CHANGE = Fault(name="nothing", part=Part.MOTION, hazard="none", seed_into=nothing, harmless="it is none")
+NO_CHANGE = SeededFault(
+    name="nothing", part=FaultyPart.MOTION, hazard="none", seed_into=nothing, harmless="it is none"
+)
 
 
 @pytest.mark.parametrize(
@@ -182,14 +184,14 @@ def test_a_word_that_geometry_contradicts_is_a_false_alarm(
         prop = property_of(claim, of)  # type: ignore[arg-type]
         return Wrong(minimum_m=prop.minimum_m, near_m=prop.near_m) if type(prop) is HandDistance else prop
 
-    assert try_out(trials(name), NO_CHANGE).state is State.QUIET
+    assert try_out(trials(name), NO_CHANGE).state is FaultState.QUIET
     trials.cache_clear()
     monkeypatch.setattr(trial, "property_of", broken)
     outcome = try_out(trials(name), NO_CHANGE)
     trials.cache_clear()
     assert outcome.rungs[0].geometry is not None
     assert outcome.rungs[0].geometry.contradicted == (name,)
-    assert outcome.state is State.FALSE_ALARM
+    assert outcome.state is FaultState.FALSE_ALARM
 
 
 def test_an_alarm_that_geometry_confirms_is_a_true_one() -> None:
@@ -210,11 +212,11 @@ def test_an_alarm_that_geometry_confirms_is_a_true_one() -> None:
 def test_a_change_that_is_wrongly_declared_harmless_is_told_of() -> None:
     """What it does to the hand distance is true; what it does to other claims nobody else has confirmed."""
 
-    def harm(system: System, magnitude: float) -> System:
+    def harm(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         return system.with_avoider(lambda _: TowardsTheHand()).with_gate(PassingGate)
 
     outcome = try_out(trials("hand-visits-and-leaves"), replace(NO_CHANGE, name="harm", seed_into=harm))
     true = {alarm.claim: alarm.true for rung in outcome.rungs for alarm in rung.alarms}
     assert true.pop(HAND_DISTANCE.example) is True
     assert set(true.values()) == {False}
-    assert outcome.state is State.FALSE_ALARM
+    assert outcome.state is FaultState.FALSE_ALARM

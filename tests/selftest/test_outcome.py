@@ -25,7 +25,7 @@ from made_up_faults import (
 
 from safety_harness.exceptions import ScenarioError
 from safety_harness.selftest.document import document, write_document
-from safety_harness.selftest.outcome import Outcome, State, tally_of
+from safety_harness.selftest.outcome import FaultOutcome, FaultState, tally_of
 from safety_harness.selftest.page import render
 from safety_harness.selftest.profile import NIGHTLY, QUICK, profile_named
 from safety_harness.selftest.table import (
@@ -44,20 +44,26 @@ from safety_harness.selftest.table import (
 @pytest.mark.parametrize(
     ("one", "state"),
     [
-        (CAUGHT, State.CAUGHT),
-        (SURVIVES, State.SURVIVES),
-        (LIMIT, State.LIMIT),
-        (UNTOUCHED, State.UNTOUCHED),
-        (QUIET, State.QUIET),
-        (LOUD, State.FALSE_ALARM),
-        (WRONGED, State.TRUE_ALARM),
-        (outcome("true and false", rung(1.0, TRUE, caught=True), harmless="it is so"), State.FALSE_ALARM),
-        (outcome("contradicted", looked_at(rung(1.0), "a visit"), harmless="it is so"), State.FALSE_ALARM),
-        (outcome("both", looked_at(rung(1.0, TRUE), "a visit"), harmless="it is so"), State.FALSE_ALARM),
-        (outcome("caught below only", rung(9.0, caught=False)), State.SURVIVES),
+        (CAUGHT, FaultState.CAUGHT),
+        (SURVIVES, FaultState.SURVIVES),
+        (LIMIT, FaultState.LIMIT),
+        (UNTOUCHED, FaultState.UNTOUCHED),
+        (QUIET, FaultState.QUIET),
+        (LOUD, FaultState.FALSE_ALARM),
+        (WRONGED, FaultState.TRUE_ALARM),
+        (
+            outcome("true and false", rung(1.0, TRUE, caught=True), harmless="it is so"),
+            FaultState.FALSE_ALARM,
+        ),
+        (
+            outcome("contradicted", looked_at(rung(1.0), "a visit"), harmless="it is so"),
+            FaultState.FALSE_ALARM,
+        ),
+        (outcome("both", looked_at(rung(1.0, TRUE), "a visit"), harmless="it is so"), FaultState.FALSE_ALARM),
+        (outcome("caught below only", rung(9.0, caught=False)), FaultState.SURVIVES),
     ],
 )
-def test_the_state_is_that_of_the_gravest_magnitude(one: Outcome, state: State) -> None:
+def test_the_state_is_that_of_the_gravest_magnitude(one: FaultOutcome, state: FaultState) -> None:
     assert one.state is state
 
 

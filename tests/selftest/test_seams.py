@@ -8,7 +8,7 @@ from small import shipped
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.gate import Gate
-from safety_harness.selftest.system import Delayed, Records, System
+from safety_harness.selftest.system import ChangedSystem, Delayed, Records
 from safety_harness.settings import GateKind
 from safety_harness.trace.compare import first_difference
 
@@ -19,16 +19,16 @@ def same(records: Records) -> Records:
 
 def test_the_sound_system_gives_the_bits_of_a_plain_run() -> None:
     admitted = shipped("network-certain")
-    assert first_difference(System(admitted).run(), run_kinematic(admitted)) is None
+    assert first_difference(ChangedSystem(admitted).run(), run_kinematic(admitted)) is None
 
 
 def test_in_pybullet_too() -> None:
     admitted = shipped("network-certain")
-    assert first_difference(System(admitted).run(in_pybullet=True), run_trial(admitted)) is None
+    assert first_difference(ChangedSystem(admitted).run(in_pybullet=True), run_trial(admitted)) is None
 
 
 def test_seams_that_change_nothing_change_no_bit() -> None:
-    sound = System(shipped("network-certain"))
+    sound = ChangedSystem(shipped("network-certain"))
     seamed = (
         sound.with_avoider(lambda avoider: avoider)
         .with_gate(Gate)
@@ -41,7 +41,7 @@ def test_seams_that_change_nothing_change_no_bit() -> None:
 
 
 def test_an_edit_reaches_its_own_run_and_no_other() -> None:
-    sound = System(shipped("network-certain"))
+    sound = ChangedSystem(shipped("network-certain"))
     before = sound.run()
 
     def blinder(records: object) -> None:
@@ -69,6 +69,6 @@ def test_ctrl_c_in_a_run_passes_through() -> None:
     def interrupted(records: Records) -> Records:
         raise KeyboardInterrupt
 
-    system = System(shipped("network-certain")).obeying(lambda admitted: interrupted)
+    system = ChangedSystem(shipped("network-certain")).obeying(lambda admitted: interrupted)
     with pytest.raises(KeyboardInterrupt):
         system.run()

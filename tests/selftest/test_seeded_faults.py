@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small import SCENARIOS, shipped, trials
 
-from safety_harness.controller.around import Around
+from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.selftest.catalogue import EVERY, FAULTS, HARMLESS
-from safety_harness.selftest.fault import Fault, Part
+from safety_harness.selftest.fault import FaultyPart, SeededFault
 from safety_harness.selftest.profile import TELLING
-from safety_harness.selftest.system import Between, Change, Records, System
+from safety_harness.selftest.system import Change, ChangedSystem, Records, WorldWrapper
 from safety_harness.trace.compare import first_difference
 
 NAMES = {fault.name for fault in FAULTS}
@@ -47,13 +47,13 @@ BIT_FOR_BIT = {
 }
 
 
-def fault_named(name: str) -> Fault:
+def fault_named(name: str) -> SeededFault:
     return next(one for one in EVERY if one.name == name)
 
 
 def test_there_are_forty_at_least_in_every_part_and_no_name_comes_twice() -> None:
     assert len(FAULTS) >= 40
-    assert min(Counter(fault.part for fault in FAULTS)[part] for part in Part) >= 8
+    assert min(Counter(fault.part for fault in FAULTS)[part] for part in FaultyPart) >= 8
     assert len({fault.name for fault in EVERY}) == len(EVERY)
 
 
@@ -81,7 +81,7 @@ def test_at_its_gravest_it_is_caught_where_it_shows(name: str) -> None:
 @pytest.mark.parametrize("name", sorted(BIT_FOR_BIT))
 def test_what_is_said_not_to_matter_at_all_changes_no_bit(name: str) -> None:
     fault = fault_named(name)
-    sound = System(shipped(where_it_acts(name)))
+    sound = ChangedSystem(shipped(where_it_acts(name)))
     assert first_difference(sound.run(), fault.seed_into(sound, 1.0).run()) is None
 
 
@@ -95,7 +95,7 @@ def said(records: Records) -> bytes:
     return b"".join(records[name].tobytes() for name in records.dtype.names or ())
 
 
-class Watching(Around):
+class Watching(ControllerWrapper):
     """Notes what the controller is shown, and what it says."""
 
     def __init__(self, pilot: AvoidingServo, seen: list[bytes], told: list[bytes]) -> None:
@@ -109,7 +109,7 @@ class Watching(Around):
         return command
 
 
-def what_it_changes(fault: Fault) -> set[str]:
+def what_it_changes(fault: SeededFault) -> set[str]:
     """Where something is another thing behind the change than before it, in a run with protective stops."""
     told, obeyed, shown, seen = (list[bytes]() for _ in range(4))
     before, after = list[bytes](), list[bytes]()
@@ -121,8 +121,8 @@ def what_it_changes(fault: Fault) -> set[str]:
 
         return look
 
-    sound = System(shipped(where_it_acts(fault.name)))
-    within = sound.with_world(lambda world: Between(world, see=note(shown), obey=note(obeyed)))
+    sound = ChangedSystem(shipped(where_it_acts(fault.name)))
+    within = sound.with_world(lambda world: WorldWrapper(world, see=note(shown), obey=note(obeyed)))
     within = within.with_records(lambda records: before.append(said(records.parameters)))
     changed = fault.seed_into(within, 1.0)
     changed = changed.with_records(lambda records: after.append(said(records.parameters)))
@@ -168,17 +168,17 @@ def test_the_look_for_changes_sees_none_where_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_no_fault_is_caught_for_a_run_that_could_not_be_carried_through(fault: Fault) -> None:
+def test_no_fault_is_caught_for_a_run_that_could_not_be_carried_through(fault: SeededFault) -> None:
     """What a fault raises would be an alarm, and so would a mistake in how it is seeded."""
-    system = fault.circumstance.bring_about(System(shipped("network-certain")))
+    system = fault.circumstance.bring_about(ChangedSystem(shipped("network-certain")))
     fault.seed_into(system, fault.ladder.values[0]).run()
 
 
 @pytest.mark.parametrize(
     "fault", [one for one in HARMLESS if one.name not in BIT_FOR_BIT], ids=lambda f: f.name
 )
-def test_the_other_harmless_changes_do_something(fault: Fault) -> None:
+def test_the_other_harmless_changes_do_something(fault: SeededFault) -> None:
     """Else it would be no wonder that they raise no alarm."""
     scenario = "second-hand" if fault.name == "boxes in another order" else "network-certain"
-    sound = System(shipped(scenario))
+    sound = ChangedSystem(shipped(scenario))
     assert first_difference(sound.run(), fault.seed_into(sound, 1.0).run()) is not None

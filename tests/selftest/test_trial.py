@@ -12,10 +12,10 @@ from safety_harness.avoidance.avoider import Avoider
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest import trial
-from safety_harness.selftest.fault import Fault, Ladder, Part
-from safety_harness.selftest.outcome import State, outcome_of
+from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
+from safety_harness.selftest.outcome import FaultState, outcome_of
 from safety_harness.selftest.suite import Suite
-from safety_harness.selftest.system import System
+from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import RUN_FAILED, alarms_between
 from safety_harness.selftest.work import sound_remarks, try_out
 
@@ -31,14 +31,14 @@ HOLDS = Evaluation(
 VIOLATED = replace(HOLDS, verdict=Verdict.VIOLATED, margin=-0.01)
 OPEN = replace(HOLDS, verdict=Verdict.INCONCLUSIVE, margin=None)
 BY_A_HAIR = replace(HOLDS, margin=1e-4)
-made_up = partial(Fault, part=Part.MOTION, hazard="made up for a test")
+made_up = partial(SeededFault, part=FaultyPart.MOTION, hazard="made up for a test")
 
 
-def nothing(system: System, magnitude: float) -> System:
+def nothing(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     return system
 
 
-def faster(system: System, factor: float) -> System:
+def faster(system: ChangedSystem, factor: float) -> ChangedSystem:
     def make(admitted: object):  # type: ignore[no-untyped-def]
         def obey(command):  # type: ignore[no-untyped-def]
             command["joint_velocity_radps"] *= factor
@@ -78,10 +78,10 @@ def test_a_fault_that_does_nothing_is_never_caught() -> None:
 
 
 def test_the_ladder_is_gone_down_until_one_survives_and_the_last_catch_is_confirmed() -> None:
-    fault = made_up(name="faster", seed_into=faster, ladder=Ladder((2.0, 1.1, 1.0, 0.999)))
+    fault = made_up(name="faster", seed_into=faster, ladder=SeverityLevels((2.0, 1.1, 1.0, 0.999)))
     outcome = try_out(trials("network-certain"), fault)
     assert [rung.caught for rung in outcome.rungs] == [True, True, False]
-    assert outcome.state is State.CAUGHT
+    assert outcome.state is FaultState.CAUGHT
     assert outcome.smallest is not None
     assert outcome.smallest.magnitude == 1.1
     assert outcome.confirmed is True
@@ -90,7 +90,7 @@ def test_the_ladder_is_gone_down_until_one_survives_and_the_last_catch_is_confir
 
 
 def test_what_a_faulty_system_raises_is_an_alarm_and_what_a_sound_one_raises_is_not() -> None:
-    def breaks(system: System, magnitude: float) -> System:
+    def breaks(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         def fail(records: object) -> None:
             raise ZeroDivisionError("made up")
 
@@ -125,7 +125,7 @@ def test_a_fault_of_the_spread_does_not_apply_without_one() -> None:
     fault = made_up(name="spread", seed_into=nothing, of_spread=True)
     assert not trials("nothing-reachable").applies(fault)
     assert trials("network-certain").applies(fault)
-    assert try_out(trials("nothing-reachable"), fault).state is State.UNTOUCHED
+    assert try_out(trials("nothing-reachable"), fault).state is FaultState.UNTOUCHED
 
 
 def test_an_avoider_that_is_not_repeatable_is_told_of() -> None:
@@ -147,12 +147,12 @@ def test_an_avoider_that_is_not_repeatable_is_told_of() -> None:
 
 
 def test_a_harmless_change_with_an_alarm_is_a_false_alarm() -> None:
-    fault = made_up(name="faster", seed_into=faster, harmless="so it is said", ladder=Ladder((2.0,)))
+    fault = made_up(name="faster", seed_into=faster, harmless="so it is said", ladder=SeverityLevels((2.0,)))
     outcome = try_out(trials("network-certain", "second-hand"), fault)
-    assert outcome.state is State.FALSE_ALARM
+    assert outcome.state is FaultState.FALSE_ALARM
     assert outcome.rungs[0].episodes == 2
     quiet = outcome_of(
         replace(fault, harmless="so it is"),
         (trials("network-certain").everywhere(replace(fault, seed_into=nothing)),),
     )
-    assert quiet.state is State.QUIET
+    assert quiet.state is FaultState.QUIET

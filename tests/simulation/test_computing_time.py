@@ -29,7 +29,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Measured, Settings
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
@@ -141,7 +141,7 @@ def test_above_the_deadline_there_is_no_answer_and_nobody_is_asked(world: World)
     avoider = Upwards(0.11)
     trace = world(admit(visit(), avoider=avoider))
     first = trace.decisions[0]
-    assert (first["proposed_failed"], first["outcome"]) == (Check.LATE, Outcome.OPPOSITE)
+    assert (first["proposed_failed"], first["outcome"]) == (Check.LATE, DecisionOutcome.OPPOSITE)
     assert first["fault"] == "no answer within 100 ms"
     assert first["tick"] - first["asked_tick"] == 13
     assert avoider.asked == 1  # the rehearsal

@@ -35,7 +35,7 @@ from safety_harness.scenario.model import MovingHand, Scenario
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.records import Check, Mode, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 FROM_S, END_S = 1.0, 1.4
@@ -362,7 +362,7 @@ def test_a_late_answer_counts_so_much_later_and_the_arm_goes_on_meanwhile() -> N
     assert (late.ticks["mode"][asked : asked + 10] == Mode.SERVOING).all()
     assert late.ticks["mode"][asked + 10] == Mode.REPULSING
     assert acted(late)[asked : asked + 11].all()
-    assert late.decisions["outcome"][0] == Outcome.PROPOSED
+    assert late.decisions["outcome"][0] == DecisionOutcome.PROPOSED
     assert late.decisions["proposed_failed"][0] == Check.NONE
     assert late.decisions["trigger"][0] == healthy.decisions["trigger"][0]
     # the answer is to the question of then, of the same seed
@@ -381,13 +381,13 @@ def test_beyond_the_deadline_there_is_no_answer_and_the_deadline_has_passed(faul
     decision = silent.decisions[0]
     assert decision["tick"] == healthy.decisions["tick"][0] + 13  # 100 ms, at the next tick
     assert decision["proposed_failed"] == Check.LATE
-    assert decision["outcome"] == Outcome.OPPOSITE
+    assert decision["outcome"] == DecisionOutcome.OPPOSITE
     assert decision["fault"] == "no answer within 100 ms"
 
 
 def test_an_answer_at_the_deadline_is_in_time() -> None:
     what = scenario(VISIT, duration_s=2.0)
-    assert with_faults(what, AvoiderLate(delay_s=0.1)).decisions["outcome"][0] == Outcome.PROPOSED
+    assert with_faults(what, AvoiderLate(delay_s=0.1)).decisions["outcome"][0] == DecisionOutcome.PROPOSED
 
 
 def test_an_answer_counts_though_the_hand_has_left_meanwhile() -> None:
@@ -397,7 +397,7 @@ def test_an_answer_counts_though_the_hand_has_left_meanwhile() -> None:
     decision = trace.decisions[0]
     gone_m = trace.ticks["predicted_distance_m"][decision["tick"]]
     assert gone_m > DEFAULTS.avoidance.critical_distance_m
-    assert decision["outcome"] == Outcome.PROPOSED
+    assert decision["outcome"] == DecisionOutcome.PROPOSED
     assert trace.ticks["mode"][decision["tick"]] == Mode.REPULSING
 
 
@@ -407,7 +407,7 @@ def test_an_answer_of_nan_is_a_fault_at_once_with_the_opposite_pose_in_its_place
     decision = trace.decisions[0]
     assert decision["tick"] == healthy.decisions["tick"][0]
     assert decision["proposed_failed"] == Check.NOT_FINITE
-    assert decision["outcome"] == Outcome.OPPOSITE
+    assert decision["outcome"] == DecisionOutcome.OPPOSITE
     assert np.isnan(decision["proposed_position_in_base_m"]).all()
     assert "not finite" in decision["fault"]
     assert np.array_equal(acted(trace), trace.ticks["decision"] >= 0)

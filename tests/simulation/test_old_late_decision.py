@@ -17,13 +17,13 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.avoidance.asking import Answer, late_fault
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.gate import Gate, Query, Ruling
+from safety_harness.avoidance.gate import Gate, GateDecision, Query
 from safety_harness.exceptions import TraceError
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.old_decisions import DECISION_3
-from safety_harness.trace.records import Check, Outcome
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
@@ -40,7 +40,7 @@ class Upwards:
 class OnTheClock(Gate):
     """As the gate was: the first answer is thrown away at once, since the clock says so."""
 
-    def rule(self, avoider: Avoider, query: Query) -> Ruling:
+    def rule(self, avoider: Avoider, query: Query) -> GateDecision:
         if query.seed != FIRST["seed"]:
             return super().rule(avoider, query)
         return self.rule_on(Answer(fault=late_fault(0.1), late=True), query)
@@ -85,7 +85,7 @@ def late() -> Trace:
 
 def test_a_replay_is_late_where_an_old_record_is(late: Trace, tmp_path: Path) -> None:
     first = late.decisions[0]
-    assert (first["proposed_failed"], first["outcome"]) == (Check.LATE, Outcome.OPPOSITE)
+    assert (first["proposed_failed"], first["outcome"]) == (Check.LATE, DecisionOutcome.OPPOSITE)
     stored = load_trace(in_the_old_format(late, tmp_path / "late.trace"))
     assert first_difference(late, stored) is None
     repeated = run_kinematic(admit(stored.scenario, avoider=Upwards()), recorded=stored)

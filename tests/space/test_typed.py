@@ -12,7 +12,7 @@ from safety_harness.space.boxes import InBox, InRegion
 from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.space.typed import By, OneOf, Repeat, The, Value, space_from
+from safety_harness.space.typed import OneOf, Ref, Repeat, Switch, Value, space_from
 from safety_harness.space.writing import write_space
 
 VISIT = parse_scenario(
@@ -58,12 +58,12 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
             0,
             3,
             (
-                {"move to": InRegion("seen hand"), "speed": The("reach speed")},
+                {"move to": InRegion("seen hand"), "speed": Ref("reach speed")},
                 OneOf(
                     (
                         {"wait": Uniform(0.1, 1.0, "s")},
                         {
-                            "reach for tcp": The("reach speed"),
+                            "reach for tcp": Ref("reach speed"),
                             "until": Uniform(0.05, 0.2, "m"),
                             "at most": "2 s",
                         },
@@ -73,7 +73,7 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
                 ),
             ),
         ),
-        {"move to": InShell((1.0, 0.0, 0.5), 0.1, 0.2), "speed": The("reach speed")},
+        {"move to": InShell((1.0, 0.0, 0.5), 0.1, 0.2), "speed": Ref("reach speed")},
     )
     tilt = 0.08726646259971647  # 5 deg
     space = space_from(
@@ -83,8 +83,8 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
             "tcp start.offset": InRegion("unseen tcp"),
             "tcp start.tilt": InBox((-tilt, -tilt, 0.0), (tilt, tilt, 2 * tilt), "rad"),
             "hands[0].hand": OneOf(("a hand", "another hand")),
-            "hands[0].starts at": The("start"),
-            "hands[0].elbow towards": By("side", {"right": (1.6, -1.2, 0.3), "left": (1.6, 1.2, 0.3)}),
+            "hands[0].starts at": Ref("start"),
+            "hands[0].elbow towards": Switch("side", {"right": (1.6, -1.2, 0.3), "left": (1.6, 1.2, 0.3)}),
             "hands[0].moves": moves,
             "hand sensor": OneOf(
                 ({"kind": "ideal"}, {"kind": "overhead", "pixel noise": Uniform(0.0, 3.0, "px")}),
@@ -95,7 +95,7 @@ def test_a_space_from_python_is_the_one_from_the_file() -> None:
         choices={
             "side": OneOf(("right", "left")),
             "reach speed": Uniform(0.5, 2.0, "m/s"),
-            "start": By(
+            "start": Switch(
                 "side",
                 {
                     "right": ("1.2 m", Uniform(-0.8, -0.6, "m"), "0.3 m"),

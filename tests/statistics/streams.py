@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from safety_harness.statistics.sample import Declaration, IndependentSample, Outcome
+from safety_harness.statistics.sample import Declaration, EpisodeOutcome, IndependentSample
 
 
 def declared(planned: int, **changes: Any) -> Declaration:
@@ -19,14 +19,14 @@ def declared(planned: int, **changes: Any) -> Declaration:
 def margins_of(outcomes: ArrayLike) -> np.ndarray:
     """Whatever suits them: one of 0.1 where they hold, of -0.1 where they are violated."""
     codes = np.asarray(outcomes)
-    return np.select([codes == Outcome.HOLDS, codes == Outcome.VIOLATED], [0.1, -0.1], np.nan)
+    return np.select([codes == EpisodeOutcome.HOLDS, codes == EpisodeOutcome.VIOLATED], [0.1, -0.1], np.nan)
 
 
 def told(outcomes: ArrayLike, *, seeds: ArrayLike | None = None) -> dict[str, np.ndarray]:
     """A seed for each, and an occasion for each that was tested."""
     codes = np.asarray(outcomes)
     roots = np.arange(codes.size).reshape(codes.shape) if seeds is None else np.asarray(seeds)
-    return {"seeds": roots, "exercised": (codes != Outcome.UNTESTED).astype(np.int64)}
+    return {"seeds": roots, "exercised": (codes != EpisodeOutcome.UNTESTED).astype(np.int64)}
 
 
 def sample_of(
@@ -41,10 +41,10 @@ def sample_of(
 
 
 def violations(count: int, trials: int, **changes: Any) -> IndependentSample:
-    codes = np.where(np.arange(trials) < count, Outcome.VIOLATED, Outcome.HOLDS)
+    codes = np.where(np.arange(trials) < count, EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS)
     return sample_of(codes, **changes)
 
 
 def with_margins(margins: ArrayLike, **changes: Any) -> IndependentSample:
     signed = np.asarray(margins, float)
-    return sample_of(np.where(signed < 0.0, Outcome.VIOLATED, Outcome.HOLDS), signed, **changes)
+    return sample_of(np.where(signed < 0.0, EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS), signed, **changes)

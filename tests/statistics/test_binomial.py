@@ -12,7 +12,7 @@ from streams import sample_of, violations
 from safety_harness.exceptions import StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.binomial import Method, Sides, bounds_of, violation_bounds
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 
 @pytest.mark.parametrize("chance", [0.05, 0.025, 1e-4])
@@ -70,8 +70,13 @@ def test_a_broken_interval_fails_the_same_test() -> None:
 
 
 def test_upper_bounds_count_what_may_have_been_a_violation_and_lower_bounds_do_not() -> None:
-    codes = [Outcome.HOLDS] * 90 + [Outcome.VIOLATED] * 4 + [Outcome.INCONCLUSIVE] * 3 + [Outcome.FAILED] * 3
-    found = violation_bounds(sample_of(codes + [Outcome.UNTESTED] * 50), 0.9, Sides.BOTH)
+    codes = (
+        [EpisodeOutcome.HOLDS] * 90
+        + [EpisodeOutcome.VIOLATED] * 4
+        + [EpisodeOutcome.INCONCLUSIVE] * 3
+        + [EpisodeOutcome.FAILED] * 3
+    )
+    found = violation_bounds(sample_of(codes + [EpisodeOutcome.UNTESTED] * 50), 0.9, Sides.BOTH)
     assert (found.trials, found.violations, found.inconclusive, found.failed, found.untested) == (
         100,
         4,
@@ -85,7 +90,7 @@ def test_upper_bounds_count_what_may_have_been_a_violation_and_lower_bounds_do_n
 
 
 def test_a_claim_that_was_never_tested_shows_nothing() -> None:
-    found = violation_bounds(sample_of([Outcome.UNTESTED] * 5000), 0.95, Sides.BOTH)
+    found = violation_bounds(sample_of([EpisodeOutcome.UNTESTED] * 5000), 0.95, Sides.BOTH)
     assert (found.low, found.high, found.share, found.trials) == (0.0, 1.0, None, 0)
     assert not found.shows(1.0)
 

@@ -12,7 +12,7 @@ from streams import sample_of, with_margins
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.distances import distribution_of, runs_for_tolerance, tolerance_bound
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
 
 def test_the_least_of_59_is_what_95_in_a_hundred_keep() -> None:
@@ -70,8 +70,8 @@ def test_the_bands_width_is_massarts() -> None:
 
 
 def test_a_run_without_a_margin_may_have_had_any_and_untested_runs_are_left_out() -> None:
-    unsaid = [Outcome.FAILED, Outcome.INCONCLUSIVE, Outcome.FAILED]
-    codes = [Outcome.HOLDS] * 97 + unsaid + [Outcome.UNTESTED]
+    unsaid = [EpisodeOutcome.FAILED, EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED]
+    codes = [EpisodeOutcome.HOLDS] * 97 + unsaid + [EpisodeOutcome.UNTESTED]
     margins = [1.0] * 97 + [np.nan, 0.5, np.nan] + [0.1]
     sample = sample_of(codes, margins)
     assert distribution_of(sample).margins.tolist() == [-math.inf] * 3 + [1.0] * 97
@@ -81,7 +81,7 @@ def test_a_run_without_a_margin_may_have_had_any_and_untested_runs_are_left_out(
 
 def test_what_says_nothing_is_refused() -> None:
     with pytest.raises(StatisticsError, match="a tested run"):
-        distribution_of(sample_of([Outcome.UNTESTED] * 3))
+        distribution_of(sample_of([EpisodeOutcome.UNTESTED] * 3))
     with pytest.raises(StatisticsError, match="stop at any time"):
         tolerance_bound(with_margins([1.0, 2.0], stop_early=True), 0.9)
     with pytest.raises(StatisticsError, match="between 0 and 1"):

@@ -12,9 +12,9 @@ from streams import sample_of, violations
 from safety_harness.exceptions import StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.model_gap import bridged_bound
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
-H, V, U, I, F = (int(outcome) for outcome in Outcome)  # noqa: E741
+H, V, U, I, F = (int(outcome) for outcome in EpisodeOutcome)  # noqa: E741
 
 
 def kinematic(codes: Any, **changes: Any) -> Any:

@@ -13,9 +13,9 @@ from streams import sample_of, with_margins
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.paired import compare, compare_margins
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 
-H, V, U, I, F = (int(outcome) for outcome in Outcome)  # noqa: E741
+H, V, U, I, F = (int(outcome) for outcome in EpisodeOutcome)  # noqa: E741
 
 
 def pair(cells: dict[tuple[int, int], int]) -> Any:

@@ -15,18 +15,18 @@ from streams import declared, margins_of, sample_of, told, violations
 
 import safety_harness
 from safety_harness.exceptions import InputError, StatisticsError
-from safety_harness.search.findings import Episode
+from safety_harness.search.findings import TriedPoint
 from safety_harness.search.outcomes import Outcomes
 from safety_harness.statistics.binomial import bounds_of, violation_bounds
 from safety_harness.statistics.sample import (
     Declaration,
+    EpisodeOutcome,
     IndependentSample,
-    Outcome,
     fixed_length,
     independent,
 )
 
-HOLDS, VIOLATED, UNTESTED, INCONCLUSIVE, FAILED = map(int, Outcome)
+HOLDS, VIOLATED, UNTESTED, INCONCLUSIVE, FAILED = map(int, EpisodeOutcome)
 
 
 def stream(declaration: Declaration, episodes: Any, outcomes: Any, **changes: Any) -> IndependentSample:
@@ -36,10 +36,10 @@ def stream(declaration: Declaration, episodes: Any, outcomes: Any, **changes: An
 
 
 def test_episodes_may_come_in_any_order_and_are_put_into_theirs() -> None:
-    codes = [Outcome.VIOLATED, Outcome.HOLDS, Outcome.FAILED]
+    codes = [EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS, EpisodeOutcome.FAILED]
     seeds = [5, 9, 7]
     found = stream(declared(3), [2, 0, 1], codes, margins=[-0.1, 0.2, np.nan], seeds=seeds)
-    assert found.outcomes.tolist() == [Outcome.HOLDS, Outcome.FAILED, Outcome.VIOLATED]
+    assert found.outcomes.tolist() == [EpisodeOutcome.HOLDS, EpisodeOutcome.FAILED, EpisodeOutcome.VIOLATED]
     np.testing.assert_array_equal(found.margins, [0.2, np.nan, -0.1])
     assert found.seeds.tolist() == [9, 7, 5]
 
@@ -83,11 +83,11 @@ def test_more_than_was_declared_is_refused_and_so_is_nothing() -> None:
 @pytest.mark.parametrize(
     ("code", "margin", "words"),
     [
-        (Outcome.HOLDS, -0.1, "which holds"),
-        (Outcome.VIOLATED, 0.1, "which violated"),
-        (Outcome.HOLDS, np.inf, "finite"),
-        (Outcome.HOLDS, np.nan, "got NaN for episode 1, which holds"),
-        (Outcome.VIOLATED, np.nan, "got NaN for episode 1, which violated"),
+        (EpisodeOutcome.HOLDS, -0.1, "which holds"),
+        (EpisodeOutcome.VIOLATED, 0.1, "which violated"),
+        (EpisodeOutcome.HOLDS, np.inf, "finite"),
+        (EpisodeOutcome.HOLDS, np.nan, "got NaN for episode 1, which holds"),
+        (EpisodeOutcome.VIOLATED, np.nan, "got NaN for episode 1, which violated"),
         (9, 0.1, "an outcome's number"),
     ],
 )
@@ -114,7 +114,7 @@ def test_the_callers_arrays_are_not_the_samples() -> None:
     codes, margins = np.zeros(3, np.int64), np.ones(3)
     seeds = np.arange(3)
     sample = stream(declared(3), np.arange(3), codes, margins=margins, seeds=seeds)
-    codes[0], margins[0], seeds[0] = Outcome.VIOLATED, -1.0, 99
+    codes[0], margins[0], seeds[0] = EpisodeOutcome.VIOLATED, -1.0, 99
     assert (sample.violations, sample.margins[0], sample.seeds[0]) == (0, 1.0, 0)
 
 
@@ -171,7 +171,7 @@ def test_seeds_and_occasions_are_whole_numbers() -> None:
 
 def searched() -> list[object]:
     margins = np.array([[-0.1], [0.2]])
-    return [Outcomes.of_margins(margins), Episode(0, np.zeros(3), margins[0]), [margins], margins]
+    return [Outcomes.of_margins(margins), TriedPoint(0, np.zeros(3), margins[0]), [margins], margins]
 
 
 @pytest.mark.parametrize("chosen", [*searched(), SimpleNamespace(trials=3, violations=0)])

@@ -11,10 +11,10 @@ from acceptance import misses_are, misses_are_no_more_than
 from streams import declared, margins_of, told, violations
 
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.variance import NestedSample, variance_split, violation_split
 
-H, V, U, I, F = (int(outcome) for outcome in Outcome)  # noqa: E741
+H, V, U, I, F = (int(outcome) for outcome in EpisodeOutcome)  # noqa: E741
 
 
 def nested(margins: Any, outcomes: Any = None, **changes: Any) -> NestedSample:

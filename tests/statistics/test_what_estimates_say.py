@@ -16,14 +16,14 @@ from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.planning import Aim, allowed_violations, power, runs_needed
 from safety_harness.statistics.rare import Splitting, split
-from safety_harness.statistics.sample import Outcome
+from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.variance import NestedSample, variance_split
 
 AIM = Aim(target=0.2, confidence=0.9)
 
 
 def nested(margins: np.ndarray) -> NestedSample:
-    codes = np.where(margins < 0.0, Outcome.VIOLATED, Outcome.HOLDS)
+    codes = np.where(margins < 0.0, EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS)
     return NestedSample.of_design(
         declared(len(margins)), np.arange(len(margins)), codes, margins, **told(codes), claim="a claim"
     )

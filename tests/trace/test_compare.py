@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from examples import run, scenario
 
-from safety_harness.trace.compare import Difference, first_difference
+from safety_harness.trace.compare import TraceDifference, first_difference
 from safety_harness.trace.trace import Trace
 
 Change = Callable[[np.ndarray], None]
@@ -26,7 +26,7 @@ def put(field: str, index: int, value: object) -> Change:
     return change
 
 
-def found(first: Trace, second: Trace) -> Difference:
+def found(first: Trace, second: Trace) -> TraceDifference:
     difference = first_difference(first, second)
     assert difference is not None
     return difference

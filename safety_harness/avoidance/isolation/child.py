@@ -31,7 +31,7 @@ from safety_harness.avoidance.batches import answers_together, takes_many
 from safety_harness.avoidance.isolation.frames import (
     HEADER,
     Frame,
-    Kind,
+    FrameKind,
     answer_as_bytes,
     packed,
     questions_from,
@@ -91,13 +91,13 @@ class _Child:
         """One frame after another."""
         while True:
             frame = self._read()
-            if frame.kind is Kind.MAKE:
+            if frame.kind is FrameKind.MAKE:
                 self._write(self._make(frame))
-            elif frame.kind is Kind.DROP:
+            elif frame.kind is FrameKind.DROP:
                 self._avoiders.pop(frame.number, None)
             else:
                 for k, answer in enumerate(self._answers(frame)):
-                    self._write(packed(Kind.ANSWER, k, answer_as_bytes(answer)))
+                    self._write(packed(FrameKind.ANSWER, k, answer_as_bytes(answer)))
 
     def _read(self) -> Frame:
         kind, number, length = unpacked_header(self._read_bytes(HEADER.size), MOST_QUESTION_BYTES)
@@ -137,7 +137,7 @@ class _Child:
                 "decision_time_s": decision_time_of(avoider),
                 "takes_many": takes_many(avoider),
             }
-            return packed(Kind.MADE, frame.number, json.dumps(made).encode())
+            return packed(FrameKind.MADE, frame.number, json.dumps(made).encode())
         except InputError as error:
             expected, got, hint, field = error.expected, error.got, error.hint, error.place.field
         except BaseException as error:  # a user's code may raise anything
@@ -149,13 +149,13 @@ class _Child:
             "hint": printable(hint),
             "field": printable(field or ""),
         }
-        return packed(Kind.REFUSED, frame.number, json.dumps(words).encode())
+        return packed(FrameKind.REFUSED, frame.number, json.dumps(words).encode())
 
     def _answers(self, frame: Frame) -> Iterator[Answer]:
         """All together if that is asked and it can, else each as soon as it is there."""
         avoider, file = self._avoiders[frame.number]
         questions = questions_from(frame.payload)
-        if frame.kind is Kind.ASK_TOGETHER and takes_many(avoider):
+        if frame.kind is FrameKind.ASK_TOGETHER and takes_many(avoider):
             try:
                 found = answers_together(avoider, questions)
             except BaseException:  # what raises shows when they are asked in turn

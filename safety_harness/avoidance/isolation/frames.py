@@ -40,7 +40,7 @@ ANSWER = np.dtype(
 )
 
 
-class Kind(IntEnum):
+class FrameKind(IntEnum):
     """What a frame says; its number is that of an avoider, or of an answer among those asked for."""
 
     MAKE = 1  # JSON, a zero byte, the source
@@ -55,7 +55,7 @@ class Kind(IntEnum):
 class Frame(NamedTuple):
     """One message."""
 
-    kind: Kind
+    kind: FrameKind
     number: int
     payload: bytes
 
@@ -64,17 +64,17 @@ class NonsenseError(Exception):
     """What came is no frame of ours."""
 
 
-def packed(kind: Kind, number: int, payload: bytes = b"") -> bytes:
+def packed(kind: FrameKind, number: int, payload: bytes = b"") -> bytes:
     """A frame, as bytes."""
     return HEADER.pack(MAGIC, kind, len(payload), number) + payload
 
 
-def unpacked_header(header: bytes, most: int) -> tuple[Kind, int, int]:
+def unpacked_header(header: bytes, most: int) -> tuple[FrameKind, int, int]:
     """Kind, number and the length of the payload, which is at most ``most``; NonsenseError otherwise."""
     magic, kind, length, number = HEADER.unpack(header)
-    if magic != MAGIC or kind not in set(Kind) or length > most:
+    if magic != MAGIC or kind not in set(FrameKind) or length > most:
         raise NonsenseError
-    return Kind(kind), number, length
+    return FrameKind(kind), number, length
 
 
 def questions_as_bytes(questions: list[Question]) -> bytes:

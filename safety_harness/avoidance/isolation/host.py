@@ -18,7 +18,7 @@ from safety_harness.avoidance.asking import Answer, Question
 from safety_harness.avoidance.avoider import printable
 from safety_harness.avoidance.batches import limit_of
 from safety_harness.avoidance.isolation.frames import (
-    Kind,
+    FrameKind,
     NonsenseError,
     answer_from,
     packed,
@@ -102,12 +102,12 @@ class Host:
                 raise GoneError(f"no process could be started: {error}") from error
             self.generation += 1
         asked = {"path": str(self.path), "folder": os.getcwd(), "sys_path": sys.path, **wanted.words}
-        self._send(packed(Kind.MAKE, number, json.dumps(asked).encode() + b"\0" + self._source))
+        self._send(packed(FrameKind.MAKE, number, json.dumps(asked).encode() + b"\0" + self._source))
         assert self._process is not None
         frame = self._process.receive(wanted.within_s)
         try:
             words = words_from(frame.payload)
-            if frame.kind is Kind.REFUSED:
+            if frame.kind is FrameKind.REFUSED:
                 raise RefusedError(
                     *(printable(str(words[key])) for key in ("expected", "got", "hint", "field"))
                 )
@@ -117,12 +117,12 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        kind = Kind.ASK_TOGETHER if together else Kind.ASK_IN_TURN
+        kind = FrameKind.ASK_TOGETHER if together else FrameKind.ASK_IN_TURN
         self._send(packed(kind, number, questions_as_bytes(questions)))
         assert self._process is not None
         for k, question in enumerate(questions):
             frame = self._process.receive(limit_of(questions) if together else question.limit_s)
-            if frame.kind is not Kind.ANSWER or frame.number != k:
+            if frame.kind is not FrameKind.ANSWER or frame.number != k:
                 raise GoneError("its process answered nonsense")
             try:
                 yield answer_from(frame.payload)
@@ -142,7 +142,7 @@ class Host:
     def _send(self, frame: bytes) -> None:
         assert self._process is not None
         while self._dropped:
-            self._process.send(packed(Kind.DROP, self._dropped.popleft()), SEND_S)
+            self._process.send(packed(FrameKind.DROP, self._dropped.popleft()), SEND_S)
         self._process.send(frame, SEND_S)
 
     def _hear(self, written: bytes) -> None:

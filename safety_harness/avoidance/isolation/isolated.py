@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, Elsewhere, Question, answer_of
+from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.host import (
     Host,
@@ -29,7 +29,7 @@ from safety_harness.exceptions import AvoiderError, NoAnswerError, SimulationErr
 ATTEMPTS = 3  # to make it anew, one after another
 
 
-class IsolatedAvoider(Elsewhere):
+class IsolatedAvoider(OutOfProcessAvoider):
     """One avoider in the process of its file."""
 
     @classmethod
@@ -63,7 +63,7 @@ class IsolatedAvoider(Elsewhere):
         return answer.proposal
 
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
-        """As ``Elsewhere`` has it.  What is asked together and not answered is asked in turn."""
+        """As ``OutOfProcessAvoider`` has it.  What is asked together and not answered is asked in turn."""
         found: list[Answer] = []
         with self._host.lock:
             together = together and self.takes_many
