@@ -5,14 +5,14 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check paper bench bench-all others docs oracles mutation mutants bounds setup clean
+.PHONY: demo test check paper bench bench-all others docs oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
 test: $(VENV)/tested check
-	$(BIN)/python -m pytest -n 2
-	$(BIN)/python -m pytest -n 2 examples/suites --safety-derandomize
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(BIN)/python -m pytest -n 2 --dist worksteal examples/suites --safety-derandomize
 
 check: $(VENV)/tested
 	$(BIN)/ruff check .
@@ -70,6 +70,10 @@ mutants: $(VENV)/tested
 bounds: $(VENV)/tested
 	NUMBA_BOUNDSCHECK=1 SAFETY_HARNESS_CACHE=$(CURDIR)/$(VENV)/cache-with-bounds $(BIN)/python -m pytest -q \
 		tests/controller tests/perception tests/robot tests/servoing tests/simulation tests/avoidance/test_gate.py
+
+# An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.
+release:
+	.ci/release
 
 setup: $(VENV)/installed
 

@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER, carry_on, processes
-from safety_harness.certification import folder, verify_pages
+from safety_harness.certification import folder, verify_report
 from safety_harness.certification.altered import chance_to_miss
 from safety_harness.certification.verify import verify
 from safety_harness.certification.verify_runs import drawn
@@ -128,7 +128,7 @@ def main() -> int:
     with (
         tempfile.TemporaryDirectory() as place,
         patch.object(folder, "write_page", lambda path, *_: path.write_text("the page")),
-        patch.object(verify_pages, "render", lambda *_: "the page"),
+        patch.object(verify_report, "render", lambda *_: "the page"),
     ):
         report = Path(place) / "report"
         honest(report)

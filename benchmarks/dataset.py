@@ -19,18 +19,25 @@ from ratios import Ratio
 
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import SimulationError
-from safety_harness.learning.dataset import CompactDataset, candidates_of, generate, label_floor
+from safety_harness.learning.dataset import (
+    SPACES,
+    CompactDataset,
+    candidates_of,
+    generate,
+    label_floor,
+    seen,
+    split_by_sample,
+    split_by_tcp,
+    unseen_tcp,
+)
 from safety_harness.learning.image_error import ImageErrors
-from safety_harness.learning.spaces import SPACES, seen, unseen_tcp
-from safety_harness.learning.splits import split_by_sample, split_by_tcp
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.settings import DEFAULTS
-from safety_harness.simulation.cell import build_cell
+from safety_harness.simulation.cell import build_cell, render, rendered_object
 from safety_harness.simulation.engine import pybullet
-from safety_harness.simulation.image_sources import render, rendered_object
 
 SEED = 1
 RASTER_POSES = 1000

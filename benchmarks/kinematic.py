@@ -29,9 +29,8 @@ from ratios import Ratio, say
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import admit_points
-from safety_harness.admission.trial import run_trial
+from safety_harness.admission.trial import run_many, run_trial
 from safety_harness.properties.base import Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.model import Claim, Verdict

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from safety_harness.admission.admit import answers_at_first, first_question
+from safety_harness.admission.measured_times import answer_times_s, machine
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.cli.decision_times import answer_times_s, machine
-from safety_harness.cli.evaluate import evaluate
+from safety_harness.cli.learning import evaluate
 from safety_harness.report.words import milliseconds_words
 from safety_harness.settings import DEFAULTS
 

@@ -23,9 +23,8 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 # isort: split
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.kinematic import TICKS_AT_ONCE, run_kinematic, run_many
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.admission.trial import judge
+from safety_harness.admission.trial import TICKS_AT_ONCE, judge, run_kinematic, run_many
 from safety_harness.space.read import read_space
 from safety_harness.trace.trace import Trace
 

@@ -1,7 +1,7 @@
 """How long do 100,000 scenarios of each shipped space take to unit-cube vectors and back?
 
 Run: python benchmarks/spaces.py.  Twice: as arrays of values, all at once, and as whole Scenario objects,
-each read by the scenario reader and found again in the space (which reads it once more to be sure).
+each made of its values and found again in the space (which makes it once more to be sure).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
 LINK = re.compile(r"\]\(([^)#\s:]+)(#[^)\s]*)?\)")
-LANGUAGES = {".py": "python", ".yaml": "yaml", ".cpp": "cpp", ".json": "json", ".toml": "toml"}
+LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml"}
 FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
 
 
@@ -30,7 +30,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Links to those files lead to their pages."""
     up = "../" * page.file.src_uri.count("/")
     for link, path in _outside(page.file):
-        markdown = markdown.replace(f"]({link})", f"]({up}{_page(path)})")
+        markdown = re.sub(rf"\]\({re.escape(link)}(?=[)#])", f"]({up}{_page(path)}", markdown)
     return markdown
 
 
@@ -79,8 +79,8 @@ def _page(path: Path) -> str:
 
 def _shown(path: Path) -> str:
     """The text of a file, or of all files of a folder."""
-    if path.suffix == ".md":
-        return path.read_text(encoding="utf-8")
+    if path.suffix == ".md":  # of one at the root, docs/ is the root of the site
+        return path.read_text(encoding="utf-8").replace("](docs/", "](../")
     texts = [f"# {path.relative_to(ROOT)}"]
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*.*") if "__pycache__" not in p.parts)
     for file in files:

@@ -8,12 +8,11 @@ import sys
 from pathlib import Path
 
 from safety_harness.certification.document import schema as evidence_schema
-from safety_harness.formulas.pages import markdown_of_signals
+from safety_harness.formulas.signals import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.pages import markdown_of_claims
-from safety_harness.scenario.reference import markdown, markdown_of_moves
-from safety_harness.scenario.reference_hands import MOVES
-from safety_harness.scenario.reference_tables import every_table
+from safety_harness.properties.entry import markdown_of_claims
+from safety_harness.scenario.moves import MOVES
+from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
 from safety_harness.scenario.schema import scenario_schema
 from safety_harness.selftest.table import markdown as table_of
 

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from safety_harness.admission.admit import Admitted, admit
-    from safety_harness.admission.kinematic import run_kinematic, run_many
     from safety_harness.admission.spaces import AdmittedDraws, draw_admissible
-    from safety_harness.admission.trial import judge, run_trial
+    from safety_harness.admission.trial import judge, run_kinematic, run_many, run_trial
     from safety_harness.avoidance.avoider import Avoider, Proposal
     from safety_harness.exceptions import InputError, SafetyHarnessError
     from safety_harness.formulas.claim import FormulaClaim
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from safety_harness.search.shrink import shrink
     from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
     from safety_harness.settings import DEFAULTS, Settings
+    from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WORLDS, WorldEntry
     from safety_harness.space.boxes import InBox, InRegion
     from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
     from safety_harness.space.read import parse_space, read_space
@@ -53,6 +53,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DEFAULTS",
+    "KINEMATIC",
+    "PYBULLET",
+    "WORLDS",
     "Admitted",
     "AdmittedDraws",
     "Avoider",
@@ -84,6 +87,7 @@ __all__ = [
     "TruncatedNormal",
     "Uniform",
     "Verdict",
+    "WorldEntry",
     "admit",
     "draw_admissible",
     "find_violations",
@@ -112,9 +116,8 @@ __all__ = [
 
 _HOMES = {
     "admission.admit": ("Admitted", "admit"),
-    "admission.kinematic": ("run_kinematic", "run_many"),
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
-    "admission.trial": ("judge", "run_trial"),
+    "admission.trial": ("judge", "run_kinematic", "run_many", "run_trial"),
     "avoidance.avoider": ("Avoider", "Proposal"),
     "exceptions": ("InputError", "SafetyHarnessError"),
     "formulas.claim": ("FormulaClaim",),
@@ -134,6 +137,7 @@ _HOMES = {
     "search.shrink": ("shrink",),
     "search.trials": ("Trials", "in_kinematic", "in_pybullet"),
     "settings": ("DEFAULTS", "Settings"),
+    "simulation.worlds": ("KINEMATIC", "PYBULLET", "WORLDS", "WorldEntry"),
     "space.boxes": ("InBox", "InRegion"),
     "space.distributions": ("InShell", "TruncatedNormal", "Uniform"),
     "space.read": ("parse_space", "read_space"),

@@ -32,6 +32,7 @@ PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 
+@lru_cache
 def _package_of(file: Path) -> Path:
     """Ours if the file lies in it, else the outermost package that it lies in, else its folder."""
     if PACKAGE in file.parents:

@@ -62,6 +62,14 @@ class InputError(SafetyHarnessError):
         super().__init__(text + (f" ({self.hint})" if self.hint else ""))
 
 
+def explanation(error: BaseException) -> str:
+    """The error for people: where, what was expected, what came and the hint, each on a line of its own."""
+    if not isinstance(error, InputError):
+        return str(error)
+    lines = [str(error.place), f"  expected {error.expected}", f"  got      {error.got}"]
+    return "\n".join([*lines, f"  hint     {error.hint}"] if error.hint else lines)
+
+
 class ScenarioError(InputError):
     """A scenario file is malformed, or a value in it is impossible."""
 

@@ -21,8 +21,44 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 from math import pi, radians
+from typing import Any, TypeVar
 
 Vector3 = tuple[float, float, float]
+_TURN_RAD = 2.0 * pi
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Described:
+    """What a scenario file has to know of a setting: its meaning, and bounds in SI, both allowed.
+
+    Without bounds it has those of its dimension (``settings_keys.BY_DIMENSION``).  What lies beyond is a
+    slip of the unit or a system that nobody builds; within, every number that a run computes stays finite
+    and the servo loop stable (the largest gain times the longest control period is 0.5).  ``takes``
+    says in words what the value's type cannot; ``example`` is for a value that a default does not show.
+    """
+
+    meaning: str
+    least: float | None = None
+    most: float | None = None
+    takes: str = ""
+    example: str = ""
+
+
+def setting(
+    default: T,
+    meaning: str,
+    least: float | None = None,
+    most: float | None = None,
+    *,
+    takes: str = "",
+    example: str = "",
+) -> T:
+    """A field with its default, and what ``Described`` has of it."""
+    found: Any = field(
+        default=default, metadata={"described": Described(meaning, least, most, takes, example)}
+    )
+    return found  # type: ignore[no-any-return]
 
 
 class ImageSource(Enum):
@@ -77,9 +113,11 @@ class Cell:
     ``preferred_joint_position_rad`` picks the inverse-kinematics branch of a start: elbow up.
     """
 
-    table_height_m: float = -0.300
-    desired_tcp_position_in_base_m: Vector3 = (0.700, 0.0, 0.350)
-    preferred_joint_position_rad: tuple[float, ...] = (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79)
+    table_height_m: float = setting(-0.300, "z of the table", -2.0, 2.0)
+    desired_tcp_position_in_base_m: Vector3 = setting((0.700, 0.0, 0.350), "where the servoing should end")
+    preferred_joint_position_rad: tuple[float, ...] = setting(
+        (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79), "a start by `offset` takes the joint angles nearest to it"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +130,16 @@ class Object:
 
     # Close to a 3-4-5 right triangle, the best conditioned shape, with its centroid at the origin;
     # at two thirds of the size raster images do not servo to 5 mm (docs/servoing.md).
-    polygon_m: tuple[tuple[float, float], ...] = ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080))
-    position_in_base_m: Vector3 = (0.700, 0.045, -0.300)
+    polygon_m: tuple[tuple[float, float], ...] = setting(
+        ((-0.053, -0.040), (0.106, -0.040), (-0.053, 0.080)),
+        "outline in the object's own frame, one corner after another; convex for rendered images",
+        -1.0,
+        1.0,
+    )
+    position_in_base_m: Vector3 = setting((0.700, 0.045, -0.300), "of the object's own origin")
     # No edge along the pixel rows or columns at the desired pose: a whole row of pixels would flip
     # at once, and the pixel noise of gamma would be three times as large.
-    yaw_rad: float = radians(25.0)
+    yaw_rad: float = setting(radians(25.0), "turn about the vertical", -_TURN_RAD, _TURN_RAD)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +152,21 @@ class Camera:
     the TCP frame); zero means a perfect hand-eye calibration.
     """
 
-    width_px: int = 640
-    height_px: int = 480
-    focal_px: float = 615.0
-    mount_yaw_rad: float = pi / 2
-    mount_offset_in_tcp_m: Vector3 = (0.0, -0.045, 0.0)
-    calibration_error_rotation_rad: Vector3 = (0.0, 0.0, 0.0)
-    calibration_error_offset_m: Vector3 = (0.0, 0.0, 0.0)
-    source: ImageSource = ImageSource.EXACT
-    rate_hz: float | None = None  # None: an image at every control tick
-    latency_s: float = 0.0
+    width_px: int = setting(640, "of the image", 16, 4096)
+    height_px: int = setting(480, "of the image", 16, 4096)
+    focal_px: float = setting(615.0, "focal length", 50.0, 20_000.0)
+    mount_yaw_rad: float = setting(
+        pi / 2, "turn of the true mount about the tool axis", -_TURN_RAD, _TURN_RAD
+    )
+    mount_offset_in_tcp_m: Vector3 = setting(
+        (0.0, -0.045, 0.0), "shift of the true mount, in the TCP frame", -1.0, 1.0
+    )
+    calibration_error_rotation_rad: Vector3 = setting((0.0, 0.0, 0.0), "in the camera frame")
+    calibration_error_offset_m: Vector3 = setting((0.0, 0.0, 0.0), "in the TCP frame", -1.0, 1.0)
+    source: ImageSource = setting(ImageSource.EXACT, "where the object's moments come from")
+    # None: an image at every control tick
+    rate_hz: float | None = setting(None, "of the images; at most that of the control ticks")
+    latency_s: float = setting(0.0, "from the image to the controller", 0.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,58 +178,74 @@ class HandSensor:
     640 px focal length and 50 mm baseline (Intel's depth-quality formula).
     """
 
-    kind: HandSensorKind = HandSensorKind.IDEAL
-    detector: DetectorKind = DetectorKind.EXACT
-    overhead_position_in_base_m: Vector3 = (0.750, -0.250, 1.800)  # looks straight down
-    width_px: int = 640
-    height_px: int = 480
-    focal_px: float = 615.0
-    pixel_noise_px: float = 0.0
-    depth_noise_per_m: float = 0.0
-    dropout_probability: float = 0.0
-    rate_hz: float | None = None
-    latency_s: float = 0.0
+    kind: HandSensorKind = setting(
+        HandSensorKind.IDEAL,
+        "`ideal` is the overhead camera without field of view, occlusion, noise and delay, so "
+        "it takes none of the keys for them; `eye in hand` is blind outside the servoing "
+        "camera's view and has its optics",
+        example="hand sensor: {kind: eye in hand}",
+    )
+    detector: DetectorKind = setting(DetectorKind.EXACT, "from geometry, or from rendered images")
+    overhead_position_in_base_m: Vector3 = setting(
+        (0.750, -0.250, 1.800),
+        "where the overhead camera hangs, looking straight down; a hand that is not below it, "
+        "by its radius or more, is not seen, by the `ideal` one neither",
+    )
+    width_px: int = setting(640, "of the image", 16, 4096)
+    height_px: int = setting(480, "of the image", 16, 4096)
+    focal_px: float = setting(615.0, "focal length", 50.0, 20_000.0)
+    pixel_noise_px: float = setting(0.0, "standard deviation of the box's place", 0.0, 100.0)
+    depth_noise_per_m: float = setting(
+        0.0, "standard deviation of the depth, divided by the depth squared", 0.0, 1.0
+    )
+    dropout_probability: float = setting(0.0, "how probable it is that an image shows no hand")
+    rate_hz: float | None = setting(None, "of the images; at most that of the control ticks")
+    latency_s: float = setting(0.0, "from the image to the controller", 0.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HandFilter:
     """The Kalman filter of eq. 7 and the tracks that it serves."""
 
-    prediction_horizon_s: float = 0.1
-    measurement_std_px: float = 2.0
-    measurement_std_depth_m: float = 0.005
-    measurement_std_area_px2: float = 400.0
-    measurement_std_aspect: float = 0.05
-    acceleration_std_pxps2: float = 3000.0
-    acceleration_std_depth_mps2: float = 5.0
-    area_rate_std_px2ps: float = 2.0e4  # random walk of the area's rate, per root second
-    initial_speed_std_pxps: float = 1000.0
-    initial_speed_std_depth_mps: float = 2.0
-    gate_px: float = 150.0
-    track_timeout_s: float = 0.5
-    assumed_hand_radius_m: float = 0.060
+    prediction_horizon_s: float = setting(0.1, "how far ahead the hand is predicted", 0.0, 2.0)
+    measurement_std_px: float = setting(2.0, "assumed error of the box's place")
+    measurement_std_depth_m: float = setting(0.005, "assumed error of the depth")
+    measurement_std_area_px2: float = setting(400.0, "assumed error of the box's area")
+    measurement_std_aspect: float = setting(0.05, "assumed error of the box's aspect ratio")
+    acceleration_std_pxps2: float = setting(3000.0, "assumed motion of the hand")
+    acceleration_std_depth_mps2: float = setting(5.0, "assumed motion along the view")
+    area_rate_std_px2ps: float = setting(2.0e4, "assumed change of the area, per root second")
+    initial_speed_std_pxps: float = setting(1000.0, "of a hand that has just been seen")
+    initial_speed_std_depth_mps: float = setting(2.0, "the same along the view")
+    gate_px: float = setting(150.0, "how far a box may be from a track to belong to it")
+    track_timeout_s: float = setting(0.5, "how long a track lives without a box")
+    assumed_hand_radius_m: float = setting(0.060, "what the controller takes the hand for", 0.01, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Servo:
     """Image-based visual servoing, eqs. 1 to 5 and 15 of the paper."""
 
-    object_kind: ObjectKind = ObjectKind.DENSE
-    interaction: InteractionChoice = InteractionChoice.DESIRED
-    gain_far: float = 0.4  # [1/s]
-    gain_near: float = 0.1  # [1/s]
-    gain_switch_sse: float = 0.005  # |f - f*|^2; its root is 70.7 mm when upright
+    object_kind: ObjectKind = setting(ObjectKind.DENSE, "moments over a region, or over points")
+    interaction: InteractionChoice = setting(
+        InteractionChoice.DESIRED, "the interaction matrix that is inverted"
+    )
+    gain_far: float = setting(0.4, "lambda, per second, before the gain switch", 1e-3, 10.0)
+    gain_near: float = setting(0.1, "lambda, per second, after it", 1e-3, 10.0)
+    gain_switch_sse: float = setting(
+        0.005, "the squared feature error at which the gain switches", 1e-9, 10.0
+    )  # |f - f*|^2; its root is 70.7 mm when upright
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
     """Limits on what the controller may demand of the arm; each acts visibly in the trace."""
 
-    max_tcp_speed_mps: float = 0.25
-    max_tcp_acceleration_mps2: float = 1.0
-    max_tcp_angular_speed_radps: float = 0.5
-    max_tcp_angular_acceleration_radps2: float = 2.0
-    min_singular_value: float = 0.02  # of the geometric Jacobian; below it the arm is stopped
+    max_tcp_speed_mps: float = setting(0.25, "that the controller may demand")
+    max_tcp_acceleration_mps2: float = setting(1.0, "that the controller may demand")
+    max_tcp_angular_speed_radps: float = setting(0.5, "that the controller may demand")
+    max_tcp_angular_acceleration_radps2: float = setting(2.0, "that the controller may demand")
+    min_singular_value: float = setting(0.02, "of the Jacobian; below it the arm is stopped", 1e-4, 1.0)
 
 
 class DecisionCost(Enum):
@@ -217,31 +281,49 @@ class DecisionTimes:
 class Avoidance:
     """When and how the TCP gives way (sections 3.3 and 4.1 of the paper)."""
 
-    critical_distance_m: float = 0.400
-    radius_m: float = 0.100
-    repulsion_speed_mps: float = 0.25
-    repulsion_acceleration_mps2: float = 1.0
-    arrival_tolerance_m: float = 0.001
-    candidate_count: int = 100
-    candidate_sigma_rad: float = pi / 4
-    candidate_cone_rad: float = pi / 3  # a 60-degree cone is exactly a quarter of the sphere
-    nominal_hand_position_in_base_m: Vector3 = (0.840, -0.350, 0.005)
-    hand_pull: float = 0.05  # the factor of eq. 13
-    gate: GateKind = GateKind.FULL
-    table_clearance_m: float = 0.050  # the TCP is never sent lower than this above the table
+    critical_distance_m: float = setting(
+        0.400, "from the TCP to a predicted hand; zero is no avoidance at all", 0.0, 3.0
+    )
+    radius_m: float = setting(0.100, "how far away a repulsive position is", 1e-3, 2.0)
+    repulsion_speed_mps: float = setting(0.25, "on the way to it")
+    repulsion_acceleration_mps2: float = setting(1.0, "on the way to it")
+    arrival_tolerance_m: float = setting(0.001, "when it counts as reached", 1e-5, 0.05)
+    candidate_count: int = setting(100, "candidates of the nearest-candidate avoider", 1, 10_000)
+    candidate_sigma_rad: float = setting(pi / 4, "their spread in azimuth and elevation")
+    # A 60-degree cone is exactly a quarter of the sphere; a narrow one is drawn into for ever.
+    candidate_cone_rad: float = setting(pi / 3, "the cone that they are cut to", radians(5.0), pi)
+    nominal_hand_position_in_base_m: Vector3 = setting(
+        (0.840, -0.350, 0.005), "the hand that the cone points away from"
+    )
+    hand_pull: float = setting(0.05, "the factor of eq. 13 of the paper", 0.0, 1.0)
+    gate: GateKind = setting(
+        GateKind.FULL,
+        "what is checked before a position is used ([avoiders](avoiders.md#the-gate)); "
+        "`reach` is the plain system",
+    )
+    table_clearance_m: float = setting(0.050, "the TCP is never sent nearer to the table")
     # An avoider that takes longer has not answered: the system's reaction time, in which all has to fit.
-    decision_deadline_s: float = 0.1
-    decision_time: DecisionCost | DecisionTimes = DecisionCost.AS_DECLARED
-    restart_delay_s: float = 0.5  # how long the hands must be away before a stop is released
+    decision_deadline_s: float = setting(0.1, "an answer that takes longer in simulated time is none")
+    decision_time: DecisionCost | DecisionTimes = setting(
+        DecisionCost.AS_DECLARED,
+        "what a decision costs in simulated time, drawn anew for each; as the avoider declares it "
+        "([avoiders](avoiders.md#computing-time))",
+        example="settings: {avoidance: {decision time: 40 ms}}",
+    )
+    restart_delay_s: float = setting(
+        0.5,
+        "how long hands must be away before a stop is released",
+        takes="time, at least as long as a stop takes",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hand:
     """A hand is a sphere; its forearm a capsule from the hand's centre towards the elbow."""
 
-    radius_m: float = 0.060
-    forearm_radius_m: float = 0.045
-    forearm_length_m: float = 0.300
+    radius_m: float = setting(0.060, "of the sphere that is the hand", 0.01, 0.3)
+    forearm_radius_m: float = setting(0.045, "of the capsule that is the forearm", 0.01, 0.3)
+    forearm_length_m: float = setting(0.300, "from the hand's centre, where no elbow was recorded", 0.01, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -252,9 +334,9 @@ class Braking:
     1.5 and 2.0 m/s, which lie on the straight line 0.35 s + 0.1 s^2/m v.
     """
 
-    reaction_time_s: float = 0.1
-    stop_time_base_s: float = 0.35
-    stop_time_per_speed_s2pm: float = 0.1
+    reaction_time_s: float = setting(0.1, "before a protective stop begins to brake", 0.0, 5.0)
+    stop_time_base_s: float = setting(0.35, "braking time, however slow the TCP is", 0.0, 5.0)
+    stop_time_per_speed_s2pm: float = setting(0.1, "and what each m/s of its speed adds", 0.0, 10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -264,9 +346,12 @@ class Clock:
     ``wall_limit_s`` ends a run whose avoider hangs; it changes no trajectory.
     """
 
-    control_period_s: float = 0.008
-    physics_substeps: int = 4
-    wall_limit_s: float = 30.0
+    # At most 50 ms: between two ticks the arm is taken to move evenly.
+    control_period_s: float = setting(0.008, "from one speed command to the next", 1e-3, 0.05)
+    physics_substeps: int = setting(4, "steps of the physics in one control period", 1, 100)
+    wall_limit_s: float = setting(
+        30.0, "an avoider that takes longer in real time ends the run, which has failed", 0.1, 3600.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

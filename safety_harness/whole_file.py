@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from safety_harness.exceptions import OutputError
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
@@ -39,3 +41,18 @@ def write_whole(path: Path, text: str) -> None:
         part.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file,
     ):
         file.write(text)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """OutputError that names ``path`` where the block raises OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError.of(path, error) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """``write_whole``; OutputError if it cannot be written."""
+    with writing(path):
+        write_whole(path, text)

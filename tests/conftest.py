@@ -11,8 +11,16 @@ import disagreement
 import pytest
 from browsing import started
 from examples import VISIT, run, scenario
+from hypothesis import settings
 
 from safety_harness.trace.trace import Trace
+
+TESTS = Path(__file__).parent
+# Where each of two workers starts (``--dist worksteal``), the second at the middle: with the worlds, and with
+# networks and what else they call.  So neither compiles what the other does, on a fresh machine two minutes'
+# work, and neither ends with what takes long.
+WORLDS = ("simulation", "admission", "controller", "campaign", "cli", "search", "certification")
+PARTS = ("learning", "avoidance", "perception", "servoing", "geometry", "robot", "docs", "pytest_plugin")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -20,7 +28,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    """A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves."""
+    """No deadlines: whoever calls a kernel first compiles it, and machines are busy.
+
+    A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves.
+    """
+    settings.register_profile("unhurried", settings(), deadline=None)
+    settings.load_profile("unhurried")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -29,6 +42,20 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     path = session.config.getoption("--oracles")
     if path is not None:
         disagreement.write(path)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The worlds' tests at the beginning, those of the parts in the middle."""
+    rooms = [item.path.relative_to(TESTS).parts[0] if TESTS in item.path.parents else "" for item in items]
+    worlds, parts = (
+        [item for room in first for item, its in zip(items, rooms, strict=True) if its == room]
+        for first in (WORLDS, PARTS)
+    )
+    others = [
+        item for item, room in zip(items, rooms, strict=True) if room not in WORLDS and room not in PARTS
+    ]
+    cut = max(0, (len(items) + 1) // 2 - len(worlds))
+    items[:] = worlds + others[:cut] + parts + others[cut:]
 
 
 @pytest.fixture(scope="session")

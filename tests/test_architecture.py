@@ -12,7 +12,7 @@ import safety_harness
 PACKAGE = Path(safety_harness.__file__).parent
 ORDER = [
     {"exceptions"},
-    {"compiled", "geometry", "proportions", "seeds", "settings", "whole_file"},
+    {"compiled", "geometry", "interrupts", "proportions", "seeds", "settings", "whole_file"},
     {"scenario"},
     {"trace"},
     {"robot"},
@@ -32,9 +32,9 @@ ORDER = [
     {"report"},
     {"certification"},
     {"selftest"},
-    {"cli"},
     {"testing"},
     {"pytest_plugin"},
+    {"cli"},
 ]
 RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -116,6 +116,11 @@ def test_no_two_files_of_tests_have_one_name() -> None:
 def test_only_the_command_line_imports_learning() -> None:
     importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
     assert importers <= {"learning", "cli"}
+
+
+def test_only_the_entry_point_imports_the_command_line() -> None:
+    importers = {room_of(file) for file in FILES if "cli" in rooms_imported_by(file)}
+    assert importers == {"cli", "__main__"}
 
 
 def test_nothing_in_the_package_imports_the_paper() -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -15,9 +18,17 @@ def test_every_public_name_can_be_imported() -> None:
         assert getattr(safety_harness, name) is not None
 
 
-def test_the_lazy_homes_and_the_public_names_agree() -> None:
-    homes = [name for names in safety_harness._HOMES.values() for name in names]
+def test_a_type_checker_sees_each_public_name_at_the_home_that_it_is_imported_from() -> None:
+    tree = ast.parse(Path(safety_harness.__file__).read_text(encoding="utf-8"))
+    homes = {
+        alias.name: node.module or ""
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("safety_harness.")
+        for alias in node.names
+    }
     assert sorted(homes) == sorted(safety_harness.__all__)
+    for name, home in homes.items():
+        assert getattr(safety_harness, name) is getattr(import_module(home), name)
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from safety_harness.cli.options import Seed, end
+from safety_harness.cli.options import Seed, command
 
 commands = typer.Typer()
 
 
-@commands.command()
+@command(commands)
 def reproduce(
     what: Annotated[
         list[str],
@@ -30,7 +30,7 @@ def reproduce(
     ] = Path("reports/reproduction"),
     seed: Seed = 0,
     jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
-) -> None:
+) -> int:
     """Measure the paper's tables and figures again: its numbers beside ours, and a verdict on each.
 
     table1: passes of the network; 2: places of dropout; 3: unseen space; 4: out of reach; 5: convergence.
@@ -47,4 +47,4 @@ def reproduce(
     """
     from safety_harness_paper.reproduce import reproduce as reproduce_parts
 
-    end(reproduce_parts(what, scale=scale, out=out, seed=seed, jobs=jobs))
+    return reproduce_parts(what, scale=scale, out=out, seed=seed, jobs=jobs)

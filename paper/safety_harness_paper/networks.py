@@ -12,12 +12,10 @@ from typing import Any
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model, save_model
-from safety_harness.learning.calibration import calibrate
-from safety_harness.learning.dataset import CompactDataset, generate
+from safety_harness.learning.dataset import CompactDataset, generate, seen
 from safety_harness.learning.recipes import Recipe
 from safety_harness.learning.samples import samples_for
-from safety_harness.learning.spaces import seen
-from safety_harness.learning.trained_model import model_of, split_for
+from safety_harness.learning.trained_model import calibrate, model_of, split_for
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness_paper.scale import Scale
 from safety_harness_paper.work import Done, Json, Task

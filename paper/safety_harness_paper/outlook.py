@@ -19,9 +19,9 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base, vie
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.geometry.regions import Region
 from safety_harness.geometry.rotations import rotation_from_vector
-from safety_harness.learning.evaluation_sets import leaf
+from safety_harness.learning.dataset import seen
+from safety_harness.learning.evaluation import leaf
 from safety_harness.learning.image_error import ImageErrors
-from safety_harness.learning.spaces import seen
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.settings import Settings

@@ -13,7 +13,7 @@ import numpy as np
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Dropout, Model
-from safety_harness.learning.evaluation_sets import EvaluationSet, fresh_sets, leaf
+from safety_harness.learning.evaluation import EvaluationSet, fresh_sets, leaf
 from safety_harness.learning.metrics import auroc, coverage, errors, largest_spread, picp_variants
 from safety_harness.settings import Settings
 from safety_harness_paper.networks import model_in

@@ -21,7 +21,7 @@ from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.geometry.regions import Box, Region
-from safety_harness.learning.evaluation_sets import leaf
+from safety_harness.learning.evaluation import leaf
 from safety_harness.learning.image_error import ImageErrors
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics

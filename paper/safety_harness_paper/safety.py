@@ -15,11 +15,11 @@ from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.opposite import OppositePose
-from safety_harness.learning.evaluation_sets import leaf
-from safety_harness.learning.spaces import seen
+from safety_harness.learning.dataset import seen
+from safety_harness.learning.evaluation import leaf
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import ProtectiveSeparation
 from safety_harness.settings import GateKind, Settings
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.learning.evaluation_sets import leaf
+from safety_harness.learning.dataset import unseen_tcp
+from safety_harness.learning.evaluation import leaf
 from safety_harness.learning.recipes import Recipe
-from safety_harness.learning.spaces import unseen_tcp
 from safety_harness.settings import Settings
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE, with_networks
 from safety_harness_paper.intervals import differences, mean_of

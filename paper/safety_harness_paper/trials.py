@@ -23,11 +23,23 @@ from safety_harness.admission.poses import kinematics
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.opposite import OppositePose
-from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
+from safety_harness.controller.records import (
+    ANSWER,
+    COMMAND,
+    AnswerRecords,
+    CommandRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    StateRecords,
+    TrackRecords,
+    initial_state,
+    parameters,
+)
 from safety_harness.controller.stack import begin_tick, finish_tick
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.regions import Region
-from safety_harness.learning.evaluation_sets import leaf
+from safety_harness.learning.evaluation import leaf
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.scenario.model import PoseStart, Scenario
@@ -257,20 +269,22 @@ class _TriggeredServo:
         self._avoider, self._hand, self._seed = avoider, hand_in_base_m, seed
         reach = replace(settings, avoidance=replace(settings.avoidance, gate=GateKind.REACH))
         self._gate = Gate.of(reach, kinematics(start.arm.name))
-        self._parameters = parameters(settings, start.arm, start.view)
-        self._filter = filter_parameters(settings.hand_filter, settings.hand_sensor)
-        self._tracks = no_tracks()
-        self._answer, self._command = np.zeros(1, ANSWER), np.zeros(1, COMMAND)
-        self.state = initial_state()
+        self._parameters = ParameterRecords(parameters(settings, start.arm, start.view))
+        self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor))
+        self._tracks = TrackRecords(no_tracks())
+        self._answer = AnswerRecords(np.zeros(1, ANSWER))
+        self._command = CommandRecords(np.zeros(1, COMMAND))
+        self.state = StateRecords(initial_state())
         self.proposed: NDArray[np.float64] | None = None
         self.refused = False
 
     def step(self, observation: NDArray[np.void], tick: int) -> NDArray[np.void]:
         """One tick; at the trigger the avoider is asked, and refused if the arm cannot go there."""
-        begin_tick(self._parameters, self._filter, self.state, self._tracks, observation)
+        seen = ObservationRecords(observation)
+        begin_tick(self._parameters, self._filter, self.state, self._tracks, seen)
         if tick == TRIGGER_TICK and self._avoider is not None:
             self._decide(self._avoider, observation)
-        finish_tick(self._parameters, self.state, observation, self._answer, self._command)
+        finish_tick(self._parameters, self.state, seen, self._answer, self._command)
         return self._command
 
     def _decide(self, avoider: Avoider, observation: NDArray[np.void]) -> None:

@@ -19,7 +19,7 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import Controller
-from safety_harness.learning.evaluation_sets import leaf
+from safety_harness.learning.evaluation import leaf
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.settings import Settings
 from safety_harness.simulation.pybullet_world import PyBulletWorld

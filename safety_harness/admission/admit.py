@@ -13,10 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusable
-from safety_harness.admission.checks import check_cameras, check_object, check_restart_delay, check_view
+from safety_harness.admission.checks import (
+    check_cameras,
+    check_decision_time,
+    check_faults,
+    check_object,
+    check_restart_delay,
+    check_view,
+)
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.decision_time import check_decision_time
-from safety_harness.admission.faults import check_faults
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
     DESIRED,

@@ -10,9 +10,9 @@ import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from safety_harness.compiled import PACKAGE, source_hash_of
+from safety_harness.scenario.typed_json import of_format, parsed, typed
 
 AGREEMENT_FILE = Path(__file__).with_name("agreement.json")
 FORMAT = "safety-harness agreement 1"
@@ -68,7 +68,7 @@ class Agreement:
 @lru_cache
 def present_source() -> str:
     """The hash over every file that a run in either world and its judgement import."""
-    return source_hash_of(PACKAGE / "admission" / "kinematic.py", PACKAGE / "admission" / "trial.py")
+    return source_hash_of(PACKAGE / "admission" / "trial.py")
 
 
 def to_json(agreement: Agreement) -> str:
@@ -77,19 +77,10 @@ def to_json(agreement: Agreement) -> str:
 
 
 def from_json(text: str) -> Agreement:
-    """What ``to_json`` wrote.  ValueError for anything else."""
-    try:
-        read: dict[str, Any] = json.loads(text)
-        if read["format"] != FORMAT:
-            raise ValueError(f"expected {FORMAT!r}, got {read['format']!r}")
-        del read["format"]
-        read["differences"] = [LargestDifference(**one) for one in read["differences"]]
-        fields: dict[str, Any] = {
-            name: tuple(one) if isinstance(one, list) else one for name, one in read.items()
-        }
-        return Agreement(**fields)
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"not an agreement of two worlds: {error}") from error
+    """What ``to_json`` wrote.  InputError for anything else."""
+    found = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
+    del found["format"]
+    return typed(found, Agreement, AGREEMENT_FILE)
 
 
 @lru_cache

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -24,16 +25,16 @@ from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.python_text import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
-from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.files import resolved
-from safety_harness.scenario.model import OffsetStart, Scenario
-from safety_harness.scenario.places import Replaced
+from safety_harness.scenario.fields import SENTENCE, Replaced, is_sentence
+from safety_harness.scenario.files import resolved, told
+from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
 from safety_harness.settings import Settings
 from safety_harness.space.regions import exported_seen
 
 if TYPE_CHECKING:
     from safety_harness.avoidance.learned import LearnedAvoider
+
 
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 NAMES = (*SHIPPED, OPPOSITE, NEAREST)
@@ -94,7 +95,9 @@ def resolve_avoider(
     if name:
         return isolated_avoider(path, name, place)
     if reference.endswith(ONNX_SUFFIX):
-        return _from_onnx_file(path, scenario.settings)
+        avoider = isolated_onnx(path, scenario.settings)
+        _refuse_foreign_onnx(path, scenario.settings)
+        return avoider
     return _from_model_file(path, scenario.settings)
 
 
@@ -143,6 +146,20 @@ def command_line_reference(scenario: Scenario) -> str:
     if not file:
         return scenario.avoider
     return os.path.relpath((folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+
+
+def told_avoider(reference: str) -> str:
+    """An avoider as a result names it: its file is ``told``."""
+    file, name = file_and_name(reference)
+    return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
+
+
+def replay_command(scenario: Scenario, trace: Path) -> str:
+    """The command that repeats a run; a program of the user's has to be named anew to be executed."""
+    command = ["safety-harness", "replay", str(told(trace))]
+    if is_a_program(scenario.avoider):
+        command += ["--avoider", told_avoider(os.path.abspath(command_line_reference(scenario)))]
+    return shlex.join(command)
 
 
 def scenario_of_avoider(reference: str) -> Scenario:
@@ -222,14 +239,22 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
     return LearnedAvoider.of(load_model(path))
 
 
-def _from_onnx_file(path: Path, settings: Settings) -> Avoider:
-    avoider = isolated_onnx(path, settings)
-    _refuse_foreign_onnx(path, settings)
-    return avoider
-
-
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
     """ModelError for a file of ours that was trained for another workspace; of others nothing is known."""
     seen = exported_seen(path)
     if seen is not None:
         refuse_foreign_seen_space(seen, settings, path)
+
+
+def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
+    """The scenario with its recordings, and its avoider's file, named relative to another folder."""
+    before = scenario.file.parent if scenario.file else Path()
+    hands = tuple(
+        replace(hand, recording=Path(os.path.relpath(before / hand.recording, folder)))
+        if isinstance(hand, RecordedHand)
+        else hand
+        for hand in scenario.hands
+    )
+    moved = replace(scenario, hands=hands, file=folder / "scenario.yaml")
+    own_file, _ = file_and_name(scenario.avoider)
+    return with_avoider(moved, command_line_reference(scenario)) if own_file else moved

@@ -1,15 +1,30 @@
-"""Values that are each possible, but not together: hands, sensors and times against the cell."""
+"""Values that are each possible, but not together: sensors, times and faults against cell and avoider."""
 
 from __future__ import annotations
+
+import shlex
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InadmissibleError
+from safety_harness.avoidance.avoider import Avoider, decision_time_of
+from safety_harness.controller.records import overhead_transform_sensor_to_base
+from safety_harness.exceptions import AvoiderError, InadmissibleError
 from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.scenario.fault_table import fault_table
+from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
 from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import DetectorKind, HandSensor, HandSensorKind, ImageSource, ObjectKind
+from safety_harness.settings import (
+    DecisionTimes,
+    DetectorKind,
+    HandSensor,
+    HandSensorKind,
+    ImageSource,
+    ObjectKind,
+)
+from safety_harness.simulation.cameras import RING, sensors
+from safety_harness.simulation.faults import false_box
 
 TOUCHING_M = 1e-6
 # Triangles beyond it servo to 5 mm in raster images from at most two of eight starts, below 500 from
@@ -148,3 +163,68 @@ def _check_one_optics(scenario: Scenario) -> None:
                 expected=f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px",
                 got=f"{of_sensor:g} px",
             )
+
+
+def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
+    """InadmissibleError for a profile of another avoider, and for one that declares what is no time.
+
+    ``own`` is the hash of the avoider's file; empty for one without.
+    """
+    try:
+        decision_time_of(avoider)
+    except AvoiderError as error:
+        raise InadmissibleError(
+            place=scenario.place("avoider"), expected="an avoider that declares a time", got=str(error)
+        ) from None
+    cost = scenario.settings.avoidance.decision_time
+    measured = cost.measured if isinstance(cost, DecisionTimes) else None
+    if measured is None:
+        return
+    if measured.sha256 != own or (not own and measured.avoider != scenario.avoider):
+        raise InadmissibleError(
+            place=scenario.place("settings.avoidance.decision time"),
+            expected=f"a profile of the avoider {scenario.avoider}, as its file is now",
+            got=f"one of {measured.avoider}" + (f", sha256 {measured.sha256[:12]}..." if own else ""),
+            hint=f"safety-harness time {shlex.quote(scenario.avoider)} --out FILE.json",
+        )
+
+
+def check_faults(scenario: Scenario) -> None:
+    """Refuse a false hand out of a fixed sensor's sight, a second occlusion, too many late pictures."""
+    for number, fault in enumerate(scenario.faults):
+        if isinstance(fault, FalseHand):
+            _check_seen(scenario, number)
+        if isinstance(fault, CameraHidden) and scenario.settings.camera.source is ImageSource.RENDERED:
+            raise InadmissibleError(
+                place=scenario.place(f"faults[{number}]"),
+                expected="exact or raster images of the camera that hands hide the object from",
+                got="rendered ones, in which hands cover pixels of the object as it is",
+            )
+    settings = scenario.settings
+    for kind, camera in ((HandSensorLate, settings.hand_sensor), (CameraLate, settings.camera)):
+        late = [(n, fault.delay_s) for n, fault in enumerate(scenario.faults) if isinstance(fault, kind)]
+        total_s = camera.latency_s + sum(delay_s for _, delay_s in late)
+        period_s = max(1.0 / camera.rate_hz if camera.rate_hz else 0.0, settings.clock.control_period_s)
+        if late and total_s / period_s + 2.0 > RING:
+            raise InadmissibleError(
+                place=scenario.place(f"faults[{late[-1][0]}].delay"),
+                expected=f"at most {RING - 2} pictures under way at a time, all latencies together",
+                got=f"{total_s:g} s, which is {total_s / period_s:.0f} pictures",
+                hint="a camera with a lower rate has fewer under way",
+            )
+
+
+def _check_seen(scenario: Scenario, number: int) -> None:
+    """A false hand has to be where a fixed sensor could see one; one that is carried about may turn to it."""
+    settings = scenario.settings
+    if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
+        return
+    pose = overhead_transform_sensor_to_base(settings)
+    state = sensors(settings, scenario.seed, 0, pose).state
+    place = fault_table(scenario.faults)[number]["vector_m"].copy()
+    if not false_box(state, pose, place, np.zeros(5)):
+        raise InadmissibleError(
+            place=scenario.place(f"faults[{number}].at"),
+            expected="a false hand where the hand sensor could see one",
+            got=f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm, which is out of its view",
+        )

@@ -24,7 +24,7 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
     meant = _entry_of(claim.sentence)
     if meant is not None:
         entry, match = meant
-        return entry.make(match, scenario, claim.place)
+        return entry.property_of(match, scenario, claim.place)
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place))
         formula.check(scenario, claim.place)

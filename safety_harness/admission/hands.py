@@ -85,14 +85,14 @@ def _check_clear_of_the_robot(
 ) -> None:
     settings = scenario.settings
     capsules = cell_capsules(load_capsules(arm.name), settings)
-    transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
-    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+    transforms, ends = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
+    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
+    place_capsules(capsules.records, transforms, ends)
     hands = hands_at_start(scenario).state
     for number, _ in enumerate(scenario.hands):
         distance_m, nearest = hand_distance(
-            placed,
-            capsules.radius_m,
+            capsules.records,
+            ends,
             hands[number]["position_in_base_m"],
             hands[number]["elbow_in_base_m"],
             settings.hand.radius_m,

@@ -13,11 +13,7 @@ from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.robot.kinematics import (
-    forward_kinematics,
-    geometric_jacobian,
-    smallest_singular_value,
-)
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, smallest_singular_value
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.settings import Settings
 from safety_harness.simulation.cameras import camera_state, object_polygon_in_base
@@ -99,7 +95,7 @@ def _check_pose(
 ) -> None:
     settings = scenario.settings
     transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, transforms)
+    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
     least, most = smallest_singular_value(jacobian), settings.motion.min_singular_value
     if not least > most:

@@ -52,7 +52,7 @@ def preview_of(checked: Checked) -> Preview:
     """The scene of a scenario that can be tried."""
     scenario, arm = checked.scenario, checked.arm
     transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, checked.joint_position_rad, transforms)
+    forward_kinematics(arm.chain[0], checked.joint_position_rad, transforms)
     return Preview(
         scenario=scenario,
         links_in_base_m=transforms[:, :3, 3].copy(),

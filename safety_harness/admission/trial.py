@@ -1,39 +1,113 @@
-"""One trial: an admitted scenario in the PyBullet world, judged by its own claims."""
+"""Trials: admitted scenarios in a world, one with any controller or many with our own; and judging."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
+from safety_harness.avoidance.asking import OutOfProcessAvoider
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.batches import takes_many
+from safety_harness.controller.controller import Controller
+from safety_harness.exceptions import InadmissibleError
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.consistency import refuse_contradictions
-from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.simulate import simulate
+from safety_harness.scenario.decision_times import refuse_wall_clock
+from safety_harness.simulation.simulate import Episode, simulate, simulate_many
+from safety_harness.simulation.world import BatchWorld
+from safety_harness.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.trace.trace import Trace
+
+TICKS_AT_ONCE = 32_768  # of all episodes under way together: some 24 MB of trace
 
 
 def run_trial(
     admitted: Admitted,
     *,
+    world: WorldEntry = REFERENCE,
+    controller: Controller | None = None,
     detector: BoundingBoxDetector | None = None,
     recorded: Trace | None = None,
     on_tick: Callable[[int], None] | None = None,
 ) -> Trace:
-    """Simulate; the world is closed on every path.
+    """Simulate in ``world``, which is closed on every path, tick by tick, with any ``controller``.
 
     ``detector`` takes the place of our own in a scenario whose hand sensor has rendered images;
     ``recorded`` is an earlier trace of the same scenario, whose times by the wall's clock count again;
-    ``on_tick`` is told the number of ticks done.  NoAnswerError for an avoider that hangs.
+    ``on_tick`` is told the number of ticks done.  NoAnswerError for an avoider that hangs; InadmissibleError
+    for rendered images in a world that has none, InstallationError for a world whose engine is missing.
     """
-    with PyBulletWorld(
-        admitted.scenario, admitted.arm, admitted.joint_position_rad, detector=detector
-    ) as world:
-        trace = simulate(world, admitted.controller(recorded), admitted.scenario, on_tick=on_tick)
-    return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))
+    start = admitted.scenario, admitted.arm, admitted.joint_position_rad
+    with world.open(*start, detector=detector) as episode:
+        trace = simulate(
+            episode, controller or admitted.controller(recorded), admitted.scenario, on_tick=on_tick
+        )
+    return _of_avoider(trace, admitted)
+
+
+def run_kinematic(
+    admitted: Admitted,
+    *,
+    controller: Controller | None = None,
+    recorded: Trace | None = None,
+    on_tick: Callable[[int], None] | None = None,
+) -> Trace:
+    """As ``run_trial`` in the kinematic world."""
+    return run_trial(admitted, world=KINEMATIC, controller=controller, recorded=recorded, on_tick=on_tick)
+
+
+def run_many(
+    scenarios: Iterable[Admitted], *, world: WorldEntry = KINEMATIC, ticks_at_once: int = TICKS_AT_ONCE
+) -> Iterator[Trace]:
+    """Every scenario with our own controller, in the order given; the traces are those of ``run_trial``.
+
+    ``world`` is one that takes many.  Episodes run in chunks of ``ticks_at_once`` ticks, one of them at
+    least, which bounds the memory as long as the caller lets go of the traces.  Within a chunk all go to
+    their next decision together; an avoider with ``propose_many`` is then asked once for all, others in turn.
+    NoAnswerError for one that hangs; InadmissibleError for a scenario by the wall's clock, which is for the
+    slower loop.
+    """
+    chunk: list[Admitted] = []
+    ticks = 0
+    for admitted in scenarios:
+        refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
+        if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
+            yield from _run_chunk(chunk, world)
+            chunk, ticks = [], 0
+        chunk.append(admitted)
+        ticks += admitted.scenario.ticks + 1
+    yield from _run_chunk(chunk, world)
+
+
+def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
+    """One for each, in their order; an Exception stands for a run that could not be carried on.
+
+    All together where the world takes many, and one by one if any of them breaks.
+    """
+    if world.batch and len(admitted) > 1:
+        try:
+            yield from list(run_many(admitted, world=world))
+            return
+        except Exception:
+            pass
+    for one in admitted:
+        try:
+            yield next(run_many([one], world=world)) if world.batch else run_trial(one, world=world)
+        except Exception as error:  # one run's failure is a finding
+            yield error
+
+
+def slower_because(avoider: Avoider) -> str:
+    """What keeps ``run_many`` from asking an avoider for all decisions at once; empty if nothing does."""
+    if avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider):
+        return ""
+    return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 
 
 def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
@@ -44,3 +118,24 @@ def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
     """
     refuse_contradictions(trace, file)
     return tuple(property_of(claim, trace.scenario).evaluate(trace) for claim in trace.scenario.claims)
+
+
+def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
+    with ExitStack() as opened:
+        worlds = [
+            opened.enter_context(world.open(one.scenario, one.arm, one.joint_position_rad)) for one in chunk
+        ]
+        traces = simulate_many(
+            [
+                Episode(one.scenario, cast(BatchWorld, episode), one.controller())
+                for one, episode in zip(chunk, worlds, strict=True)
+            ]
+        )
+    traces.reverse()
+    for one in chunk:
+        yield _of_avoider(traces.pop(), one)  # what the caller has let go of is not kept for the others' sake
+
+
+def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
+    """The trace with the hash of its avoider's file."""
+    return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))

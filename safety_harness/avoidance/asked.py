@@ -18,7 +18,10 @@ class DelayedQuery(AvoiderAround):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """What the avoider says of the hand and the TCP as they were then."""
+        """What the avoider says of the hand and the TCP as they were then.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        """
         return self.avoider.propose(
             hand_position_in_base_m=self.hand_position_in_base_m.copy(),
             tcp_position_in_base_m=self.tcp_position_in_base_m.copy(),

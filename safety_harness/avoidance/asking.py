@@ -80,8 +80,8 @@ class _Hangs(BaseException):
 def ask(
     avoider: Avoider,
     *,
-    hand_position_in_base_m: Vector,
-    tcp_position_in_base_m: Vector,
+    hand_position_in_base_m: Vector,  # (3,)
+    tcp_position_in_base_m: Vector,  # (3,)
     seed: int,
     limit_s: float = WALL_LIMIT_S,
 ) -> Answer:
@@ -101,7 +101,10 @@ def ask(
 
 
 def addressed(avoider: Avoider, hand: Vector, tcp: Vector) -> tuple[Avoider, Vector, Vector]:
-    """Who is asked, and of which hand and TCP, where a fault has the answer to an earlier question count."""
+    """Who is asked, and of which hand and TCP, where a fault has the answer to an earlier question count.
+
+    ``hand`` and ``tcp`` (3,).
+    """
     if isinstance(avoider, DelayedQuery):
         return avoider.avoider, avoider.hand_position_in_base_m, avoider.tcp_position_in_base_m
     return avoider, hand, tcp

@@ -54,7 +54,10 @@ class Avoider(Protocol):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Where to move the TCP, its orientation kept."""
+        """Where to move the TCP, its orientation kept.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        """
         ...
 
 
@@ -137,9 +140,9 @@ def checked(proposal: object) -> Proposal:
 
 def proposed_in_turn(
     avoider: Avoider,
-    hands_in_base_m: NDArray[np.float64],
-    tcps_in_base_m: NDArray[np.float64],
-    seeds: NDArray[np.uint64],
+    hands_in_base_m: NDArray[np.float64],  # (n, 3)
+    tcps_in_base_m: NDArray[np.float64],  # (n, 3)
+    seeds: NDArray[np.uint64],  # (n,)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``propose_many`` of an avoider that is quick enough: positions and spreads (n, 3) [m], one by one."""
     proposals = [

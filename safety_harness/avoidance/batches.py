@@ -27,13 +27,13 @@ class BatchAvoider(Protocol):
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """As an ``Avoider`` does."""
+        """As an ``Avoider`` does.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         ...
 
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
         ...
 
 

@@ -125,6 +125,8 @@ def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> 
     the rim in the plane of the axis a and d.  Where d singles out no direction (TCP at the desired
     position, or d opposite to the axis) all of the cap, or of its rim, is equally near, and the choice
     is fixed: the axis, or the rim's point beside it.
+
+    ``tcp_in_base`` (n, 3).
     """
     cap = CandidateCap.of(settings)
     axis = cap.axis_in_base

@@ -130,6 +130,8 @@ class Gate:
 
         On a straight way the TCP is nowhere lower than at the lower one of its ends: the table
         needs no look in between.
+
+        ``position_in_base_m`` (3,).
         """
         failed = Check.NONE
         full = self.kind is GateKind.FULL
@@ -148,10 +150,7 @@ class Gate:
             return failed
         wanted_m = length_m + (self.reach_margin_m if full else 0.0)
         reach_m = self.kinematics.reach_along(
-            query.joint_position_rad,
-            way / length_m,
-            wanted_m,
-            min_singular_value=self.min_singular_value,
+            query.joint_position_rad, way / length_m, wanted_m, min_singular_value=self.min_singular_value
         )
         if reach_m < length_m:
             return failed | Check.PATH_UNREACHABLE

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.folding import PLACES, FoldedNetwork, fold
-from safety_harness.avoidance.model_file import CARD_TIME, Dropout, Model
+from safety_harness.avoidance.model_file import Dropout, Model
 from safety_harness.avoidance.resnet_kernel import decide
 
 Vectors = NDArray[np.float64]  # (n, 3)
@@ -41,12 +41,12 @@ class LearnedAvoider:
     @property
     def spread_threshold_m(self) -> float | None:
         """The largest spread [m] with which a proposal may be used; None if never calibrated."""
-        return None if self.model.calibration is None else self.model.calibration.spread_threshold_m
+        return self.model.spread_threshold_m
 
     @property
     def decision_time_s(self) -> float:
         """What a decision costs in simulated time, as the card declares; 0 where it does not."""
-        return float(self.model.card.get(CARD_TIME, 0.0))
+        return self.model.decision_time_s
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int

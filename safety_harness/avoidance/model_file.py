@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from safetensors import SafetensorError, deserialize
 from safetensors.numpy import save
 
-from safety_harness.avoidance.json_fields import NOT_NEGATIVE, POSITIVE, JsonFields, NumberRange, refuse
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
-from safety_harness.settings import Settings, Vector3
+from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
+from safety_harness.settings import Settings
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness model 1"
@@ -42,7 +43,11 @@ WIDTH = 32
 STAGES = 3
 BLOCKS = 3  # a stage: one dense block, then identity blocks
 
-Floats = tuple[float, ...]
+Corner = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+OfInputs = Meta(min_length=INPUTS - 1, max_length=INPUTS - 1)
+OfOutputs = Meta(min_length=OUTPUTS, max_length=OUTPUTS)
 
 
 class Dropout(Enum):
@@ -57,47 +62,93 @@ class Dropout(Enum):
 class SeenSpace:
     """The boxes that the training data filled: corners in the base frame [m]."""
 
-    hand_low_m: Vector3
-    hand_high_m: Vector3
-    tcp_low_m: Vector3
-    tcp_high_m: Vector3
+    hand_low_m: tuple[Corner, Corner, Corner]
+    hand_high_m: tuple[Corner, Corner, Corner]
+    tcp_low_m: tuple[Corner, Corner, Corner]
+    tcp_high_m: tuple[Corner, Corner, Corner]
+
+    def __post_init__(self) -> None:
+        for name, low_m, high_m in (
+            ("hand", self.hand_low_m, self.hand_high_m),
+            ("tcp", self.tcp_low_m, self.tcp_high_m),
+        ):
+            if not all(low < high for low, high in zip(low_m, high_m, strict=True)):
+                raise ValueError(f"{name}_low_m below {name}_high_m in every axis")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
     """What held-out seen TCPs said: how wide an interval must be, and which spread is too large.
 
-    ``more`` holds whatever else the calibration recorded; nothing here reads it.
+    ``more`` holds whatever else the calibration recorded, beside these in a file; nothing here reads it.
     """
 
-    interval_multiplier: float
-    spread_threshold_m: float
-    residual_std_m: Vector3
-    samples: int
+    interval_multiplier: Positive
+    spread_threshold_m: NotNegative
+    residual_std_m: tuple[NotNegative, NotNegative, NotNegative]
+    samples: Annotated[int, Meta(ge=1)]
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Model:
-    """A regression ResNet (or an ensemble of them) with all that is needed to use it.
+class NetworkUse:
+    """How a network is asked, and what its answers are good for, whichever file it comes from."""
+
+    dropout: Dropout
+    dropout_probability: Annotated[float, Meta(ge=0.0, le=LARGEST_DROPOUT)]
+    passes: Annotated[int, Meta(ge=1, le=MOST_PASSES)]
+    seen: SeenSpace
+    calibration: Calibration | None
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The largest spread [m] with which a proposal may be used; None if never calibrated."""
+        return None if self.calibration is None else self.calibration.spread_threshold_m
+
+    @property
+    def decision_time_s(self) -> float:
+        """What a decision costs in simulated time, as the card declares; 0 where it does not."""
+        return float(self.card.get(CARD_TIME, 0.0))
+
+
+U = TypeVar("U", bound=NetworkUse)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelMetadata(NetworkUse):
+    """All of a model but its tensors.
 
     The network sees x = (input - input_mean) / input_std (6,) and the constant 1; its answer y
     means the position target_mean + target_std y (3,) in the base frame.  Means and deviations are
-    in metres; ``tensors`` are read-only float32 arrays, one set for each member.
+    in metres.
     """
 
-    dropout: Dropout
-    dropout_probability: float
-    members: int
-    passes: int
-    input_mean: Floats
-    input_std: Floats
-    target_mean: Floats
-    target_std: Floats
-    seen: SeenSpace
-    calibration: Calibration | None
-    card: Mapping[str, Any]
+    format: str = FORMAT
+    kind: Annotated[str, Meta(pattern=f"^{KIND}$")] = KIND
+    width: Annotated[int, Meta(ge=WIDTH, le=WIDTH)] = WIDTH
+    stages: Annotated[int, Meta(ge=STAGES, le=STAGES)] = STAGES
+    blocks: Annotated[int, Meta(ge=BLOCKS, le=BLOCKS)] = BLOCKS
+    members: Annotated[int, Meta(ge=1, le=MOST_MEMBERS)]
+    input_mean: Annotated[tuple[float, ...], OfInputs]
+    input_std: Annotated[tuple[Positive, ...], OfInputs]
+    target_mean: Annotated[tuple[float, ...], OfOutputs]
+    target_std: Annotated[tuple[Positive, ...], OfOutputs]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Model(ModelMetadata):
+    """A regression ResNet (or an ensemble of them) with all that is needed to use it.
+
+    ``tensors`` are read-only float32 arrays, one set for each member.
+    """
+
     tensors: Mapping[str, NDArray[np.float32]]
+
+
+def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
+    """Raise the ModelError for field ``name`` of the file ``path``."""
+    raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
 def tensor_shapes() -> dict[str, tuple[int, ...]]:
@@ -148,7 +199,7 @@ def save_model(model: Model, path: Path) -> None:
     """
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
     try:
-        data = save(tensors, metadata={KEY: json.dumps(metadata_of(model), sort_keys=True)})
+        data = save(tensors, metadata={KEY: json.dumps(metadata_of(model), sort_keys=True, allow_nan=False)})
     except (TypeError, ValueError, SafetensorError) as error:
         refuse(path, None, "a model of numbers and plain texts", str(error))
     _parse(data, path)
@@ -180,28 +231,11 @@ def refuse_foreign_seen_space(seen: SeenSpace, settings: Settings, path: Path) -
 
 def metadata_of(model: Model) -> dict[str, Any]:
     """All of a model but its tensors, as JSON has it."""
-    calibration = None
+    found = {one.name: plain(getattr(model, one.name)) for one in fields(ModelMetadata)}
     if model.calibration is not None:
-        own = asdict(model.calibration)
-        calibration = own.pop("more") | own
-    return {
-        "format": FORMAT,
-        "kind": KIND,
-        "width": WIDTH,
-        "stages": STAGES,
-        "blocks": BLOCKS,
-        "dropout": model.dropout.value,
-        "dropout_probability": model.dropout_probability,
-        "members": model.members,
-        "passes": model.passes,
-        "input_mean": list(model.input_mean),
-        "input_std": list(model.input_std),
-        "target_mean": list(model.target_mean),
-        "target_std": list(model.target_std),
-        "seen": asdict(model.seen),
-        "calibration": calibration,
-        "card": dict(model.card),
-    }
+        del found["calibration"]["more"]
+        found["calibration"] = dict(model.calibration.more) | found["calibration"]
+    return found | {"card": dict(model.card)}
 
 
 def _parse(data: bytes, path: Path) -> Model:
@@ -214,70 +248,31 @@ def _parse(data: bytes, path: Path) -> Model:
     text = (header.get("__metadata__") or {}).get(KEY)
     if text is None:
         refuse(path, KEY, "the metadata of a model of this package", "none")
-    fields = JsonFields(path, text)
-    for name, only in (("format", FORMAT), ("kind", KIND)):
-        fields.one_of(name, (only,))
-    for name, size in (("width", WIDTH), ("stages", STAGES), ("blocks", BLOCKS)):
-        fields.whole(name, size, size)
-    dropout = Dropout(fields.one_of("dropout", [one.value for one in Dropout]))
-    drops = dropout is not Dropout.NONE
+    found = of_format(parsed(text, path, "metadata", ModelError), FORMAT, path, ModelError)
+    metadata = network_use(found, ModelMetadata, path)
     # An ensemble's spread is over its members, and one pass has no spread: it would look certain.
-    members = fields.whole("members", 1, 1 if drops else MOST_MEMBERS)
-    model = Model(
-        dropout=dropout,
-        dropout_probability=fields.number(
-            "dropout_probability", NumberRange(0.0, LARGEST_DROPOUT, open=drops)
-        ),
-        members=members,
-        passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
-        input_mean=fields.vector("input_mean", INPUTS - 1),
-        input_std=fields.vector("input_std", INPUTS - 1, POSITIVE),
-        target_mean=fields.vector("target_mean", OUTPUTS),
-        target_std=fields.vector("target_std", OUTPUTS, POSITIVE),
-        seen=seen_of(fields),
-        calibration=calibration_of(fields),
-        card=fields.table("card"),
-        tensors=_tensors(stored, members, path),
-    )
-    card_time_of(fields)
-    fields.no_others(None, metadata_of(model))
-    return model
+    if metadata.dropout is not Dropout.NONE and metadata.members > 1:
+        refuse(path, "members", "1 with dropout", str(metadata.members))
+    return Model(**vars(metadata), tensors=_tensors(stored, metadata.members, path))
 
 
-def seen_of(fields: JsonFields) -> SeenSpace:
-    """The seen space in a model's metadata."""
-    corners: dict[str, Vector3] = {}
-    for name in ("hand", "tcp"):
-        for corner in (f"{name}_low_m", f"{name}_high_m"):
-            x, y, z = fields.vector(f"seen.{corner}", 3, NumberRange(-FARTHEST_M, FARTHEST_M))
-            corners[corner] = x, y, z
-        low, high = corners[f"{name}_low_m"], corners[f"{name}_high_m"]
-        if not all(a < b for a, b in zip(low, high, strict=True)):
-            fields.refuse(f"seen.{name}_low_m", f"a corner below {list(high)} in every axis", list(low))
-    fields.no_others("seen", corners)
-    return SeenSpace(**corners)
-
-
-def calibration_of(fields: JsonFields) -> Calibration | None:
-    """The calibration in a model's metadata, if there is one."""
-    if fields.get("calibration") is None:
-        return None
-    more = fields.table("calibration")
-    x, y, z = fields.vector("calibration.residual_std_m", 3, NOT_NEGATIVE)
-    calibration = Calibration(
-        interval_multiplier=fields.number("calibration.interval_multiplier", POSITIVE),
-        spread_threshold_m=fields.number("calibration.spread_threshold_m", NOT_NEGATIVE),
-        residual_std_m=(x, y, z),
-        samples=fields.whole("calibration.samples", 1),
-    )
-    own = ("interval_multiplier", "spread_threshold_m", "residual_std_m", "samples")
-    return replace(calibration, more={key: value for key, value in more.items() if key not in own})
-
-
-def card_time_of(fields: JsonFields) -> float:
-    """What the card in a model's metadata declares that a decision costs [s]; 0 where it does not."""
-    name = f"card.{CARD_TIME}"
-    return fields.number(name, NumberRange(0.0, LONGEST_S)) if name in fields else 0.0
+def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) -> U:
+    """What the metadata of a model say, or with ``others`` of an exported one; ModelError."""
+    if isinstance(found, dict) and isinstance(found.get("calibration"), dict):
+        own = {one.name for one in fields(Calibration)}
+        parts: dict[str, Any] = {"more": {}}
+        for name, value in found["calibration"].items():
+            (parts if name in own else parts["more"])[name] = value
+        found = found | {"calibration": parts}
+    made = typed(found, kind, path, others=others, error=ModelError)
+    if made.dropout is not Dropout.NONE and made.passes < 2:
+        refuse(path, "passes", "at least 2 with dropout", str(made.passes))
+    if made.dropout is not Dropout.NONE and made.dropout_probability == 0.0:
+        refuse(path, "dropout_probability", "above 0 with dropout", "0")
+    time_s = made.card.get(CARD_TIME, 0.0)
+    if type(time_s) not in (int, float) or not 0.0 <= time_s <= LONGEST_S:
+        refuse(path, f"card.{CARD_TIME}", f"a time from 0 s to {LONGEST_S:g} s", repr(time_s)[:80])
+    return made
 
 
 def _tensors(

@@ -40,7 +40,7 @@ class NearestCandidate:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """Eq. 13 with fresh candidates."""
+        """Eq. 13 with fresh candidates.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
         candidates = tcp_position_in_base_m + self.cap.draw(np.random.default_rng(seed))  # (count, 3)
         errors = np.linalg.norm(candidates - self.desired_tcp_position_in_base_m, axis=1)
         selected = candidates[int(np.argmin(errors))]
@@ -49,5 +49,5 @@ class NearestCandidate:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
         return proposed_in_turn(self, hands_in_base_m, tcps_in_base_m, seeds)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from safety_harness.avoidance.json_fields import refuse
+from safety_harness.avoidance.model_file import refuse
 
 GRAPH, METADATA = 7, 14
 MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read

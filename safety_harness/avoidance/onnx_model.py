@@ -30,22 +30,20 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector, described
 from safety_harness.avoidance.folding import PLACES
-from safety_harness.avoidance.json_fields import JsonFields, NumberRange, refuse
 from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import (
     CARD_TIME,
     KEY,
-    LARGEST_DROPOUT,
-    MOST_PASSES,
     WIDTH,
     Dropout,
+    NetworkUse,
     SeenSpace,
-    calibration_of,
-    card_time_of,
-    seen_of,
+    network_use,
+    refuse,
 )
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
+from safety_harness.scenario.typed_json import of_format, parsed
 
 EXPORT_FORMAT = "safety-harness export 1"
 HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
@@ -55,33 +53,15 @@ INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
 BOOLEANS = {"tensor(bool)": "bool"}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Exported:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Exported(NetworkUse):
     """What the metadata of a file of ``export`` say, beyond the function itself."""
-
-    dropout: Dropout
-    probability: float
-    passes: int
-    seen: SeenSpace
-    spread_threshold_m: float | None
-    decision_time_s: float
 
     @classmethod
     def of(cls, path: Path, text: str) -> Exported:
         """From their JSON; ModelError for the first field that is wrong."""
-        fields = JsonFields(path, text)
-        fields.one_of("format", (EXPORT_FORMAT,))
-        dropout = Dropout(fields.one_of("dropout", [one.value for one in Dropout]))
-        drops = dropout is not Dropout.NONE
-        calibration = calibration_of(fields)
-        return cls(
-            dropout=dropout,
-            probability=fields.number("dropout_probability", NumberRange(0.0, LARGEST_DROPOUT, open=drops)),
-            passes=fields.whole("passes", 2 if drops else 1, MOST_PASSES),
-            seen=seen_of(fields),
-            spread_threshold_m=None if calibration is None else calibration.spread_threshold_m,
-            decision_time_s=card_time_of(fields),
-        )
+        found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
+        return network_use(found, cls, path, others=True)
 
     @property
     def mask_shape(self) -> tuple[int, int, int]:
@@ -90,7 +70,7 @@ class Exported:
 
     def masks(self, seed: int) -> NDArray[np.bool_]:
         """(1, passes, places, units): those that ``LearnedAvoider`` has for this seed."""
-        drawn: NDArray[np.bool_] = masks(np.uint64(seed), *self.mask_shape, self.probability)
+        drawn: NDArray[np.bool_] = masks(np.uint64(seed), *self.mask_shape, self.dropout_probability)
         return drawn[None]
 
 

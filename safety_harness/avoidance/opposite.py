@@ -23,7 +23,10 @@ class OppositePose:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """The opposite pose; AvoiderError when hand and TCP coincide, for then there is none."""
+        """The opposite pose; AvoiderError when hand and TCP coincide, for then there is none.
+
+        ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,).
+        """
         away = tcp_position_in_base_m - hand_position_in_base_m
         distance = float(np.linalg.norm(away))
         if not distance > 0.0:
@@ -33,5 +36,5 @@ class OppositePose:
     def propose_many(
         self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
         return proposed_in_turn(self, hands_in_base_m, tcps_in_base_m, seeds)

@@ -101,12 +101,7 @@ def _layer_of_row(
         work[out, row, j] = bias[layer, j]
     for i in range(0, WIDTH, STEP):
         x0, x1, x2, x3 = work[x, row, i], work[x, row, i + 1], work[x, row, i + 2], work[x, row, i + 3]
-        x4, x5, x6, x7 = (
-            work[x, row, i + 4],
-            work[x, row, i + 5],
-            work[x, row, i + 6],
-            work[x, row, i + 7],
-        )
+        x4, x5, x6, x7 = (work[x, row, i + 4], work[x, row, i + 5], work[x, row, i + 6], work[x, row, i + 7])
         for j in range(WIDTH):
             total = work[out, row, j]
             total += x0 * weight[layer, i, j]
@@ -190,6 +185,7 @@ def _block(
 
 @compiled
 def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
+    """Copy the first row of slot x into those after it, ``rows`` altogether."""
     for row in range(1, rows):
         for j in range(WIDTH):
             work[x, row, j] = work[x, 0, j]
@@ -267,7 +263,7 @@ def decide(
     passes: int,
     hands_in_base_m: Float64s,
     tcps_in_base_m: Float64s,
-    seeds: NDArray[np.uint64],
+    seeds: NDArray[np.uint64],  # (n,)
     positions: Float64s,
     spreads: Float64s,
 ) -> None:

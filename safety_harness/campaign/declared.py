@@ -14,6 +14,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import portable
+from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Declared:
     plan_file: Path
     identity: Identity
     seed: int
-    world: str
+    world: WorldEntry
     confidence: float
     stop_early: bool
     strata: tuple[str, ...]
@@ -43,7 +44,7 @@ def declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
         "plan": json.dumps(
             {
                 "seed": plan.seed,
-                "world": plan.world.value,
+                "world": plan.world.label,
                 "confidence": plan.confidence,
                 "stop early": plan.stop_early,
             }
@@ -72,7 +73,7 @@ def read_declared(connection: sqlite3.Connection, path: Path) -> Declared:
             plan_file=path.parent / about["plan file"],
             identity=Identity.from_json(about["identity"]),
             seed=int(plan["seed"]),
-            world=str(plan["world"]),
+            world=worlds_by_label()[str(plan["world"])],
             confidence=float(plan["confidence"]),
             stop_early=bool(plan["stop early"]),
             strata=tuple(name for name, _ in strata),

@@ -16,11 +16,10 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_many
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
-from safety_harness.admission.trial import run_trial
+from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import described
-from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.exceptions import CampaignError, InputError
 from safety_harness.properties.answered import fault_of, unanswered
@@ -83,7 +82,7 @@ class EpisodeRunner:
 
         ``keep_violations`` says whether traces of violations are still wanted.
         """
-        if self.plan.world is PlannedWorld.KINEMATIC:
+        if self.plan.world.batch:
             yield from self._together(stratum, episodes, keep_violations)
             return
         for episode in episodes:
@@ -92,7 +91,7 @@ class EpisodeRunner:
             if isinstance(drawn, Row):
                 yield drawn
                 continue
-            run = _in_pybullet(drawn.admitted)
+            run = next(run_all([drawn.admitted], self.plan.world))
             row = self._judged(stratum, drawn, run, keep_violations)
             yield replace(row, seconds=time.perf_counter() - begun_s)
 
@@ -127,7 +126,7 @@ class EpisodeRunner:
         begun_s = time.perf_counter()
         drawn = [self._drawn(stratum, episode) for episode in episodes]
         ready = [one for one in drawn if isinstance(one, Drawn)]
-        runs = iter(_in_kinematic([one.admitted for one in ready]))
+        runs = run_all([one.admitted for one in ready], self.plan.world)
         rows = [
             one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
             for one in drawn
@@ -176,6 +175,7 @@ class EpisodeRunner:
             for one in self.plan.claims
         )
         decided = run.decisions["outcome"]
+        cell = cell_of(run, self._admitter.seen_of(run.scenario))
         return Row(
             stratum=stratum,
             episode=episode,
@@ -188,7 +188,7 @@ class EpisodeRunner:
             stopped=int(np.count_nonzero(decided == Decided.STOP)),
             faults=int(np.count_nonzero(unanswered(run))),
             late=int(np.count_nonzero(run.decisions["proposed_failed"] & Check.LATE)),
-            cell=self._cell(run),
+            cell="" if cell is None else str(cell),
             mishap=fault_of(run),
             failure=broken,
             worker=self.worker,
@@ -198,10 +198,6 @@ class EpisodeRunner:
         if stratum not in self._random:
             self._random[stratum] = random_episodes(self.plan, stratum)
         return self._random[stratum]
-
-    def _cell(self, run: Trace) -> str:
-        cell = cell_of(run, self._admitter.seen_of(run.scenario))
-        return "" if cell is None else str(cell)
 
 
 def why_broken(trace: Trace) -> str:
@@ -253,25 +249,3 @@ def _where(error: Exception) -> str:
     """The deepest line, of whichever file: there is no traceback in a ledger."""
     frames = traceback.extract_tb(error.__traceback__)
     return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-
-
-def _in_pybullet(admitted: Admitted) -> Trace | Exception:
-    try:
-        return run_trial(admitted)
-    except Exception as error:  # one run's failure is a result
-        return error
-
-
-def _in_kinematic(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-    """All together; one by one if any breaks."""
-    try:
-        return list(run_many(admitted))
-    except Exception:
-        return [_alone(one) for one in admitted]
-
-
-def _alone(admitted: Admitted) -> Trace | Exception:
-    try:
-        return next(iter(run_many([admitted])))
-    except Exception as error:
-        return error

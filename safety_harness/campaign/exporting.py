@@ -1,18 +1,21 @@
-"""A ledger as a table for other programs: one line for each episode and claim."""
+"""A ledger as a table for other programs, and questions to it: filters as SQL, and SQL that can only read."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import sqlite3
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.exceptions import OutputError, Place, ScenarioError
+from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, parse_quantity
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.whole_file import replacing
 
+_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late")
 # Name, where it is, and its type in Parquet.
 _COLUMNS = (
     ("stratum", "s.name", "string"),
@@ -22,14 +25,7 @@ _COLUMNS = (
     ("margin_si", "j.margin", "float64"),
     ("worst_time_s", "j.worst_time_s", "float64"),
     ("exercised", "j.exercised", "int64"),
-    ("seed", "e.seed", "int64"),
-    ("draws", "e.draws", "int64"),
-    ("decisions", "e.decisions", "int64"),
-    ("proposed", "e.proposed", "int64"),
-    ("opposite", "e.opposite", "int64"),
-    ("stopped", "e.stopped", "int64"),
-    ("faults", "e.faults", "int64"),
-    ("late", "e.late", "int64"),
+    *((name, f"e.{name}", "int64") for name in _NUMBERS),
     ("cell", "l.words", "string"),
     ("mishap", "e.mishap", "string"),
     ("failure", "e.failure", "string"),
@@ -117,3 +113,61 @@ def _parquet(ledger: Ledger, path: Path) -> int:
             writer.write_table(pyarrow.table(columns, schema=schema))
             count += len(batch)
     return count
+
+
+_DIMENSIONS = {one.name: one for one in DIMENSIONS}  # named as units are, but for a count
+_READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
+
+
+def question_of(
+    ledger: Ledger, claim: str | None, stratum: str | None, outcome: str | None, below: str | None
+) -> tuple[str, tuple[object, ...]]:
+    """SQL over the view ``results``, worst margins first, and its values.
+
+    A claim or stratum is named whole, or by words that only one has; ``below`` is a margin with its unit.
+    """
+    declared = ledger.declared
+    filters: list[tuple[str, object]] = []
+    if stratum is not None:
+        filters.append(("stratum = ?", _meant(declared.strata, stratum, "--stratum")))
+    if claim is not None:
+        filters.append(("claim = ?", _meant(declared.claims, claim, "--claim")))
+    if outcome is not None:
+        names = tuple(one.name.lower() for one in EpisodeOutcome)
+        filters.append(("outcome = ?", _meant(names, outcome, "--outcome")))
+    if below is not None:
+        units = {
+            unit
+            for name, unit in zip(declared.claims, declared.units, strict=True)
+            if claim is None or claim in name
+        }
+        if len(units) != 1:
+            place = Place(field="--below")
+            raise ScenarioError(
+                place=place, expected="--claim beside it, whose unit it has", got="several claims"
+            )
+        dimension = _DIMENSIONS.get(units.pop().name.lower().replace("_", " "), NUMBER)
+        filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))
+    where = " AND ".join(text for text, _ in filters) or "1"
+    values = tuple(value for _, value in filters)
+    return f"SELECT * FROM results WHERE {where} ORDER BY margin IS NULL, margin, stratum, episode", values
+
+
+def refuse_writing(connection: sqlite3.Connection) -> None:
+    """From now on the connection only reads: nothing is changed, attached or set."""
+    connection.set_authorizer(
+        lambda action, *_: sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
+    )
+
+
+def _meant(names: Sequence[str], word: str, option: str) -> str:
+    if word in names:
+        return word
+    found = [name for name in names if word in name]
+    if len(found) != 1:
+        got = f"{word!r}, which {len(found)} of them have" if found else repr(word)
+        hint = near_miss(word, names)
+        raise ScenarioError(
+            place=Place(field=option), expected=f"one of {', '.join(names)}", got=got, hint=hint
+        )
+    return found[0]

@@ -18,12 +18,11 @@ from urllib.parse import quote
 import numpy as np
 
 from safety_harness.campaign.declared import declare, read_declared
-from safety_harness.campaign.files import PlanFile
-from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.identity import Identity, PlanFile
 from safety_harness.campaign.opening import connect, explained
+from safety_harness.campaign.opening import create as create_tables
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.schema import create as create_tables
 from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
@@ -98,14 +97,8 @@ class Ledger:
 
     def refuse_other(self, identity: Identity) -> None:
         """LedgerError that names what has changed since the ledger's plan was declared."""
-        changes = self.declared.identity.changes(identity)
-        if changes:
-            raise LedgerError(
-                place=Place(file=self.path),
-                expected="the plan, files and versions that it was begun with",
-                got="; ".join(changes),
-                hint="put them back as they were, or begin another ledger (--ledger FILE)",
-            )
+        hint = "put them back as they were, or begin another ledger (--ledger FILE)"
+        self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
     @property
     def files(self) -> tuple[PlanFile, ...]:

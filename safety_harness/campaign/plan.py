@@ -8,21 +8,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import Enum
 from pathlib import Path
 
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.campaign.files import PlanFile, files_of_plan, references_in
-from safety_harness.campaign.identity import Identity, identity_of, stratum_number
+from safety_harness.campaign.identity import (
+    Identity,
+    PlanFile,
+    files_of_plan,
+    identity_of,
+    references_in,
+    stratum_number,
+)
 from safety_harness.exceptions import Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
-from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.scenario.read import LARGEST_SEED
+from safety_harness.scenario.model import LARGEST_SEED, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
+from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
 
@@ -42,20 +47,6 @@ KEYS = (
 MOST_RUNS = 10**9  # of a stratum
 MOST_STRATA, MOST_CLAIMS = 64, 64
 MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
-
-
-class PlannedWorld(Enum):
-    """Where a plan's episodes run; the kinematic world says something of the model only."""
-
-    PYBULLET = "PyBullet"
-    KINEMATIC = "kinematic"
-
-
-class YesNo(Enum):
-    """A switch in a plan."""
-
-    YES = "yes"
-    NO = "no"
 
 
 @dataclass(frozen=True)
@@ -99,7 +90,7 @@ class Plan:
     title: str
     about: str
     avoider: str | None
-    world: PlannedWorld
+    world: WorldEntry
     confidence: float
     seed: int
     strata: tuple[Stratum, ...]
@@ -163,12 +154,12 @@ def read_plan(path: Path) -> Plan:
     world = given.optional("world")
     stop = given.optional("stop early")
     about = given.optional("about")
-    stop_early = stop.choice(YesNo) is YesNo.YES if stop else False
+    stop_early = stop is not None and stop.one_of({"yes": True, "no": False})
     if stop and stop_early and any(claim.target is None for claim in claims):
         raise stop.error(
             "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
         )
-    planned_world = world.choice(PlannedWorld) if world else PlannedWorld.PYBULLET
+    planned_world = world.one_of(worlds_by_label()) if world else REFERENCE
     files = files_of_plan(path, library, [stratum.space for stratum in strata], reference)
     return Plan(
         title=title,
@@ -185,7 +176,7 @@ def read_plan(path: Path) -> Plan:
         stop_early=stop_early,
         file=path,
         files=files,
-        identity=identity_of(files, [s.space for s in strata], reference, planned_world.value),
+        identity=identity_of(files, [s.space for s in strata], reference, planned_world.label),
         avoider_place=place,
     )
 

@@ -16,10 +16,20 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerProcess
 
-from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost, MakesBench
 from safety_harness.campaign.pool import one_thread_each
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.worker import ChunkDone, Mistake, Ready, resident_bytes, work
+from safety_harness.campaign.worker import (
+    Arrived,
+    Chunk,
+    ChunkDone,
+    Event,
+    Lost,
+    MakesBench,
+    Mistake,
+    Ready,
+    resident_bytes,
+    work,
+)
 from safety_harness.exceptions import CampaignError, InputError
 
 _MOST_FALSE_STARTS = 10

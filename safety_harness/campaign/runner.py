@@ -8,25 +8,26 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 
-from safety_harness.campaign.crew import Arrived, Chunk, Lost, WorkerPool
+import numpy as np
+
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.stopping import Stopping
-from safety_harness.campaign.summary import tally_of
-from safety_harness.campaign.tally import CampaignTally
+from safety_harness.campaign.summary import CampaignTally, tally_of
+from safety_harness.campaign.worker import Arrived, Chunk, Lost, WorkerPool
+from safety_harness.statistics.binomial import chance_of_each, ends_of
+from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
 ATTEMPTS = 3
 CHUNK_S = 1.0  # of work, so that what it costs to hand it over and to commit is little beside it
-MOST_IN_CHUNK = {
-    PlannedWorld.PYBULLET: 1000,
-    PlannedWorld.KINEMATIC: 64,
-}  # a chunk's traces are held together
+MOST_IN_CHUNK = 1000
+MOST_TOGETHER = 64  # in a world that takes many, all traces of a chunk are held
 _WAIT_S = 0.5
 _COMMIT_S = 0.2  # rows that come one by one are committed together
 
@@ -192,7 +193,8 @@ class _Runner:
         if not self._done:
             return 1
         each_s = self._spent_s / self._done
-        return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), MOST_IN_CHUNK[self.plan.world]))
+        most = MOST_TOGETHER if self.plan.world.batch else MOST_IN_CHUNK
+        return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), most))
 
     def _missing(self, stratum: int) -> Iterator[int]:
         first, of = self.part
@@ -215,3 +217,69 @@ class _Runner:
         seconds = time.monotonic() - self._begun_s
         crew = self.crew
         return RunnerProgress(self.tally, self._done, seconds, self._retried, crew.replaced, crew.size)
+
+
+EVERY = 50  # episodes between looks
+
+_Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
+
+
+class Stopping:
+    """Looks at the outcomes in the order of the episodes, so that the moment does not hang on who is quicker.
+
+    A claim with a target is decided once its upper bound meets the target, or its lower bound is above it;
+    a stratum is when all of its claims are.  Bounds hold at every look (``statistics.sequential``).
+    """
+
+    def __init__(self, plan: Plan, ledger: Ledger) -> None:
+        self._targets = [one.target for one in plan.claims]
+        self._active = plan.stop_early and None not in self._targets
+        self._chance = chance_of_each(plan.confidence, ends_of(len(plan.claims), len(plan.strata)))
+        count = len(plan.strata)
+        self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
+        self._reached = [0] * count
+        self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
+        self._decided: dict[int, int] = {}
+        if self._active:
+            for stratum in range(count):
+                self._read(ledger, stratum)
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Take new episodes in."""
+        if self._active:
+            for row in rows:
+                outcomes = tuple(judgement.outcome for judgement in row.judgements)
+                self._ahead[row.stratum][row.episode] = outcomes
+            for stratum in range(len(self._ahead)):
+                self._advance(stratum)
+
+    @property
+    def decided(self) -> dict[int, int]:
+        """Strata that are decided, and after how many episodes."""
+        return self._decided
+
+    def _read(self, ledger: Ledger, stratum: int) -> None:
+        columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
+        for k, episode in enumerate(columns[0][0].tolist()):
+            self._ahead[stratum][episode] = tuple(EpisodeOutcome(int(codes[k])) for _, codes, _ in columns)
+        self._advance(stratum)
+
+    def _advance(self, stratum: int) -> None:
+        ahead = self._ahead[stratum]
+        while stratum not in self._decided and self._reached[stratum] in ahead:
+            for claim, outcome in enumerate(ahead.pop(self._reached[stratum])):
+                self._counts[stratum, claim, outcome] += 1
+            self._reached[stratum] += 1
+            if self._reached[stratum] % EVERY == 0 and self._is_decided(stratum):
+                self._decided[stratum] = self._reached[stratum]
+
+    def _is_decided(self, stratum: int) -> bool:
+        for target, counts in zip(self._targets, self._counts[stratum], strict=True):
+            assert target is not None
+            trials = int(counts.sum() - counts[EpisodeOutcome.UNTESTED])
+            surely = int(counts[EpisodeOutcome.VIOLATED])
+            perhaps = surely + int(counts[EpisodeOutcome.INCONCLUSIVE] + counts[EpisodeOutcome.FAILED])
+            shown = anytime_upper(perhaps, trials, self._chance) <= target
+            if not trials or not (shown or anytime_lower(surely, trials, self._chance) > target):
+                return False
+        return True

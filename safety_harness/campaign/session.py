@@ -11,14 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
-from safety_harness.campaign.crew import WorkerPool
-from safety_harness.campaign.files import unpacked
+from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
 from safety_harness.campaign.processes import LIMITS, Limits, Processes
 from safety_harness.campaign.runner import RunnerProgress, run_campaign
-from safety_harness.campaign.worker import PlanFromFile
+from safety_harness.campaign.worker import PlanFromFile, WorkerPool
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]

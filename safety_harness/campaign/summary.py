@@ -1,13 +1,24 @@
-"""What a ledger says as a whole: how the campaign stands, and a fingerprint of its results."""
+"""What a ledger says as a whole: how the campaign stands, a fingerprint of its results, a hash of all rows.
+
+The hash is the root of a Merkle tree over the episodes, that of RFC 6962, section 2.1 (Laurie, Langley and
+Kasper, 2013): SHA-256, a zero byte before what a leaf hashes and a one before what a node does, so that no
+node can be taken for a leaf; of n leaves the left subtree has the largest power of two below n.
+
+A leaf is an episode, as JSON: its stratum's and its own number, seed, draws, decisions, cell, run error,
+outcome, margin, moment and occasions of each claim, and the SHA-256 of its trace if that is kept.  Hashes are
+computed when they are asked for: stored in the same file they would protect nothing.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.tally import CampaignTally, ClaimCounts, StratumTally
+from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -77,3 +88,129 @@ def fingerprint_of(ledger: Ledger) -> str:
             for row in ledger.all(question, stratum):
                 digest.update(repr(row).encode())  # of a float: the shortest text that gives it again
     return digest.hexdigest()
+
+
+@dataclass
+class ClaimCounts:
+    """One claim in one stratum: episodes by outcome, and the least margin (SI) with its episode."""
+
+    counts: dict[EpisodeOutcome, int] = field(default_factory=lambda: dict.fromkeys(EpisodeOutcome, 0))
+    worst: float = math.nan
+    worst_episode: int = -1
+
+    def add(self, outcome: EpisodeOutcome, margin: float, episode: int, times: int = 1) -> None:
+        """Count; of equal margins the first episode's is kept."""
+        self.counts[outcome] += times
+        tested = outcome in (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
+        if tested and not math.isnan(margin):
+            known = not math.isnan(self.worst)
+            if not known or (margin, episode) < (self.worst, self.worst_episode):
+                self.worst, self.worst_episode = margin, episode
+
+
+@dataclass
+class StratumTally:
+    """One stratum: episodes done of those planned, and how many of them could not be run."""
+
+    planned: int
+    claims: list[ClaimCounts]
+    done: int = 0
+    failed: int = 0
+    stopped_after: int | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Is there nothing left to run?"""
+        return self.done >= self.planned or self.stopped_after is not None
+
+    def add(self, row: Row) -> None:
+        """Count one episode."""
+        self.done += 1
+        self.failed += any(one.outcome is EpisodeOutcome.FAILED for one in row.judgements)
+        for claim, judgement in zip(self.claims, row.judgements, strict=True):
+            claim.add(judgement.outcome, judgement.margin, row.episode)
+
+
+@dataclass
+class CampaignTally:
+    """All strata, in the plan's order."""
+
+    strata: list[StratumTally]
+
+    @property
+    def done(self) -> int:
+        """Episodes."""
+        return sum(stratum.done for stratum in self.strata)
+
+    @property
+    def planned(self) -> int:
+        """Episodes."""
+        return sum(stratum.planned for stratum in self.strata)
+
+    @property
+    def failed(self) -> int:
+        """Episodes that could not be run."""
+        return sum(stratum.failed for stratum in self.strata)
+
+    @property
+    def complete(self) -> bool:
+        """Is there nothing left to run?"""
+        return all(stratum.complete for stratum in self.strata)
+
+    def of_claim(self, claim: int) -> ClaimCounts:
+        """One claim over all strata; the worst margin's episode is of whichever stratum it is in."""
+        whole = ClaimCounts()
+        for stratum in self.strata:
+            one = stratum.claims[claim]
+            for outcome, count in one.counts.items():
+                whole.counts[outcome] += count
+            if not one.worst >= whole.worst and not math.isnan(one.worst):
+                whole.worst, whole.worst_episode = one.worst, one.worst_episode
+        return whole
+
+
+_LEAF, _NODE = b"\x00", b"\x01"
+_EPISODE = (
+    "SELECT e.stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, "
+    "e.late, c.words, e.mishap, e.failure, t.violation, t.data FROM episode e "
+    "LEFT JOIN cell c ON c.id = e.cell LEFT JOIN trace t ON t.stratum = e.stratum AND t.episode = e.episode "
+    "WHERE e.stratum = ? ORDER BY e.episode"
+)
+_JUDGEMENT = (
+    "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement "
+    "WHERE stratum = ? AND claim = ? ORDER BY episode"
+)
+
+
+def root_of(ledger: Ledger) -> str:
+    """Of all episodes, stratum by stratum, each judged by all claims."""
+    return merkle_root(_rows(ledger)).hex()
+
+
+def _rows(ledger: Ledger) -> Iterator[bytes]:
+    declared = ledger.declared
+    for stratum in range(len(declared.strata)):
+        claims = [ledger.all(_JUDGEMENT, stratum, claim) for claim in range(len(declared.claims))]
+        for (*row, data), *judged in zip(ledger.all(_EPISODE, stratum), *claims, strict=True):
+            trace = None if data is None else hashlib.sha256(data).hexdigest()
+            yield json.dumps([*row, trace, judged], separators=(",", ":")).encode()
+
+
+def merkle_root(leaves: Iterable[bytes]) -> bytes:
+    """MTH of RFC 6962: 32 bytes.  Subtrees whose sizes are powers of two wait for their right neighbours."""
+    waiting: list[tuple[int, bytes]] = []  # sizes that descend
+    for leaf in leaves:
+        size, digest = 1, _sha256(_LEAF + leaf)
+        while waiting and waiting[-1][0] == size:
+            size, digest = 2 * size, _sha256(_NODE + waiting.pop()[1] + digest)
+        waiting.append((size, digest))
+    if not waiting:
+        return _sha256(b"")
+    digest = waiting.pop()[1]
+    while waiting:
+        digest = _sha256(_NODE + waiting.pop()[1] + digest)
+    return digest
+
+
+def _sha256(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
+from safety_harness.certification.evidence import ClaimStatus, Evidence
 from safety_harness.certification.verdicts import percent
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
@@ -35,13 +35,7 @@ class ElementKind(Enum):
     ASSUMPTION = "A"
 
 
-KIND_WORDS = {
-    ElementKind.GOAL: "goal",
-    ElementKind.STRATEGY: "strategy",
-    ElementKind.SOLUTION: "solution",
-    ElementKind.CONTEXT: "context",
-    ElementKind.ASSUMPTION: "assumption",
-}
+KIND_WORDS = {kind: kind.name.lower() for kind in ElementKind}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +75,8 @@ class _Maker:
 
 def argument_of(evidence: Evidence) -> Element:
     """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
-    make = _Maker()
+    make, plan = _Maker(), evidence.plan
+    sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
     top = make(
         ElementKind.GOAL,
         f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
@@ -89,7 +84,7 @@ def argument_of(evidence: Evidence) -> Element:
         "claims",
         STATE[evidence.standing],
         beside=(
-            make(ElementKind.CONTEXT, _domain(evidence), "strata"),
+            make(ElementKind.CONTEXT, "Domain: " + ", ".join(one.name for one in evidence.strata), "strata"),
             make(
                 ElementKind.CONTEXT, f"System: {evidence.system.avoider} on {evidence.system.robot}", "system"
             ),
@@ -100,43 +95,30 @@ def argument_of(evidence: Evidence) -> Element:
         ElementKind.STRATEGY,
         "By claim and stratum, with exact bounds from independent runs",
         "results",
-        beside=(make(ElementKind.CONTEXT, _confidence(evidence), "plan"),),
+        beside=(make(ElementKind.CONTEXT, sure, "plan"),),
     )
     goals = []
     for claim in evidence.claims:
         place, state = f"claim-{claim.number}", STATE[claim.standing]
-        goal = make(ElementKind.GOAL, f"{claim.sentence}{_target(claim)}", place, state)
+        target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
+        goal = make(ElementKind.GOAL, f"{claim.sentence}{target}", place, state)
         runs = sum(outcome.tested for outcome in claim.outcomes)
         if runs:
             words = f"{runs} runs put it to the test: {claim.standing.value}"
             goal = replace(goal, below=(make(ElementKind.SOLUTION, words, place, state),))
         goals.append(goal)
-    hunted = make(
-        ElementKind.GOAL, "Ways to violate a claim are known and explained", "counterexamples", DOUBT
+    means = (
+        ("Ways to violate a claim are known and explained", "counterexamples", DOUBT, _hunt),
+        ("The simulator may be believed for these claims", "credibility", OPEN, _credibility),
+        ("What judges would notice a fault", "tools", OPEN, _tools),
     )
-    hunted = replace(hunted, below=_hunt(evidence, make))
-    believed = make(ElementKind.GOAL, "The simulator may be believed for these claims", "credibility")
-    believed = replace(believed, below=_credibility(evidence, make))
-    tools = make(ElementKind.GOAL, "What judges would notice a fault", "tools")
-    tools = replace(tools, below=_tools(evidence, make))
+    others = tuple(
+        replace(make(ElementKind.GOAL, text, place, state), below=support(evidence, make))
+        for text, place, state, support in means
+    )
     by_means = make(ElementKind.STRATEGY, "By what could make the bounds misleading", "not-shown")
     by_claims = replace(by_claims, below=tuple(goals))
-    by_means = replace(by_means, below=(hunted, believed, tools))
-    return replace(top, below=(by_claims, by_means))
-
-
-def _domain(evidence: Evidence) -> str:
-    names = ", ".join(stratum.name for stratum in evidence.strata)
-    return f"Domain: {names}"
-
-
-def _confidence(evidence: Evidence) -> str:
-    plan = evidence.plan
-    return f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
-
-
-def _target(claim: ClaimEvidence) -> str:
-    return "" if claim.target is None else f", violated in at most {percent(claim.target)}"
+    return replace(top, below=(by_claims, replace(by_means, below=others)))
 
 
 def _hunt(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import admit
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import is_a_program
-from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility, Oracle, Rerun, WorldAgreement
@@ -16,7 +15,7 @@ from safety_harness.exceptions import SafetyHarnessError
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.words import with_minus
 from safety_harness.scenario.model import Scenario, Verdict
-from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.worlds import WORLDS, WorldEntry, world_of_trace
 from safety_harness.trace.trace import Trace
 
 MOST_RERUNS = 12  # some seconds
@@ -79,41 +78,16 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
 
 
 def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
-    """Declared random runs with smaller physics steps, and in the other world."""
-    found = []
-    if chosen[0].provenance.world == PyBulletWorld.name:
+    """Declared random runs with smaller physics steps, and in the other worlds."""
+    found, own = [], world_of_trace(chosen[0].provenance.world)
+    if own.substeps:
         substeps = chosen[0].scenario.settings.clock.physics_substeps
-        found.append(
-            _rerun(
-                chosen,
-                _finer,
-                run_trial,
-                place="step-size",
-                title="Finer physics steps",
-                how=f"with {2 * substeps} physics steps a control tick in place of {substeps}",
-            )
-        )
-        found.append(
-            _rerun(
-                chosen,
-                lambda scenario: scenario,
-                run_kinematic,
-                place="other-world",
-                title="These runs in the kinematic world",
-                how="in the kinematic world in place of PyBullet",
-            )
-        )
-    else:
-        found.append(
-            _rerun(
-                chosen,
-                lambda scenario: scenario,
-                run_trial,
-                place="other-world",
-                title="These runs in PyBullet",
-                how="in PyBullet in place of the kinematic world",
-            )
-        )
+        how = f"with {2 * substeps} physics steps a control tick in place of {substeps}"
+        found.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))
+    for other in WORLDS:
+        if other is not own:
+            title, how = f"These runs in {other}", f"in {other} in place of {own}"
+            found.append(_rerun(chosen, other, "other-world", title, how))
     return tuple(found)
 
 
@@ -132,12 +106,12 @@ def _finer(scenario: Scenario) -> Scenario:
 
 def _rerun(
     traces: Sequence[Trace],
-    change: Callable[[Scenario], Scenario],
-    run: Callable[[Admitted], Trace],
-    *,
+    world: WorldEntry,
     place: str,
     title: str,
     how: str,
+    *,
+    change: Callable[[Scenario], Scenario] = lambda scenario: scenario,
 ) -> Rerun:
     """A run that cannot be made again counts all of its verdicts as changed."""
     verdicts = changed = optimistic = 0
@@ -146,7 +120,7 @@ def _rerun(
         before = judge(trace)
         verdicts += len(before)
         try:
-            after = judge(run(admit(change(trace.scenario))))
+            after = judge(run_trial(admit(change(trace.scenario)), world=world))
         except SafetyHarnessError:
             changed += len(before)
             continue

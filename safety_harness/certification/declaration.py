@@ -1,4 +1,6 @@
-"""What ``certify declare`` writes down and hashes: plan, seed, avoider, targets and software, by name.
+"""What is lodged elsewhere by its hash, and the declaration of a plan, which ``certify declare`` writes so.
+
+A declaration holds plan, seed, avoider, targets and software, by name.
 
 The hash is to be lodged where its day cannot be changed.  A report whose ledger gives the same hash was
 declared on that day at the latest; that nobody had made the same runs before, no hash can show: they repeat
@@ -7,17 +9,57 @@ themselves.  So whoever doubts names the seed.
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.json_file import part, read_object
-from safety_harness.certification.lodged import Lodged, write_once
-from safety_harness.exceptions import InputError, Place
+from safety_harness.exceptions import InputError, OutputError, Place
+from safety_harness.scenario.typed_json import of_format, read_json, typed
+from safety_harness.whole_file import write_whole
+
+
+class Lodged(ABC):
+    """One text for one content, and the hash of it."""
+
+    @property
+    @abstractmethod
+    def as_json(self) -> str:
+        """The text."""
+
+    @property
+    def sha256(self) -> str:
+        """What is lodged."""
+        return hashlib.sha256(self.as_json.encode()).hexdigest()
+
+    @abstractmethod
+    def changes(self, now: Self) -> Iterator[str]:
+        """What is otherwise now, in words."""
+
+
+L = TypeVar("L", bound=Lodged)
+
+
+def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str) -> L:
+    """Write ``made``; InputError if ``file`` has something else, as ``read`` has it: it may be lodged."""
+    if file.exists() and (there := read(file)) != made:
+        raise InputError(
+            place=Place(file=file),
+            expected=expected,
+            got="; ".join(there.changes(made)),
+            hint="it may be lodged already: move it away to begin anew",
+        )
+    try:
+        write_whole(file, made.as_json)
+    except OSError as error:
+        raise OutputError.of(file, error) from error
+    return made
+
 
 FORMAT = "safety-harness declaration 1"
 SUFFIX = ".declared.json"
@@ -48,7 +90,7 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
     parts: dict[str, Any] = {
         "plan": plan.title,
         "avoider": plan.avoider or "what the spaces name",
-        "world": plan.world.value,
+        "world": plan.world.label,
         "seed": plan.seed,
         "confidence": plan.confidence,
         "stop early": plan.stop_early,
@@ -75,7 +117,8 @@ def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
 
 def read_declaration(file: Path) -> PlanDeclaration:
     """InputError for what ``certify declare`` did not write."""
-    return PlanDeclaration(part(file, read_object(file, FORMAT), "declared", dict))
+    found = of_format(read_json(file, FORMAT), FORMAT, file)
+    return PlanDeclaration(typed(found.get("declared"), dict[str, Any], file, where="declared"))
 
 
 def declared_sha256(plan: Plan, file: Path | None) -> str:

@@ -59,7 +59,7 @@ def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFindin
         if one.found.interrupted:
             yield OpenFinding(text=f"{one.stratum}: the search was interrupted", place=place)
         if one.found.unconfirmed:
-            many = one.found.unconfirmed
+            many = len(one.found.unconfirmed)
             text = f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet"
             yield OpenFinding(text=text, place=place)
 

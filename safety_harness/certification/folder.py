@@ -8,18 +8,18 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from safety_harness.campaign.files import unpacked
+from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.counterexamples import write_traces
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence, StoredFile
 from safety_harness.certification.gather import GatheredEvidence
-from safety_harness.certification.json_file import part, read_object
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
+from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import write_whole
 
 PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
@@ -85,11 +85,10 @@ def read_manifest(folder: Path) -> dict[str, str]:
     file = folder / MANIFEST
     place = Place(file=file)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
-    found = read_object(file, FORMAT, most=LARGEST_MANIFEST_BYTES)
-    hashes: dict[str, str] = part(file, found, "sha256", dict)
+    found = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
+    hashes = typed(found.get("sha256"), dict[str, str], file, where="sha256")
     root = resolved(folder)
     for name in hashes:
-        part(file, hashes, name, str, "sha256.")
         plain = "\0" not in name and ".." not in Path(name).parts and Path(name).as_posix() == name
         if not plain or root not in resolved(folder / name).parents:
             raise InputError(place=place, expected="files below the report's folder", got=repr(name)[:120])

@@ -8,10 +8,12 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from importlib import metadata
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.summary import root_of
 from safety_harness.certification.counterexamples import (
     MOST,
     Example,
@@ -20,7 +22,7 @@ from safety_harness.certification.counterexamples import (
     searched_counterexamples,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, OpenFinding
+from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, OpenFinding, Record
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import (
@@ -31,7 +33,6 @@ from safety_harness.certification.findings import (
     of_strata,
     of_worlds,
 )
-from safety_harness.certification.record import of_record, record_of
 from safety_harness.certification.results import bounds, claims_of, strata_of
 from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -173,8 +174,8 @@ def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
         file=own.name,
         sha256=ledger.declared.identity.sha256,
         text=own.data.decode("utf-8", "replace"),
-        world=plan.world.value,
-        model_only=plan.world is not PlannedWorld.PYBULLET,
+        world=plan.world.label,
+        model_only=plan.world.model_only,
         confidence=plan.confidence,
         per_bound_confidence=1.0 - (1.0 - plan.confidence) / m,
         bounds=m,
@@ -185,7 +186,7 @@ def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
 
 
 def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
-    made = provenance(plan.world.value, "")
+    made = provenance(plan.world.label, "")
     began_at, machine, spent_s = sessions_of(ledger)
     return Origin(
         package_version=made.package_version,
@@ -213,3 +214,22 @@ def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
     began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
     return began_at, "; ".join(machines), float(spent_s)
+
+
+def record_of(ledger: Ledger, declaration_sha256: str) -> Record:
+    """With the root as the ledger is now."""
+    return Record(rows_sha256=root_of(ledger), declaration_sha256=declaration_sha256, drawn_with=drawn_with())
+
+
+def drawn_with() -> str:
+    """What draws the plots of the page, whose lines another version may put elsewhere."""
+    return f"matplotlib {metadata.version('matplotlib')}"
+
+
+def of_record(record: Record) -> tuple[OpenFinding, ...]:
+    """What nothing proves."""
+    if record.declaration_sha256:
+        return ()
+    return (
+        OpenFinding(text="nothing proves that the plan was declared before its runs were made", place="plan"),
+    )

@@ -3,36 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from markupsafe import Markup
 
 from safety_harness.certification.argument import KIND_WORDS, STATE, argument_of
 from safety_harness.certification.argument_svg import argument_svg
-from safety_harness.certification.cells import CellTable
-from safety_harness.certification.evidence import (
-    ClaimEvidence,
-    ClaimStatus,
-    CounterexampleEvidence,
-    Evidence,
-)
+from safety_harness.certification.evidence import ClaimStatus, CounterexampleEvidence, Evidence
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, seconds, start_s
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tables import (
-    calibration,
-    counterexamples,
-    coverage,
-    files,
-    hazards,
-    outcomes,
-    quantiles,
-    separation,
-    strata,
-    verdicts,
-)
-from safety_harness.certification.tool_tables import agreement, kills, oracles, rerun
+from safety_harness.certification.tables import outcomes, quantiles, tables_of
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -54,33 +35,6 @@ MEANINGS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class ClaimView:
-    """A claim with its table and figures."""
-
-    claim: ClaimEvidence
-    table: CellTable
-    quantiles: CellTable | None
-    bounds: Markup
-    margins: Markup
-
-
-@dataclass(frozen=True, kw_only=True)
-class CounterexampleView:
-    """A counterexample with its pictures; without a stored trace there are none."""
-
-    one: CounterexampleEvidence
-    run: JudgedRun | None
-    views: tuple[Markup, ...]
-    timeline: Markup
-    replay: Markup
-    first_s: float
-    last_s: float
-    from_s: float
-    moment: str
-    moment_name: str
-
-
 def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
     write_whole(path, render(evidence, runs))
@@ -93,17 +47,26 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     """
     top = argument_of(evidence)
     views = [_counterexample(one, runs.get(one.number)) for one in evidence.counterexamples]
-    scripts = ("evidence.js", "three.js", "replay.js") if any(v.replay for v in views) else ("evidence.js",)
+    replay = ("three.js", "replay.js") if any(view["run"] for view in views) else ()
     return render_page(
         "evidence.html.j2",
         style="evidence.css",
-        scripts=scripts,
+        scripts=("evidence.js", *replay),
         evidence=evidence,
         state=STATE,
         counts=_counts(evidence),
         meanings=MEANINGS,
-        tables=_tables(evidence),
-        claims=[_claim(claim) for claim in evidence.claims],
+        tables=tables_of(evidence),
+        claims=[
+            {
+                "claim": claim,
+                "table": outcomes(claim),
+                "quantiles": quantiles(claim),
+                "bounds": Markup(bounds_figure(claim, prefix=f"claim-{claim.number}-bounds-")),
+                "margins": Markup(margins_figure(claim, prefix=f"claim-{claim.number}-margins-")),
+            }
+            for claim in evidence.claims
+        ],
         counterexamples=views,
         top=top,
         kind_words=KIND_WORDS,
@@ -127,48 +90,26 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
     ]
 
 
-def _claim(claim: ClaimEvidence) -> ClaimView:
-    prefix = f"claim-{claim.number}-"
-    return ClaimView(
-        claim=claim,
-        table=outcomes(claim),
-        quantiles=quantiles(claim),
-        bounds=Markup(bounds_figure(claim, prefix=f"{prefix}bounds-")),
-        margins=Markup(margins_figure(claim, prefix=f"{prefix}margins-")),
-    )
-
-
-def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> CounterexampleView:
+def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> dict[str, object]:
+    """With its pictures; without a stored trace there are none."""
     if run is None or len(run.trace.ticks) == 0:
-        return CounterexampleView(
-            one=one,
-            run=None,
-            views=(),
-            timeline=Markup(""),
-            replay=Markup(""),
-            first_s=0.0,
-            last_s=0.0,
-            from_s=0.0,
-            moment="",
-            moment_name="",
-        )
+        return {"one": one, "run": None, "moment": ""}
     run = run.under(one.sentence)
     prefix = f"counterexample-{one.number}-"
-    views = path_views(run, prefix=prefix)
     first_s, last_s = seconds(run.trace)
     moment = shown_moment(run)
-    return CounterexampleView(
-        one=one,
-        run=run,
-        views=tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close)),
-        timeline=Markup(timeline(run, prefix=f"{prefix}time-")),
-        replay=Markup(replay_json(run)),
-        first_s=first_s,
-        last_s=last_s,
-        from_s=start_s(run),
-        moment="" if moment is None else f"{moment.time_s:.3f}",
-        moment_name="Nearest hand" if moment is None or moment.claim is None else "Worst moment",
-    )
+    return {
+        "one": one,
+        "run": run,
+        "views": path_views(run, prefix=prefix),
+        "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
+        "replay": Markup(replay_json(run)),
+        "first_s": first_s,
+        "last_s": last_s,
+        "from_s": start_s(run),
+        "moment": "" if moment is None else f"{moment.time_s:.3f}",
+        "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
+    }
 
 
 def _coverage_map(evidence: Evidence) -> Markup:
@@ -180,22 +121,3 @@ def _coverage_map(evidence: Evidence) -> Markup:
             cells, violating, prefix="coverage-map-", title="Coverage of the domain by the declared runs"
         )
     )
-
-
-def _tables(evidence: Evidence) -> dict[str, object]:
-    """Every table that is not a claim's own, by the name that the page calls it."""
-    makers = (
-        verdicts,
-        hazards,
-        strata,
-        separation,
-        coverage,
-        counterexamples,
-        calibration,
-        agreement,
-        oracles,
-        kills,
-        files,
-    )
-    known: dict[str, object] = {make.__name__: make(evidence) for make in makers}
-    return known | {"reruns": [rerun(one) for one in evidence.credibility.reruns]}

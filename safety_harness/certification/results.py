@@ -154,7 +154,7 @@ def _outcome(
         without_verdict=without,
         may_stop_early=plan.stop_early and not problem,
         problem=problem,
-        model_only=plan.world.value != "PyBullet",
+        world=plan.world,
         fallback=fallback.words,
         stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )

@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.merkle import root_of
 from safety_harness.campaign.session import LEDGER
+from safety_harness.campaign.summary import root_of
+from safety_harness.certification.declaration import Lodged, write_once
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.folder import JSON, MANIFEST, sha256_of
-from safety_harness.certification.json_file import part, read_object
-from safety_harness.certification.lodged import Lodged, write_once
+from safety_harness.scenario.typed_json import of_format, read_json, typed
 
 FORMAT = "safety-harness seal 1"
 SUFFIX = ".seal.json"
@@ -65,5 +65,4 @@ def write_seal(folder: Path) -> Seal:
 
 def read_seal(file: Path) -> Seal:
     """InputError for what ``certify seal`` did not write."""
-    found = read_object(file, FORMAT)
-    return Seal(*(part(file, found, name, str) for name in ("rows", "declaration", "manifest")))
+    return typed(of_format(read_json(file, FORMAT), FORMAT, file), Seal, file, others=True)

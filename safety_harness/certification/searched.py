@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from msgspec import Struct, field
 
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import SearchSummary
-from safety_harness.certification.json_file import part, read_json
 from safety_harness.exceptions import InputError, Place
 from safety_harness.report.words import count_words
+from safety_harness.scenario.typed_json import read_json, typed
 
 SEARCH, FINDINGS = "search", "findings.json"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Found:
+class Found(Struct, frozen=True, kw_only=True):
     """A findings.json: runs tried of those asked for, distinct violations, files of counterexamples."""
 
     tried: int
@@ -23,8 +25,8 @@ class Found:
     seed: int
     searcher: str
     interrupted: bool
-    distinct: int
-    unconfirmed: int
+    distinct: list[Any]
+    unconfirmed: list[Any] = field(name="not confirmed in PyBullet")
     counterexamples: tuple[str, ...]
 
 
@@ -46,25 +48,12 @@ class Searched:
 
 def read_findings(path: Path) -> Found:
     """InputError, naming the field, for what fuzz did not write."""
-    found = read_json(path, "the findings of a search")
-    names = part(path, found, "counterexamples", list)
-    for k, name in enumerate(names):
-        if not isinstance(name, str) or Path(name).name != name or "\0" in name:
-            raise InputError(
-                place=Place(file=path, field=f"counterexamples[{k}]"),
-                expected="the name of a file beside it",
-                got=repr(name)[:60],
-            )
-    return Found(
-        tried=part(path, found, "tried", int),
-        budget=part(path, found, "budget", int),
-        seed=part(path, found, "seed", int),
-        searcher=part(path, found, "searcher", str),
-        interrupted=part(path, found, "interrupted", bool),
-        distinct=len(part(path, found, "distinct", list)),
-        unconfirmed=len(part(path, found, "not confirmed in PyBullet", list)),
-        counterexamples=tuple(names),
-    )
+    found = typed(read_json(path, "the findings of a search"), Found, path, others=True)
+    for k, name in enumerate(found.counterexamples):
+        if Path(name).name != name or "\0" in name:
+            place = Place(file=path, field=f"counterexamples[{k}]")
+            raise InputError(place=place, expected="the name of a file beside it", got=repr(name)[:60])
+    return found
 
 
 def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
@@ -99,9 +88,9 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
         return None
     lines = [
         f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
-        f"{count_words(found.distinct, 'group of violations', 'groups of violations')}; "
+        f"{count_words(len(found.distinct), 'group of violations', 'groups of violations')}; "
         f"{len(found.counterexamples)} were shrunk and confirmed in PyBullet, "
-        f"{found.unconfirmed} were not confirmed"
+        f"{len(found.unconfirmed)} were not confirmed"
         for stratum, found in known
     ]
     lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]

@@ -9,33 +9,43 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from safety_harness.certification.evidence import StandardTerm
-from safety_harness.properties.accelerations import JOINT_ACCELERATIONS, TCP_ACCELERATION
-from safety_harness.properties.alternation import GIVES_WAY_AT_MOST
-from safety_harness.properties.answered import ANSWERED
+from safety_harness.properties.answered import ANSWERED, DECISION_TIME
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.clear_ways import CLEAR_WAYS
-from safety_harness.properties.decision_time import DECISION_TIME
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.fallback import CERTAIN, UNCERTAIN
-from safety_harness.properties.fallback_poses import FALLBACK_POSES
-from safety_harness.properties.false_alarms import FALSE_ALARMS, FALSE_ALARMS_WITHIN
+from safety_harness.properties.fallback import CERTAIN, FALLBACK_POSES, STOPS, UNCERTAIN
 from safety_harness.properties.finite import FINITE_TRACE
 from safety_harness.properties.giving_way import MOVES_AWAY
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.properties.hand_prediction import HAND_PREDICTIONS
-from safety_harness.properties.iterations import GAIN_SWITCH_ITERATIONS
-from safety_harness.properties.limits import JOINT_POSITIONS, JOINT_SPEEDS, TCP_SPEED
-from safety_harness.properties.object_view import OBJECT_IN_VIEW
-from safety_harness.properties.protective_separation import (
+from safety_harness.properties.limits import (
+    JOINT_ACCELERATIONS,
+    JOINT_POSITIONS,
+    JOINT_SPEEDS,
+    TCP_ACCELERATION,
+    TCP_SPEED,
+)
+from safety_harness.properties.positions import PROPOSED_POSES, REPULSIVE_POSES
+from safety_harness.properties.reaction import (
+    FALSE_ALARMS,
+    FALSE_ALARMS_WITHIN,
+    GIVES_WAY,
+    GIVES_WAY_AT_MOST,
+    GIVES_WAY_TO_TRUE_HAND,
+)
+from safety_harness.properties.separation import (
     PROTECTIVE_SEPARATION,
     PROTECTIVE_SEPARATION_AT,
     PROTECTIVE_SEPARATION_OWN,
 )
-from safety_harness.properties.reaction import GIVES_WAY, GIVES_WAY_TO_TRUE_HAND
-from safety_harness.properties.repulsive_pose import PROPOSED_POSES, REPULSIVE_POSES
-from safety_harness.properties.servoing import CONVERGED, GAIN_SWITCH, GAIN_SWITCH_WITHIN
-from safety_harness.properties.starvation import NEVER_STARVED
-from safety_harness.properties.stopping import STOPS
+from safety_harness.properties.servoing import (
+    CONVERGED,
+    GAIN_SWITCH,
+    GAIN_SWITCH_ITERATIONS,
+    GAIN_SWITCH_WITHIN,
+    NEVER_STARVED,
+    OBJECT_IN_VIEW,
+)
 
 CELL = "ISO 10218-2:2025"
 ROBOT = "ISO 10218-1:2025"
@@ -104,8 +114,7 @@ AVAILABILITY = _traced(
 )
 TASK = _traced("none of its own: the task, without which staying clear is no merit")
 MEASUREMENT = _traced(
-    "hands are taken to be where they are not",
-    (COLLABORATION, "position uncertainty of the human, Z_d"),
+    "hands are taken to be where they are not", (COLLABORATION, "position uncertainty of the human, Z_d")
 )
 
 TRACED: dict[CatalogueEntry, Tracing] = {

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.admission.avoiders import NAMES, avoider_sha256
-from safety_harness.avoidance.model_file import CARD_TIME, Model, load_model
+from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import SystemDescription
-from safety_harness.properties.decision_time import NOT_MODELLED
+from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.report.computing_time import cost_words
 from safety_harness.report.words import changed_settings, setting_words
 from safety_harness.robot.description import urdf_file
@@ -22,6 +22,15 @@ from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.settings import DecisionCost, Settings
+
+CARD = {  # what is shown of a model's card
+    "command": "Made by",
+    "data": "Training data",
+    "recipe": "Recipe",
+    "software": "Software",
+    "seed": "Seed",
+    "metrics": "Metrics",
+}
 
 
 def system_of(plan: Plan) -> SystemDescription:
@@ -60,10 +69,7 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
     yield "Network", f"regression ResNet, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
-    for title, key in (("Made by", "command"), ("Training data", "data"), ("Recipe", "recipe")):
-        if key in model.card:
-            yield title, _plain(model.card[key])
-    for title, key in (("Software", "software"), ("Seed", "seed"), ("Metrics", "metrics")):
+    for key, title in CARD.items():
         if key in model.card:
             yield title, _plain(model.card[key])
     seen = model.seen
@@ -108,7 +114,7 @@ def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[t
     for name in ("critical_distance_m", "decision_deadline_s", "table_clearance_m", "restart_delay_s"):
         label = name.rpartition("_")[0].replace("_", " ").capitalize()
         yield label, setting_words(name, getattr(avoidance, name))
-    declared_s = 0.0 if model is None else float(model.card.get(CARD_TIME, 0.0))
+    declared_s = 0.0 if model is None else model.decision_time_s
     known = model is not None or named or avoidance.decision_time is not DecisionCost.AS_DECLARED
     words = cost_words(avoidance.decision_time, declared_s)
     yield "Computing time", words if known else f"as the avoider declares, and if it does not: {NOT_MODELLED}"

@@ -1,15 +1,70 @@
-"""The tables of the evidence report."""
+"""The tables of the evidence report, and their cells: one macro of the page draws them all."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
 
-from safety_harness.certification.cells import DASH, CellTable, TableCell, count, number, standing, words
-from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, Evidence
+from safety_harness.certification.argument import STATE
+from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus, Evidence
+from safety_harness.certification.tools import Rerun
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
-from safety_harness.report.words import with_minus
+from safety_harness.report.words import count_words, with_minus
 from safety_harness.search.coverage import AXES
+
+DASH = "\u2013"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TableCell:
+    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict."""
+
+    text: str
+    sort: str = ""
+    number: bool = False
+    state: str = ""
+    href: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class CellTable:
+    """``head`` names the columns; the first cell of each row names the row."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[TableCell, ...], ...]
+
+
+def _table(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[T], TableCell]]) -> CellTable:
+    """A row for each thing, with a cell for each of the named columns."""
+    rows = tuple(tuple(cell(one) for cell in columns.values()) for one in things)
+    return CellTable(caption, tuple(columns), rows)
+
+
+def words(text: str, *, href: str = "", note: str = "") -> TableCell:
+    """A cell of words."""
+    return TableCell(text=text, href=href, note=note)
+
+
+def number(text: str, sort: float | None = None) -> TableCell:
+    """A cell of a number, sorted by ``sort``."""
+    return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
+
+
+def count(value: int) -> TableCell:
+    """A cell of a whole number."""
+    return number(f"{value:,}".replace(",", "\u202f"), value)
+
+
+def standing(value: ClaimStatus) -> TableCell:
+    """A cell of a claim's standing."""
+    return TableCell(text=value.value, state=STATE[value])
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
@@ -28,82 +83,59 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 
 def verdicts(evidence: Evidence) -> CellTable:
     """The first page: every claim with its verdict, bound and how often it was exercised."""
-    return CellTable(
-        caption="One row for each claim over all strata of the plan: the largest upper bound, and the counts "
+    return _table(
+        "One row for each claim over all strata of the plan: the largest upper bound, and the counts "
         "of all strata together; each in full under the claim.",
-        head=(
-            "Claim",
-            "Verdict",
-            "May be violated in up to",
-            "Target",
-            "Put to the test",
-            "Without verdict",
-            "Why",
-        ),
-        rows=tuple(_verdict_row(claim) for claim in evidence.claims),
+        evidence.claims,
+        {
+            "Claim": lambda one: words(one.sentence, href=f"claim-{one.number}"),
+            "Verdict": lambda one: standing(one.standing),
+            "May be violated in up to": _upper,
+            "Target": lambda one: number(DASH if one.target is None else percent(one.target), one.target),
+            "Put to the test": _tested,
+            "Without verdict": lambda one: count(sum(o.inconclusive + o.failed for o in one.outcomes)),
+            "Why": lambda one: words(one.why),
+        },
     )
 
 
-def _verdict_row(claim: ClaimEvidence) -> tuple[TableCell, ...]:
+def _upper(claim: ClaimEvidence) -> TableCell:
     uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
-    upper = max(uppers) if uppers and len(uppers) == len(claim.outcomes) else None
-    runs = sum(outcome.runs for outcome in claim.outcomes)
+    if not uppers or len(uppers) < len(claim.outcomes):
+        return number("not bounded")
+    return number(at_most(max(uppers)), max(uppers))
+
+
+def _tested(claim: ClaimEvidence) -> TableCell:
     tested = sum(outcome.tested for outcome in claim.outcomes)
-    without = sum(outcome.inconclusive + outcome.failed for outcome in claim.outcomes)
-    return (
-        words(claim.sentence, href=f"claim-{claim.number}"),
-        standing(claim.standing),
-        number("not bounded" if upper is None else at_most(upper), upper),
-        number(DASH if claim.target is None else percent(claim.target), claim.target),
-        number(f"{tested} of {runs} runs", tested),
-        count(without),
-        words(claim.why),
-    )
+    return number(f"{tested} of {sum(outcome.runs for outcome in claim.outcomes)} runs", tested)
 
 
 def outcomes(claim: ClaimEvidence) -> CellTable:
     """One claim by stratum."""
-    return CellTable(
-        caption="Trials are the runs that put the claim to the test. The upper bound counts runs without a "
+    return _table(
+        "Trials are the runs that put the claim to the test. The upper bound counts runs without a "
         "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
-        + _alone(claim),
-        head=(
-            "Stratum",
-            "Verdict",
-            "Runs",
-            "Trials",
-            "Violated",
-            "No verdict",
-            "Could not run",
-            "Untested",
-            "Bounds",
-            "Least margin",
-        ),
-        rows=tuple(
-            (
-                words(outcome.stratum),
-                standing(outcome.standing),
-                count(outcome.runs),
-                count(outcome.tested),
-                count(outcome.violated),
-                count(outcome.inconclusive),
-                count(outcome.failed),
-                count(outcome.untested),
-                _bounds(outcome),
-                number(margin_words(outcome.least_margin_si, claim), outcome.least_margin_si),
-            )
-            for outcome in claim.outcomes
-        ),
+        + (f" Each interval holds with {known} confidence alone." if (known := _confidence(claim)) else ""),
+        claim.outcomes,
+        {
+            "Stratum": lambda one: words(one.stratum),
+            "Verdict": lambda one: standing(one.standing),
+            "Runs": lambda one: count(one.runs),
+            "Trials": lambda one: count(one.tested),
+            "Violated": lambda one: count(one.violated),
+            "No verdict": lambda one: count(one.inconclusive),
+            "Could not run": lambda one: count(one.failed),
+            "Untested": lambda one: count(one.untested),
+            "Bounds": _bounds,
+            "Least margin": lambda one: number(margin_words(one.least_margin_si, claim), one.least_margin_si),
+        },
     )
 
 
 def _confidence(claim: ClaimEvidence) -> str:
     """Of each interval of the claim alone: the error is shared equally."""
     return next((confidence_words(one.bound.confidence) for one in claim.outcomes if one.bound), "")
-
-
-def _alone(claim: ClaimEvidence) -> str:
-    return f" Each interval holds with {known} confidence alone." if (known := _confidence(claim)) else ""
 
 
 def _bounds(outcome: ClaimResult) -> TableCell:
@@ -114,97 +146,87 @@ def _bounds(outcome: ClaimResult) -> TableCell:
 
 def quantiles(claim: ClaimEvidence) -> CellTable | None:
     """How much at least most runs keep; None where no stratum has any."""
-    rows = tuple(
-        (
-            words(outcome.stratum),
-            number(percent(quantile.share), quantile.share),
-            number(at_least_words(quantile.at_least_si, claim), quantile.at_least_si),
+    found = [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles]
+    return (
+        _table(
+            "At least this share of the runs that test the claim keeps at least this margin (order "
+            f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
+            "alone; none is among the bounds that hold together.",
+            found,
+            {
+                "Stratum": lambda one: words(one[0]),
+                "Share of runs": lambda one: number(percent(one[1].share), one[1].share),
+                "Margin of at least": lambda one: number(
+                    at_least_words(one[1].at_least_si, claim), one[1].at_least_si
+                ),
+            },
         )
-        for outcome in claim.outcomes
-        for quantile in outcome.quantiles
-    )
-    if not rows:
-        return None
-    return CellTable(
-        caption="At least this share of the runs that test the claim keeps at least this margin (order "
-        f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
-        "alone; none is among the bounds that hold together.",
-        head=("Stratum", "Share of runs", "Margin of at least"),
-        rows=rows,
+        if found
+        else None
     )
 
 
 def hazards(evidence: Evidence) -> CellTable:
     """What each claim is about, in the terms of the standards."""
-    return CellTable(
-        caption="Terms of the standards, so that an assessor finds the way; no statement of conformity. The "
+    return _table(
+        "Terms of the standards, so that an assessor finds the way; no statement of conformity. The "
         "performance level that ISO 13849-1 would ask of a safety function is claimed for none of them.",
-        head=("Claim", "Hazard", "Traced to", "Performance level"),
-        rows=tuple(
-            (
-                words(claim.sentence, href=f"claim-{claim.number}"),
-                words(claim.hazard, note="in the plan's own words" if claim.hazard_is_authors else ""),
-                words("; ".join(f"{term.standard}: {term.term}" for term in claim.terms) or "nothing"),
-                words("none claimed"),
-            )
-            for claim in evidence.claims
-        ),
+        evidence.claims,
+        {
+            "Claim": lambda one: words(one.sentence, href=f"claim-{one.number}"),
+            "Hazard": lambda one: words(
+                one.hazard, note="in the plan's own words" if one.hazard_is_authors else ""
+            ),
+            "Traced to": lambda one: words(
+                "; ".join(f"{term.standard}: {term.term}" for term in one.terms) or "nothing"
+            ),
+            "Performance level": lambda one: words("none claimed"),
+        },
     )
 
 
 def strata(evidence: Evidence) -> CellTable:
     """The operational domain, part by part."""
-    return CellTable(
-        caption="Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
+    return _table(
+        "Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
         "out of reach, ...) are drawn again and counted.",
-        head=(
-            "Stratum",
-            "Space",
-            "Runs made",
-            "Planned",
-            "Could not run",
-            "Draws refused",
-            "Decisions",
-            "Stored traces",
-        ),
-        rows=tuple(
-            (
-                words(stratum.name, note=stratum.about),
-                words(stratum.space, note=f"sha256 {stratum.space_sha256[:12]}\u2026"),
-                count(stratum.made),
-                count(stratum.planned),
-                count(stratum.failed),
-                count(stratum.refused_draws),
-                words(
-                    ", ".join(f"{how_many} {what}" for what, how_many in stratum.decisions) or "none recorded"
-                ),
-                words(f"{stratum.random_traces} at random, {stratum.violation_traces} of violations"),
-            )
-            for stratum in evidence.strata
-        ),
+        evidence.strata,
+        {
+            "Stratum": lambda one: words(one.name, note=one.about),
+            "Space": lambda one: words(one.space, note=f"sha256 {one.space_sha256[:12]}\u2026"),
+            "Runs made": lambda one: count(one.made),
+            "Planned": lambda one: count(one.planned),
+            "Could not run": lambda one: count(one.failed),
+            "Draws refused": lambda one: count(one.refused_draws),
+            "Decisions": lambda one: words(
+                ", ".join(f"{how_many} {what}" for what, how_many in one.decisions) or "none recorded"
+            ),
+            "Stored traces": lambda one: words(
+                f"{one.random_traces} at random, {one.violation_traces} of violations"
+            ),
+        },
     )
 
 
 def separation(evidence: Evidence) -> CellTable:
     """The cases of the figure, number by number."""
-    return CellTable(
-        caption="The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
+    return _table(
+        "The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
         "its terms; the margin is the distance less S_p.",
-        head=("Stratum", "Run", "At", "Distance", "S_p", "Margin", "Human", "Robot", "Terms"),
-        rows=tuple(
-            (
-                words(case.stratum),
-                words(case.run),
-                number(f"{case.time_s:.3f} s", case.time_s),
-                _mm(case.distance_m),
-                _mm(case.required_m),
-                _mm(case.distance_m - case.required_m),
-                number(f"{case.hand_speed_mps:.2f} m/s", case.hand_speed_mps),
-                number(f"{case.robot_speed_mps:.2f} m/s", case.robot_speed_mps),
-                words(", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in case.terms)),
-            )
-            for case in evidence.separation
-        ),
+        evidence.separation,
+        {
+            "Stratum": lambda one: words(one.stratum),
+            "Run": lambda one: words(one.run),
+            "At": lambda one: number(f"{one.time_s:.3f} s", one.time_s),
+            "Distance": lambda one: _mm(one.distance_m),
+            "S_p": lambda one: _mm(one.required_m),
+            "Margin": lambda one: _mm(one.distance_m - one.required_m),
+            "Human": lambda one: number(f"{one.hand_speed_mps:.2f} m/s", one.hand_speed_mps),
+            "Robot": lambda one: number(f"{one.robot_speed_mps:.2f} m/s", one.robot_speed_mps),
+            "Terms": lambda one: words(
+                ", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in one.terms)
+            ),
+        },
     )
 
 
@@ -214,21 +236,18 @@ def _mm(length_m: float) -> TableCell:
 
 def calibration(evidence: Evidence) -> CellTable:
     """How often the avoider's intervals held what they promise, by stratum."""
-    return CellTable(
-        caption="The first answered decision of each declared random run whose trace is stored; a verdict "
+    return _table(
+        "The first answered decision of each declared random run whose trace is stored; a verdict "
         "takes a hundred of them. Each interval holds with 95 % confidence alone, and is none of the "
         "bounds that hold together.",
-        head=("Stratum", "Verdict", "Decisions", "Claim", "Why"),
-        rows=tuple(
-            (
-                words(one.stratum),
-                TableCell(text=one.decided, state=one.decided),
-                count(one.decisions),
-                words(one.sentence),
-                words(one.why),
-            )
-            for one in evidence.calibration
-        ),
+        evidence.calibration,
+        {
+            "Stratum": lambda one: words(one.stratum),
+            "Verdict": lambda one: TableCell(text=one.decided, state=one.decided),
+            "Decisions": lambda one: count(one.decisions),
+            "Claim": lambda one: words(one.sentence),
+            "Why": lambda one: words(one.why),
+        },
     )
 
 
@@ -239,35 +258,115 @@ def coverage(evidence: Evidence) -> tuple[CellTable, ...]:
         counts = dict.fromkeys(known, 0)
         for cell in evidence.coverage.cells:
             counts[getattr(cell, axis)] = counts.get(getattr(cell, axis), 0) + cell.runs
-        rows = tuple((words(word), count(runs)) for word, runs in counts.items())
-        tables.append(CellTable(caption=f"By {axis}", head=(axis.capitalize(), "Runs"), rows=rows))
+        tables.append(
+            _table(
+                f"By {axis}",
+                counts.items(),
+                {axis.capitalize(): lambda one: words(one[0]), "Runs": lambda one: count(one[1])},
+            )
+        )
     return tuple(tables)
 
 
 def counterexamples(evidence: Evidence) -> CellTable:
     """All of them, with where they came from."""
-    return CellTable(
-        caption="Those of the declared runs are part of the bounds; those of the search are not, for it "
+    return _table(
+        "Those of the declared runs are part of the bounds; those of the search are not, for it "
         "looks where violations are.",
-        head=("No.", "Violates", "Margin", "Met by", "Like it", "Files"),
-        rows=tuple(
-            (
-                words(str(one.number), href=f"counterexample-{one.number}"),
-                words(one.sentence),
-                words(one.margin),
-                words(one.origin),
-                count(one.like_it),
-                words(", ".join(file for file in (one.scenario_file, one.trace_file) if file)),
-            )
-            for one in evidence.counterexamples
-        ),
+        evidence.counterexamples,
+        {
+            "No.": lambda one: words(str(one.number), href=f"counterexample-{one.number}"),
+            "Violates": lambda one: words(one.sentence),
+            "Margin": lambda one: words(one.margin),
+            "Met by": lambda one: words(one.origin),
+            "Like it": lambda one: count(one.like_it),
+            "Files": lambda one: words(", ".join(filter(None, (one.scenario_file, one.trace_file)))),
+        },
     )
 
 
 def files(evidence: Evidence) -> CellTable:
     """Everything in the folder, with its hash."""
-    return CellTable(
-        caption="Files of the report's folder beside this page; safety-harness verify checks them.",
-        head=("File", "Bytes", "sha256"),
-        rows=tuple((words(file.path), count(file.bytes), words(file.sha256)) for file in evidence.files),
+    return _table(
+        "Files of the report's folder beside this page; safety-harness verify checks them.",
+        evidence.files,
+        {
+            "File": lambda one: words(one.path),
+            "Bytes": lambda one: count(one.bytes),
+            "sha256": lambda one: words(one.sha256),
+        },
     )
+
+
+def agreement(evidence: Evidence) -> CellTable | None:
+    """The largest differences between the two worlds."""
+    known = evidence.credibility.agreement
+    if known is None:
+        return None
+    present = "this very source" if known.present else f"another source, {known.source_hash}"
+    return _table(
+        f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
+        f"{count_words(known.disagreements, 'verdict', 'verdicts')} of {known.verdicts} differ, "
+        f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
+        "violated).",
+        known.differences,
+        {"What": lambda one: words(one[0]), "Largest difference": lambda one: number(one[1])},
+    )
+
+
+def rerun(known: Rerun) -> CellTable:
+    """What changes when declared random runs are made again with something else."""
+    return _table(
+        f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
+        f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
+        f"{known.optimistic} of them from holds to violated.",
+        known.largest,
+        {"Claim": lambda one: words(one[0]), "Largest change of the margin": lambda one: number(one[1])},
+    )
+
+
+def oracles(evidence: Evidence) -> CellTable | None:
+    """What was checked against software that we did not write."""
+    known = evidence.credibility
+    return (
+        _table(
+            "Parts checked against software that is not ours, with the largest disagreement seen "
+            f"({known.oracles_measured_with}).",
+            known.oracles,
+            {
+                "Part": lambda one: words(one.part),
+                "Against": lambda one: words(one.against),
+                "Largest disagreement": lambda one: words(one.largest),
+            },
+        )
+        if known.oracles
+        else None
+    )
+
+
+def kills(evidence: Evidence) -> CellTable | None:
+    """Every seeded fault and what caught it."""
+    test = evidence.selftest
+    if test is None:
+        return None
+    survived = TableCell(text="survived", state="violated")
+    return _table(
+        f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
+        f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
+        test.faults,
+        {
+            "Fault": lambda one: words(one.name),
+            "Part": lambda one: words(one.part),
+            "Hazard": lambda one: words(one.hazard),
+            "Caught by": lambda one: words(one.caught_by) if one.caught_by else survived,
+            "Smallest caught": lambda one: words(one.smallest or DASH, note=one.known_limit),
+        },
+    )
+
+
+def tables_of(evidence: Evidence) -> dict[str, object]:
+    """Every table that is not a claim's own, by the name that the page calls it."""
+    of_declared = (verdicts, hazards, strata, separation, coverage, counterexamples, calibration)
+    of_tools = (agreement, oracles, kills, files)
+    known: dict[str, object] = {make.__name__: make(evidence) for make in (*of_declared, *of_tools)}
+    return known | {"reruns": [rerun(one) for one in evidence.credibility.reruns]}

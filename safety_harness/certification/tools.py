@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +59,18 @@ class Credibility:
     oracles: tuple[Oracle, ...]
     oracles_measured_with: str
     absent: tuple[str, ...]
+
+
+class FaultState(Enum):
+    """What the trial of a fault says."""
+
+    CAUGHT = "caught"
+    SURVIVES = "survives"
+    LIMIT = "a stated limit"
+    UNTOUCHED = "does not apply"
+    QUIET = "quiet"  # a harmless one, as it should be
+    FALSE_ALARM = "false alarm"
+    TRUE_ALARM = "true alarm"  # about a change that was declared harmless: geometry confirms it
 
 
 @dataclass(frozen=True, kw_only=True)

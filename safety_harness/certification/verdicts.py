@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 
 from safety_harness.certification.evidence import SEVERITY_ORDER, Bound, ClaimResult, ClaimStatus
 from safety_harness.report.words import rounded_down, rounded_up
+from safety_harness.simulation.worlds import WorldEntry
 
 
 def standing_of(
@@ -25,7 +26,7 @@ def standing_of(
     violated: int,
     without_verdict: int,
     may_stop_early: bool,
-    model_only: bool,
+    world: WorldEntry,
     problem: str = "",
     fallback: str = "",
     stood_in: bool = False,
@@ -63,8 +64,8 @@ def standing_of(
         )
     if without_verdict:
         return ClaimStatus.DOUBTED, f"{counted}; they count as violations, and the target is still met"
-    if model_only:
-        return ClaimStatus.DOUBTED, f"{counted}: model only, the kinematic world"
+    if world.model_only:
+        return ClaimStatus.DOUBTED, f"{counted}: model only, {world}"
     if stood_in:
         return ClaimStatus.DOUBTED, f"{counted}: the target is met by the fallback"
     return (

@@ -6,24 +6,31 @@ named and is no fault by itself: what it changes in verdicts is.  Nothing in a r
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-from safety_harness.campaign.files import unpacked
+from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.altered import turns_of
-from safety_harness.certification.check import Examination
+from safety_harness.certification.declaration import PlanDeclaration, declaration_of, read_declaration
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, read_manifest
-from safety_harness.certification.verify_files import check_files, check_plan, check_rows, same_software
-from safety_harness.certification.verify_lodged import check_lodged, lodged_hash
-from safety_harness.certification.verify_pages import check_pages
-from safety_harness.certification.verify_report import check_numbers
+from safety_harness.certification.seal import Seal, read_seal, seal_of
+from safety_harness.certification.verify_files import (
+    Examination,
+    check_files,
+    check_plan,
+    check_rows,
+    few,
+    same_software,
+)
+from safety_harness.certification.verify_report import check_numbers, check_pages
 from safety_harness.certification.verify_runs import (
     Drawing,
     check_runs,
@@ -32,6 +39,71 @@ from safety_harness.certification.verify_runs import (
     programs_in,
 )
 from safety_harness.exceptions import InputError, OutputError, Place
+
+NO_SEAL = (
+    "no lodged seal was given (--seal): a careful forger who makes all hashes anew may have altered rows, of "
+    "which only stored traces and runs made again tell, and what nothing but the report says: its times, "
+    "machine and command, what the search did, tables that were handed in"
+)
+NOT_DECLARED = (
+    "no lodged declaration was given (--declared): nothing proves that plan, seed and targets came first"
+)
+_HASH = re.compile(r"[0-9a-f]{64}")
+
+
+def lodged_hash(text: str | None, field: str) -> str | Path | None:
+    """A hash as it was lodged, or the file that it is of; InputError for neither."""
+    if text is None or _HASH.fullmatch(text.strip().lower()):
+        return text and text.strip().lower()
+    if Path(text).is_file():
+        return Path(text)
+    raise InputError(
+        place=Place(field=field), expected="a hash of 64 hexadecimal digits, or its file", got=repr(text)[:80]
+    )
+
+
+def check_lodged(
+    folder: Path,
+    plan: Plan,
+    ledger: Ledger,
+    recorded: Evidence,
+    *,
+    seal: str | Path | None,
+    declared: str | Path | None,
+) -> Examination:
+    """Against what was lodged elsewhere, or what it means that nothing was."""
+    faults, notes, unchecked = [], [], []
+    if seal is None:
+        unchecked.append(NO_SEAL)
+    else:
+        faults += _differs(seal, seal_of(folder, ledger), "seal")
+        notes.append("nothing in the report was altered since it was sealed")
+    if declared is None:
+        unchecked.append(NOT_DECLARED)
+    else:
+        faults += _differs(declared, declaration_of(plan, ledger.declared.identity), "declaration")
+        notes.append(
+            "plan, seed, avoider, targets and software are the declared ones; its runs began on "
+            f"{recorded.provenance.began_at}: the declaration has to have been lodged before"
+        )
+    root = recorded.record.rows_sha256
+    text = f"the root over all rows, {root[:16]}, and what was lodged elsewhere"
+    return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
+
+
+def _differs(lodged: str | Path, now: Seal | PlanDeclaration, what: str) -> list[str]:
+    """In words, if it does; what of it is otherwise is known from the file only."""
+    if isinstance(lodged, str):
+        return (
+            []
+            if lodged == now.sha256
+            else [f"the {what} of this report is {now.sha256}, not what was lodged"]
+        )
+    changes = (
+        read_seal(lodged).changes(now) if isinstance(now, Seal) else read_declaration(lodged).changes(now)
+    )
+    return list(changes)
+
 
 MISS = 0.01
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -10,20 +11,38 @@ from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.runner import Stopping
 from safety_harness.campaign.session import LEDGER
-from safety_harness.campaign.stopping import Stopping
-from safety_harness.certification.check import Examination, few
-from safety_harness.certification.folder import (
-    JSON,
-    JUNIT,
-    LOG,
-    MANIFEST,
-    PAGE,
-    PLAN,
-    names_in,
-    sha256_of,
-)
+from safety_harness.certification.folder import JSON, JUNIT, LOG, MANIFEST, PAGE, PLAN, names_in, sha256_of
 from safety_harness.statistics.sample import EpisodeOutcome
+
+MOST_NAMED = 10
+
+
+@dataclass(frozen=True)
+class Examination:
+    """What was looked at, and in which ways it does not stand.
+
+    ``notes`` are no fault; ``unchecked`` says what could not be looked at, which may be anything.
+    """
+
+    name: str
+    looked_at: str
+    faults: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    unchecked: tuple[str, ...] = ()
+
+    @property
+    def stands(self) -> bool:
+        """Nothing wrong was found."""
+        return not self.faults
+
+
+def few(faults: Sequence[str]) -> tuple[str, ...]:
+    """The first of them, and how many more there are."""
+    more = len(faults) - MOST_NAMED
+    return (*faults[:MOST_NAMED], *([f"and {more} more"] if more > 0 else []))
+
 
 REQUIRED = (PAGE, JSON, JUNIT, LEDGER)
 
@@ -87,7 +106,7 @@ def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
     pairs = {
         "title": (known.title, declared.title),
         "seed": (known.seed, declared.seed),
-        "world": (known.world.value, declared.world),
+        "world": (known.world.label, declared.world.label),
         "confidence": (known.confidence, declared.confidence),
         "stop early": (known.stop_early, declared.stop_early),
         "strata": (tuple(one.name for one in known.strata), declared.strata),
@@ -161,16 +180,8 @@ def _not(table: str, **kinds: str) -> str:
 
 
 _COUNTS = (
-    "stratum",
-    "episode",
-    "seed",
-    "draws",
-    "decisions",
-    "proposed",
-    "opposite",
-    "stopped",
-    "faults",
-    "late",
+    *("stratum", "episode", "seed", "draws", "decisions"),
+    *("proposed", "opposite", "stopped", "faults", "late"),
 )
 _ODD = {
     "runs with values of another kind": _not(

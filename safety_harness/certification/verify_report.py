@@ -1,7 +1,12 @@
-"""Does what the report says follow from its ledger?
+"""Does what the report says follow from its ledger, and are its page and JUnit XML what is made of it?
 
 What depends on the words of the catalogue, or on the last bits of a trace, may come out otherwise with other
 software than the report's: it is named then.  With the same software all of it has to come out the same.
+
+Text of the page is compared to the letter, wherever it stands: between tags, in drawings, in what a screen
+reader says.  So are drawings of our own.  In plots of matplotlib only where a thing stands (``x``, ``y``,
+``d``) may be a tenth of a pixel off: coordinates are cut after the first decimal, where another processor's
+last bit shows.
 """
 
 from __future__ import annotations
@@ -12,24 +17,112 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.check import Examination, few
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.declaration import declaration_of
-from safety_harness.certification.document import as_text, plain
+from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance
-from safety_harness.certification.folder import JSON, MADE, PLAN
-from safety_harness.certification.gather import GatheredEvidence, put_together, sessions_of
+from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN
+from safety_harness.certification.gather import GatheredEvidence, drawn_with, put_together, sessions_of
+from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.page import render
 from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility
-from safety_harness.certification.verify_pages import bytes_of, written
+from safety_harness.certification.verify_files import Examination, few
+from safety_harness.exceptions import InputError, Place
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance
+
+LARGEST_PAGE_BYTES = 2**28
+TOLERANCE_PX = 0.1
+_PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-).*?</svg>', re.DOTALL)
+_TAG = re.compile(rb"<\w[^<>]*>")
+_WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
+_AROUND = 60  # letters shown before and after a difference
+
+
+def check_pages(folder: Path, recorded: Evidence, gathered: GatheredEvidence, *, same: bool) -> Examination:
+    """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
+    faults, notes, unchecked = list(_traces(folder, gathered)), [], []
+    if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
+        faults.append(f"{JUNIT} does not say what {JSON} says")
+    there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
+    differs = differences(there, made)
+    if differs and same and recorded.record.drawn_with == drawn_with():
+        faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
+    elif differs:
+        unchecked += [f"{PAGE} was made by other software, and says otherwise: {one}" for one in differs]
+    elif there != made:
+        notes.append(f"{PAGE}: lines of its plots are up to {TOLERANCE_PX} px from where they are drawn here")
+    if (folder / PDF).exists():
+        unchecked.append(f"{PDF} is not compared with the page: print it anew")
+    text = f"{PAGE} and {JUNIT}, made again from {JSON}"
+    return Examination("pages", text, few(faults), tuple(notes), few(unchecked))
+
+
+def differences(there: bytes, made: bytes) -> tuple[str, ...]:
+    """In which lines a page differs from the one that is made here, in words; none within the tolerance."""
+    (text, places), (own_text, own_places) = _parted(there), _parted(made)
+    if text != own_text:
+        pairs = zip_longest(text.splitlines(), own_text.splitlines(), fillvalue=b"")
+        return few([_shown(one, other) for one, other in pairs if one != other])
+    off = max((abs(a - b) for a, b in zip(places, own_places, strict=True)), default=0.0)
+    return () if off <= TOLERANCE_PX + 1e-9 else (f"a line of a plot is {off:.1f} px from its place",)
+
+
+def _parted(page: bytes) -> tuple[bytes, list[float]]:
+    """The page without the numbers that say where things of plots stand, and these numbers."""
+    places: list[float] = []
+
+    def number(found: re.Match[bytes]) -> bytes:
+        places.append(float(found[0]))
+        return b"#"
+
+    def where(found: re.Match[bytes]) -> bytes:
+        return found[1] + _NUMBER.sub(number, found[2]) + b'"'
+
+    def plot(found: re.Match[bytes]) -> bytes:
+        return _TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), found[0])
+
+    return _PLOT.sub(plot, page), places
+
+
+def _shown(there: bytes, made: bytes) -> str:
+    """The letters about the first difference."""
+    at = next((k for k, pair in enumerate(zip_longest(there, made)) if pair[0] != pair[1]), 0)
+    one, other = (
+        line[max(at - _AROUND, 0) : at + _AROUND].decode("utf-8", "replace") for line in (there, made)
+    )
+    return f"{one!r} in place of {other!r}"
+
+
+def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
+    """Declared counterexamples of which the file is not the ledger's trace."""
+    for one in gathered.examples:
+        if one.shown is not None and one.data is not None:
+            file = folder / one.shown.trace_file
+            if not file.is_file() or file.read_bytes() != one.data:
+                yield f"{one.shown.trace_file} is not the trace that the ledger keeps"
+
+
+def bytes_of(path: Path) -> bytes:
+    """A file of a report, which may be a stranger's."""
+    return read_bytes(path, most=LARGEST_PAGE_BYTES, place=Place(file=path), error=InputError)
+
+
+def written(text: str) -> bytes:
+    """As ``write_whole`` writes it."""
+    return text.encode("utf-8", "backslashreplace")
+
 
 WORDS = {
     *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
@@ -120,7 +213,7 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
     if isinstance(then, dict) and isinstance(now, dict):
         for name in now:
             yield from _differences(then[name], now[name], f"{place}.{name}".lstrip("."))
-    elif isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+    elif isinstance(then, tuple) and isinstance(now, tuple) and len(then) == len(now):
         for k, pair in enumerate(zip(then, now, strict=True)):
             yield from _differences(*pair, f"{place}[{k}]")
     elif isinstance(then, float) and isinstance(now, float):
@@ -140,7 +233,7 @@ def _near(then: str, now: str) -> bool:
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, list):
+    if isinstance(value, tuple):
         return f"{len(value)} of them"
     text = str(value)
     return text if len(text) <= 80 else f"{text[:77]}..."

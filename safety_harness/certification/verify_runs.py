@@ -10,36 +10,28 @@ from itertools import groupby
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_executed
-from safety_harness.admission.kinematic import run_kinematic
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import EpisodeRunner
-from safety_harness.campaign.files import references_in
+from safety_harness.campaign.identity import references_in
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, PlannedWorld
+from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.certification.altered import Turn, chance_to_miss, runs_to_see
-from safety_harness.certification.check import Examination, few
 from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verdicts import percent
-from safety_harness.certification.verify_files import kept
-from safety_harness.exceptions import (
-    CampaignError,
-    InputError,
-    SafetyHarnessError,
-)
+from safety_harness.certification.verify_files import Examination, few, kept
+from safety_harness.exceptions import CampaignError, InputError, SafetyHarnessError
 from safety_harness.properties.consistency import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
-from safety_harness.simulation.kinematic_world import KinematicWorld
-from safety_harness.simulation.pybullet_world import PyBulletWorld
+from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.trace import Trace
 
 MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
-KINEMATIC_TOGETHER = 32
+MOST_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults")
 
 
@@ -223,18 +215,13 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         others += other
         if other and same:
             faults.append(f"{where}: its trace is of another scenario than the plan draws for it")
-        if trace.provenance.source_hash != source or _world(trace) is not plan.world:
+        if trace.provenance.source_hash != source or trace.provenance.world != plan.world.name:
             faults.append(f"{where}: its trace was made by other software, or in another world")
     notes = compared.notes
     if others and not same:
         notes += (f"{others} traces are of scenarios that the present software draws or writes otherwise",)
     text = f"{count} stored traces, judged with the present code"
     return Examination("stored traces", text, few([*faults, *compared.faults]), notes)
-
-
-def _world(trace: Trace) -> PlannedWorld:
-    pybullet = trace.provenance.world == PyBulletWorld.name
-    return PlannedWorld.PYBULLET if pybullet else PlannedWorld.KINEMATIC
 
 
 def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
@@ -251,9 +238,9 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
             unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
             continue
         try:
-            kinematic = trace.provenance.world == KinematicWorld.name
-            run = run_kinematic if kinematic else run_trial
-            difference = first_difference(trace, run(admit(trace.scenario), recorded=trace))
+            world = world_of_trace(trace.provenance.world)
+            again = run_trial(admit(trace.scenario), world=world, recorded=trace)
+            difference = first_difference(trace, again)
         except SafetyHarnessError as error:
             unchecked.append(f"{one.shown.trace_file} cannot be made again: {described(error)}")
             continue
@@ -275,7 +262,7 @@ def check_runs(
         )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
     bench, compared = EpisodeRunner(plan, programs=programs), Compared(plan, ledger, same=same)
-    together = KINEMATIC_TOGETHER if plan.world is PlannedWorld.KINEMATIC else 1
+    together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, told = time.perf_counter(), 0
     for stratum, group in groupby(chosen, lambda one: one[0]):
         episodes = [episode for _, episode in group]

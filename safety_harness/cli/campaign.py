@@ -2,177 +2,101 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import sqlite3
-from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from safety_harness.campaign.asking import question_of, refuse_writing
-from safety_harness.campaign.comparing import compare_ledgers, worse_episodes
-from safety_harness.campaign.exporting import export as export_table
-from safety_harness.campaign.exporting import export_traces
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.merging import merge as merge_ledgers
-from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.session import LEDGER, MakesCrew, carry_on, plan_of, processes
-from safety_harness.campaign.summary import fallback_of, fingerprint_of, tally_of
-from safety_harness.cli.campaign_lines import (
-    CampaignProgress,
-    bound_lines,
-    claim_lines,
-    difference_lines,
-    failure_lines,
-    fallback_lines,
-    summary,
+import typer
+
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say, say_shared_modules
+from safety_harness.cli.options import command
+from safety_harness.exceptions import LedgerError, Place, ScenarioError
+
+if TYPE_CHECKING:
+    from safety_harness.campaign.plan import Plan
+
+_LedgerFile = Annotated[Path, typer.Argument(help="The ledger of a campaign.", metavar="LEDGER")]
+_Workers = Annotated[int | None, typer.Option(help="Processes; without it, one for each core.", min=1)]
+_Cluster = Annotated[
+    str | None,
+    typer.Option(
+        help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"
+    ),
+]
+_Part = Annotated[str, typer.Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
+commands = typer.Typer(
+    no_args_is_help=True,
+    help="Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing.",
 )
-from safety_harness.cli.console import (
-    AS_EXPECTED,
-    BAD_INPUT,
-    DIFFERS,
-    INTERRUPTED,
-    explain,
-    one_more_ctrl_c,
-    result,
-    say,
-    say_shared_modules,
+_command = partial(
+    command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
 )
-from safety_harness.exceptions import InputError, LedgerError, Place, SafetyHarnessError, ScenarioError
-from safety_harness.properties.answered import is_claimed
 
 
+@_command()
 def run(
-    file: Path,
-    *,
-    ledger: Path | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    part: str = "1/1",
+    plan: Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")],
+    ledger: Annotated[
+        Path | None, typer.Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")
+    ] = None,
+    workers: _Workers = None,
+    cluster: _Cluster = None,
+    part: _Part = "1/1",
 ) -> int:
-    """Run a plan, or what is left of it; returns the exit code."""
+    """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
 
-    def begin() -> int:
-        plan = read_plan(file)
-        path = ledger or Path("reports") / plan.name / LEDGER
-        return _carry_on(plan, path, _crew(workers, cluster), _part(part, plan))
+    Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
+    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, the avoider did not
+    always answer and the plan claims nothing of that, or no worker is left; 2: bad input, another plan's
+    ledger, or a disk that takes no more; 130: interrupted.
+    """
+    from safety_harness.campaign.plan import read_plan
+    from safety_harness.campaign.session import LEDGER
 
-    return _explained(begin)
-
-
-def resume(path: Path, *, workers: int | None = None, cluster: str | None = None, part: str = "1/1") -> int:
-    """Go on with the plan of a ledger; returns the exit code."""
-
-    def go_on() -> int:
-        with Ledger.open(path) as ledger, plan_of(ledger) as plan:
-            return _carry_on(plan, path, _crew(workers, cluster), _part(part, plan))
-
-    return _explained(go_on)
+    read = read_plan(plan)
+    return _carry_on(read, ledger or Path("reports") / read.name / LEDGER, workers, cluster, part)
 
 
-def status(path: Path) -> int:
-    """How a campaign stands; also while it runs."""
-
-    def tell() -> int:
-        with Ledger.open(path, check=False) as ledger:
-            _tell(ledger)
-        return AS_EXPECTED
-
-    return _explained(tell)
-
-
-def query(
-    path: Path,
-    sql: str | None = None,
-    *,
-    claim: str | None = None,
-    stratum: str | None = None,
-    outcome: str | None = None,
-    below: str | None = None,
+@_command()
+def resume(
+    ledger: _LedgerFile, workers: _Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
 ) -> int:
-    """Rows as CSV to standard output: of a question in SQL, or of results that filters let through."""
+    """Go on where a campaign was left, with the results that it would have had undisturbed.
 
-    def ask() -> int:
-        with Ledger.open(path, check=False) as ledger:
-            if sql is None:
-                question, values = question_of(ledger, claim, stratum, outcome, below)
-            else:
-                question, values = sql, ()
-            connection = ledger.connection
-            refuse_writing(connection)
-            try:
-                rows = connection.execute(question, values)
-                if rows.description is None:
-                    raise sqlite3.ProgrammingError("no question")
-                result(_csv_line([column for column, *_ in rows.description]))
-                for row in rows:
-                    result(_csv_line(row))
-            except (sqlite3.Error, sqlite3.Warning) as error:
-                got = f"{question!r}: {error}"
-                raise LedgerError(place=Place(file=path), expected="a question in SQL", got=got) from error
-        return AS_EXPECTED
+    A plan, file or version that has changed since is named, and nothing is run.
+    Exit codes as for run.
+    """
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.session import plan_of
 
-    return _explained(ask)
+    with Ledger.open(ledger) as opened, plan_of(opened) as plan:
+        return _carry_on(plan, ledger, workers, cluster, part)
 
 
-def export(path: Path, out: Path | None, traces: Path | None) -> int:
-    """A table for other programs, the stored traces, or both."""
+def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str) -> int:
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.session import carry_on, processes
+    from safety_harness.campaign.summary import fallback_of, tally_of
+    from safety_harness.cli.campaign_lines import ledger_lines
+    from safety_harness.cli.progress import watching_campaign
+    from safety_harness.interrupts import one_more_ctrl_c
+    from safety_harness.properties.answered import is_claimed
 
-    def write() -> int:
-        if out is None and traces is None:
-            raise ScenarioError(
-                place=Place(field="export"), expected="OUT, --traces FOLDER or both", got="none"
-            )
-        with Ledger.open(path) as ledger:
-            if out is not None:
-                result(f"{out}: {export_table(ledger, out)} lines")
-            if traces is not None:
-                result(f"{traces}: {len(export_traces(ledger, traces))} traces")
-        return AS_EXPECTED
+    make_crew = processes(workers)
+    if cluster is not None:
+        from safety_harness.campaign.cluster import DaskCrew
 
-    return _explained(write)
-
-
-def compare(first: Path, second: Path) -> int:
-    """What got worse from the first campaign to the second, paired by episode."""
-
-    def tell() -> int:
-        with Ledger.open(first) as before, Ledger.open(second) as after:
-            for one_of in (before, after):
-                if words := fallback_of(one_of).words:
-                    result(f"{one_of.path}: {words}")
-            compared = compare_ledgers(before, after)
-            for line in difference_lines(compared, before.declared.confidence):
-                result(line)
-            for found in worse_episodes(before, after):
-                was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
-                result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
-        return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
-
-    return _explained(tell)
-
-
-def merge(into: Path, ledgers: Sequence[Path]) -> int:
-    """One ledger of those of the parts of a plan."""
-
-    def join() -> int:
-        result(f"{into}: {merge_ledgers(into, ledgers)} episodes")
-        with Ledger.open(into, check=False) as whole:
-            _tell(whole)
-        return AS_EXPECTED
-
-    return _explained(join)
-
-
-def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int]) -> int:
+        make_crew = partial(DaskCrew, address=cluster)
+    numbers = _numbers(part, plan)
     say_shared_modules()
-    progress = CampaignProgress(plan)
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
-    with one_more_ctrl_c(remark) as interrupted, progress.running():
-        carry_on(plan, path, make_crew, on_progress=progress.show, enough=interrupted, part=part)
+    with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
+        carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers)
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
-        _tell(ledger)
+        for line in ledger_lines(ledger):
+            result(line)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
@@ -180,32 +104,12 @@ def _carry_on(plan: Plan, path: Path, make_crew: MakesCrew, part: tuple[int, int
     return DIFFERS if tally.failed or unanswered else AS_EXPECTED
 
 
-def _tell(ledger: Ledger) -> None:
-    tally = tally_of(ledger)
-    result(f"{ledger.path}: {ledger.declared.title}")
-    result(summary(ledger.declared, tally))
-    for line in failure_lines(ledger) + fallback_lines(ledger) + claim_lines(ledger.declared, tally):
-        result(line)
-    if tally.complete:
-        for line in bound_lines(ledger):
-            result(line)
-        result(f"fingerprint of the results: {fingerprint_of(ledger)}")
-
-
-def _crew(workers: int | None, cluster: str | None) -> MakesCrew:
-    if cluster is None:
-        return processes(workers)
-    from safety_harness.campaign.cluster import DaskCrew
-
-    return lambda plan: DaskCrew(plan, cluster)
-
-
-def _part(text: str, plan: Plan) -> tuple[int, int]:
+def _numbers(part: str, plan: Plan) -> tuple[int, int]:
     """K/N as (K - 1, N)."""
-    k, _, n = text.partition("/")
-    right = k.isascii() and k.isdigit() and n.isascii() and n.isdigit() and len(text) < 12
+    k, _, n = part.partition("/")
+    right = k.isascii() and k.isdigit() and n.isascii() and n.isdigit() and len(part) < 12
     if not right or not 1 <= int(k) <= int(n):
-        raise ScenarioError(place=Place(field="--part"), expected="K/N, such as 2/4", got=text)
+        raise ScenarioError(place=Place(field="--part"), expected="K/N, such as 2/4", got=part)
     if int(n) > 1 and plan.stop_early:
         raise ScenarioError(
             place=Place(field="--part"), expected="a plan of fixed length", got="one that may stop early"
@@ -213,21 +117,136 @@ def _part(text: str, plan: Plan) -> tuple[int, int]:
     return int(k) - 1, int(n)
 
 
-def _csv_line(values: Sequence[object]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow("" if value is None else value for value in values)
-    return text.getvalue()
+@_command()
+def status(ledger: _LedgerFile) -> int:
+    """Say how a campaign stands, also while it runs; once it is complete, with its bounds.
+
+    Exit code 0; 2: no ledger that can be read.
+    """
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.cli.campaign_lines import ledger_lines
+
+    with Ledger.open(ledger, check=False) as opened:
+        for line in ledger_lines(opened):
+            result(line)
+    return AS_EXPECTED
 
 
-def _explained(work: Callable[[], int]) -> int:
-    try:
-        return work()
-    except InputError as error:
-        explain(error)
-        return BAD_INPUT
-    except SafetyHarnessError as error:
-        explain(error)
-        return DIFFERS
-    except KeyboardInterrupt:
-        say("interrupted; what was committed is in the ledger")
-        return INTERRUPTED
+@_command()
+def query(
+    ledger: _LedgerFile,
+    sql: Annotated[
+        str | None,
+        typer.Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL"),
+    ] = None,
+    claim: Annotated[
+        str | None, typer.Option(help="Only of this claim, or of the one with these words.")
+    ] = None,
+    stratum: Annotated[str | None, typer.Option(help="Only of this stratum.")] = None,
+    outcome: Annotated[
+        str | None, typer.Option(help="holds, violated, untested, inconclusive or failed.")
+    ] = None,
+    below: Annotated[
+        str | None, typer.Option(help="Only margins below this, with its unit, such as '10 mm'.")
+    ] = None,
+) -> int:
+    """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
+
+    Exit code 0; 2: a question that cannot be answered.
+    """
+    import sqlite3
+
+    from safety_harness.campaign.exporting import question_of, refuse_writing
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.cli.campaign_lines import csv_line
+
+    with Ledger.open(ledger, check=False) as opened:
+        question, values = question_of(opened, claim, stratum, outcome, below) if sql is None else (sql, ())
+        refuse_writing(opened.connection)
+        try:
+            rows = opened.connection.execute(question, values)
+            if rows.description is None:
+                raise sqlite3.ProgrammingError("no question")
+            result(csv_line([column for column, *_ in rows.description]))
+            for row in rows:
+                result(csv_line(row))
+        except (sqlite3.Error, sqlite3.Warning) as error:
+            got = f"{question!r}: {error}"
+            raise LedgerError(place=Place(file=ledger), expected="a question in SQL", got=got) from error
+    return AS_EXPECTED
+
+
+@_command()
+def export(
+    ledger: _LedgerFile,
+    out: Annotated[Path | None, typer.Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
+    traces: Annotated[
+        Path | None, typer.Option(help="Also the stored traces, as files that replay takes, to this folder.")
+    ] = None,
+) -> int:
+    """Write one line for each episode and claim, for other programs (Parquet: the extra "export").
+
+    Exit code 0; 2: bad input, or it cannot be written.
+    """
+    from safety_harness.campaign.exporting import export as export_table
+    from safety_harness.campaign.exporting import export_traces
+    from safety_harness.campaign.ledger import Ledger
+
+    if out is None and traces is None:
+        raise ScenarioError(place=Place(field="export"), expected="OUT, --traces FOLDER or both", got="none")
+    with Ledger.open(ledger) as opened:
+        if out is not None:
+            result(f"{out}: {export_table(opened, out)} lines")
+        if traces is not None:
+            result(f"{traces}: {len(export_traces(opened, traces))} traces")
+    return AS_EXPECTED
+
+
+@_command()
+def compare(
+    first: Annotated[Path, typer.Argument(help="The ledger before.", metavar="A")],
+    second: Annotated[Path, typer.Argument(help="The ledger after.", metavar="B")],
+) -> int:
+    """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
+
+    For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
+    episode; then the episodes that only B violates, the largest loss of margin first.
+    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
+    """
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.merging import compare_ledgers, worse_episodes
+    from safety_harness.campaign.summary import fallback_of
+    from safety_harness.cli.campaign_lines import difference_lines
+
+    with Ledger.open(first) as before, Ledger.open(second) as after:
+        for one_of in (before, after):
+            if words := fallback_of(one_of).words:
+                result(f"{one_of.path}: {words}")
+        compared = compare_ledgers(before, after)
+        for line in difference_lines(compared, before.declared.confidence):
+            result(line)
+        for found in worse_episodes(before, after):
+            was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
+            result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
+    return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
+
+
+@_command()
+def merge(
+    into: Annotated[Path, typer.Argument(help="The ledger to make.", metavar="INTO")],
+    ledgers: Annotated[list[Path], typer.Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
+) -> int:
+    """Make one ledger of those of several machines, each of which ran a part of the same plan.
+
+    What two of them have must agree to the last bit.
+    Exit code 0; 2: ledgers of different plans, or that disagree.
+    """
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.merging import merge as merge_ledgers
+    from safety_harness.cli.campaign_lines import ledger_lines
+
+    result(f"{into}: {merge_ledgers(into, ledgers)} episodes")
+    with Ledger.open(into, check=False) as whole:
+        for line in ledger_lines(whole):
+            result(line)
+    return AS_EXPECTED

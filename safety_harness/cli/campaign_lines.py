@@ -1,36 +1,37 @@
-"""What is said of a campaign: while it runs, and of its ledger afterwards."""
+"""What is said of a campaign's ledger, and of two."""
 
 from __future__ import annotations
 
-import math
-import time
+import csv
+import io
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-
-from rich.console import Console
-from rich.live import Live
-from rich.text import Text
 
 from safety_harness.campaign.declared import Declared
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.runner import RunnerProgress
-from safety_harness.campaign.summary import fallback_of
-from safety_harness.campaign.tally import CampaignTally
+from safety_harness.campaign.summary import CampaignTally, fallback_of, fingerprint_of, tally_of
 from safety_harness.certification.verdicts import confidence_words, percent
-from safety_harness.cli.console import say
 from safety_harness.properties.base import Unit
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import Sides, bounds_of
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
-_EVERY_S = 30.0  # where there is no terminal
 _MOST_REASONS = 5
 
 
-def summary(declared: Declared, tally: CampaignTally) -> str:
+def ledger_lines(ledger: Ledger) -> Iterator[str]:
+    """How a campaign stands; once it is complete, with its bounds."""
+    declared, tally = ledger.declared, tally_of(ledger)
+    yield f"{ledger.path}: {declared.title}"
+    yield _summary(declared, tally)
+    yield from (*_failure_lines(ledger), *_fallback_lines(ledger))
+    yield from worst_lines(declared.claims, declared.units, tally)
+    if tally.complete:
+        yield from _bound_lines(ledger)
+        yield f"fingerprint of the results: {fingerprint_of(ledger)}"
+
+
+def _summary(declared: Declared, tally: CampaignTally) -> str:
     """How many episodes of each stratum are done."""
     parts = []
     for name, stratum in zip(declared.strata, tally.strata, strict=True):
@@ -40,15 +41,11 @@ def summary(declared: Declared, tally: CampaignTally) -> str:
         if stratum.failed:
             words += f", {stratum.failed} FAILED TO RUN"
         parts.append(words)
-    return f"episodes {tally.done}/{tally.planned} in {declared.world}: " + "; ".join(parts)
+    return f"episodes {tally.done}/{tally.planned} in {declared.world.label}: " + "; ".join(parts)
 
 
-def claim_lines(declared: Declared, tally: CampaignTally) -> list[str]:
+def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
     """Of each claim over all strata the worst margin, and how often it was violated, tested, ..."""
-    return _lines(declared.claims, declared.units, tally)
-
-
-def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
     lines = []
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         one = tally.of_claim(k)
@@ -64,7 +61,7 @@ def _lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTall
     return lines
 
 
-def failure_lines(ledger: Ledger) -> list[str]:
+def _failure_lines(ledger: Ledger) -> list[str]:
     """Why episodes failed to run or left no record of a whole run, the most frequent reasons first."""
     question = (
         "SELECT count(*), failure, stratum, min(episode) FROM episodes WHERE failure IS NOT NULL "
@@ -79,7 +76,7 @@ def failure_lines(ledger: Ledger) -> list[str]:
     return lines + ([f"  {more} times: another of {len(found) - _MOST_REASONS} reasons"] if more else [])
 
 
-def fallback_lines(ledger: Ledger) -> list[str]:
+def _fallback_lines(ledger: Ledger) -> list[str]:
     """That the fallback stood in for the avoider, how often and why; nothing if it always answered."""
     found = fallback_of(ledger)
     episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
@@ -87,7 +84,7 @@ def fallback_lines(ledger: Ledger) -> list[str]:
     return [f"  {found.words}, {where}"] if found.words else []
 
 
-def bound_lines(ledger: Ledger) -> list[str]:
+def _bound_lines(ledger: Ledger) -> list[str]:
     """The chance of a violation between its bounds, as a report has them: all hold together."""
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
@@ -136,49 +133,8 @@ def _difference_line(one: PairedComparison) -> str:
     )
 
 
-@dataclass
-class CampaignProgress:
-    """Told of the progress: a display that changes on a terminal, a line now and then elsewhere."""
-
-    plan: Plan
-    _live: Live | None = None
-    _said_s: float = -math.inf
-
-    @contextmanager
-    def running(self) -> Iterator[CampaignProgress]:
-        """While the campaign lasts."""
-        console = Console(stderr=True)
-        if not console.is_terminal:
-            yield self
-            return
-        with Live(console=console, refresh_per_second=4, transient=True) as self._live:
-            yield self
-        self._live = None
-
-    def show(self, progress: RunnerProgress) -> None:
-        """Rate, time left, worst margins, violations."""
-        head = (
-            f"{progress.tally.done}/{progress.tally.planned} episodes, {progress.rate:.1f} a second, "
-            f"{_time_left(progress.left_s)}"
-        )
-        if not progress.workers:
-            head += "; NO WORKER IS THERE"
-        if progress.retried or progress.replaced:
-            head += f"; {progress.replaced} workers replaced, {progress.retried} episodes tried again"
-        if progress.tally.failed:
-            head += f"; {progress.tally.failed} FAILED TO RUN"
-        claims = tuple(claim.sentence for claim in self.plan.claims)
-        lines = [head, *_lines(claims, tuple(claim.unit for claim in self.plan.claims), progress.tally)]
-        if self._live is not None:
-            self._live.update(Text("\n".join(lines)))
-        elif time.monotonic() - self._said_s > _EVERY_S:
-            self._said_s = time.monotonic()
-            say(head)
-
-
-def _time_left(seconds: float) -> str:
-    if not math.isfinite(seconds):
-        return "time left unknown"
-    if seconds < 90.0:
-        return f"{seconds:.0f} s left"
-    return f"{seconds / 60.0:.0f} min left" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h left"
+def csv_line(values: Sequence[object]) -> str:
+    """A row as CSV."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow("" if value is None else value for value in values)
+    return text.getvalue()

@@ -5,17 +5,18 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result, say
+from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.options import explained
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.pages import told
+from safety_harness.properties.entry import CatalogueEntry, told
 from safety_harness.scenario.units import near_miss
 
 WIDTH = 110
 
 
+@explained()
 def explain_claims(words: Sequence[str]) -> int:
     """Print every sentence, or all about those that contain the words; returns the exit code.
 
@@ -32,14 +33,12 @@ def explain_claims(words: Sequence[str]) -> int:
     found = found or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
     if not found:
         examples = [entry.example for entry in CATALOGUE]
-        error = ScenarioError(
+        raise ScenarioError(
             place=Place(field="claims"),
             expected="words of a claim of the catalogue; without any, all claims are listed",
             got=asked,
             hint=near_miss(asked, examples, most=3),
         )
-        explain(error)
-        return BAD_INPUT
     for number, entry in enumerate(found):
         if number:
             result("")

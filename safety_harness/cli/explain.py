@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, result
+from safety_harness.cli.console import AS_EXPECTED, result
+from safety_harness.cli.options import explained
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario.reference import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
+from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.units import Dimension, near_miss
 
 
+@explained()
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
     asked = " ".join(" ".join(words).replace(":", " ").split())
@@ -22,14 +24,12 @@ def explain_key(words: Sequence[str]) -> int:
     found = [(table, key) for table in every_table() for key in table.keys if asked in _names(table, key)]
     if not found:
         known = dict.fromkeys(name for table in every_table() for name in table.names)
-        error = ScenarioError(
+        raise ScenarioError(
             place=Place(field="explain"),
             expected="a key of a scenario file; without one, all of them are listed",
             got=asked,
             hint=near_miss(asked, known, most=3),
         )
-        explain(error)
-        return BAD_INPUT
     for number, (table, key) in enumerate(found):
         if number:
             result("")
@@ -49,7 +49,7 @@ def _lines(table: KeyTable, key: Key) -> Iterator[str]:
     yield f"  means    {_plain(key.meaning)}"
     yield f"  takes    {_plain(_takes(key))}"
     yield f"  default  {'none: it has to be given' if key.default == REQUIRED else _plain(key.default)}"
-    for number, line in enumerate(key.example.splitlines()):
+    for number, line in enumerate(key.lines.splitlines()):
         yield f"  {'example' if number == 0 else '       '}  {line}"
 
 

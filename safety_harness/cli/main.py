@@ -7,11 +7,14 @@ from importlib.util import find_spec
 
 import typer
 
-from safety_harness.cli.campaign_commands import commands as of_campaigns
-from safety_harness.cli.evidence_commands import commands as of_evidence
-from safety_harness.cli.learning_commands import commands as of_learning
+from safety_harness.cli.campaign import commands as of_campaigns
+from safety_harness.cli.certify import commands as of_reports
+from safety_harness.cli.certify import of_certify
+from safety_harness.cli.console import BAD_INPUT, explain
+from safety_harness.cli.fuzz import commands as of_search
+from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.scenario_commands import commands as of_scenarios
-from safety_harness.cli.search_commands import commands as of_search
+from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
 
 app = typer.Typer(
@@ -21,8 +24,9 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, and certify; make the data of a learned avoider, train, evaluate and export it.",
 )
-for group in (of_scenarios, of_search, of_evidence):
+for group in (of_scenarios, of_search, of_reports, of_selftest):
     app.add_typer(group)
+app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_learning)
 
@@ -55,7 +59,5 @@ def main() -> None:
     try:
         app()
     except SafetyHarnessError as error:
-        from safety_harness.cli.console import BAD_INPUT, explain
-
         explain(error)
         raise SystemExit(BAD_INPUT) from None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, explain, say
+from safety_harness.cli.console import AS_EXPECTED, say
+from safety_harness.cli.options import explained
 from safety_harness.exceptions import OutputError, Place
 
 STARTING_FILE = """\
@@ -56,19 +57,16 @@ claims:
 """
 
 
+@explained()
 def new(file: Path) -> int:
     """Write the file, unless there is one already; returns the exit code."""
     try:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(STARTING_FILE.format(name=file))
-    except FileExistsError:
-        explain(
-            OutputError(place=Place(file=file), expected="a file that is not there yet", got="one that is")
-        )
-        return BAD_INPUT
     except OSError as error:
-        expected = "a place that can be written"
-        explain(OutputError(place=Place(file=file), expected=expected, got=error.strerror or str(error)))
-        return BAD_INPUT
+        expected, got = "a place that can be written", error.strerror or str(error)
+        if isinstance(error, FileExistsError):
+            expected, got = "a file that is not there yet", "one that is"
+        raise OutputError(place=Place(file=file), expected=expected, got=got) from error
     say(f"{file} is a scenario; run it with: safety-harness run {file}")
     return AS_EXPECTED

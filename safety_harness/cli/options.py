@@ -1,11 +1,16 @@
-"""Options and arguments that several commands have, and how a command ends."""
+"""Options and arguments that several commands have, and how a command is called and ends."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, ParamSpec
 
 import typer
+
+from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, explain, say
+from safety_harness.exceptions import InputError, SafetyHarnessError
 
 Files = Annotated[
     list[Path], typer.Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
@@ -19,15 +24,54 @@ OfAvoider = Annotated[
         metavar="AVOIDER",
     ),
 ]
-TraceFile = Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")]
-TraceFiles = Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")]
 Seed = Annotated[int, typer.Option(help="Root of every random number.", min=0)]
-ModelFiles = Annotated[
-    list[str],
-    typer.Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
-]
+_Asked = ParamSpec("_Asked")
 
 
-def end(code: int) -> NoReturn:
-    """End the command with this exit code."""
-    raise typer.Exit(code)
+def explained(
+    *, interrupted: str = "", failed: int | None = None
+) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
+    """Of a function that returns an exit code: the user's mistakes are explained, and are exit code 2.
+
+    Any other error of ours is ``failed`` (None: it is raised), and Ctrl-C is answered with the words
+    ``interrupted`` (none: it is raised).
+    """
+
+    def around(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
+        @wraps(work)
+        def explaining(*args: _Asked.args, **options: _Asked.kwargs) -> int:
+            try:
+                return work(*args, **options)
+            except SafetyHarnessError as error:
+                code = BAD_INPUT if isinstance(error, InputError) else failed
+                if code is None:
+                    raise
+                explain(error)
+                return code
+            except KeyboardInterrupt:
+                if not interrupted:
+                    raise
+                say(interrupted)
+                return INTERRUPTED
+
+        return explaining
+
+    return around
+
+
+def command(
+    group: typer.Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
+) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
+    """``explained``, and a command of ``group`` that ends with the exit code."""
+
+    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
+        answer = explained(interrupted=interrupted, failed=failed)(work)
+
+        @group.command(name)
+        @wraps(work)
+        def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
+            raise typer.Exit(answer(*args, **options))
+
+        return answer
+
+    return registered

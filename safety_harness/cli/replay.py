@@ -2,58 +2,42 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.avoiders import is_a_program, with_avoider
-from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.cli.console import (
-    AS_EXPECTED,
-    BAD_INPUT,
-    DIFFERS,
-    INTERRUPTED,
-    ScenarioProgress,
-    explain,
-    replay_command,
-    result,
-    result_lines,
-    say,
-)
-from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
+from safety_harness.cli.options import explained
+from safety_harness.cli.runs import ScenarioProgress, say_results
+from safety_harness.exceptions import InadmissibleError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import shown
-from safety_harness.simulation.kinematic_world import KinematicWorld
+from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Provenance, Trace
 
 
+@explained()
 def replay(path: Path, avoider: str | None = None) -> int:
     """Repeat a recorded run: "identical", or the first step that differs.
 
     ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
     come from anybody, and repeating it must not execute what it says.
     """
-    try:
-        stored = load_trace(path)
-        admitted = admit(_with_program(stored, path, avoider))
-    except InputError as error:
-        explain(error)
-        return BAD_INPUT
+    stored = load_trace(path)
+    world = world_of_trace(stored.provenance.world)
+    admitted = admit(_with_program(stored, path, avoider))
     progress = ScenarioProgress([stored.scenario])
-    with progress.running():
+    with progress.bar:
         progress.begin(0)
-        if stored.provenance.world == KinematicWorld.name:
-            fresh = run_kinematic(admitted, recorded=stored, on_tick=progress.tick)
-        else:
-            fresh = run_trial(admitted, recorded=stored, on_tick=progress.tick)
+        fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
         say(f"{fresh.ended}, after {len(fresh.ticks)} of {len(stored.ticks)} ticks")
         return INTERRUPTED
@@ -78,26 +62,16 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
             place=Place(file=path, field="avoider"),
             expected="the program named on the command line, since repeating the run executes it",
             got=f"a trace made with {stored.scenario.avoider}",
-            hint=shlex.join(replay_command(stored.scenario, path)),
+            hint=replay_command(stored.scenario, path),
         )
     return stored.scenario
 
 
 def changes(stored: Provenance, now: Provenance) -> list[str]:
     """What is not the same as when the trace was made."""
-    lines = []
-    for name in (
-        "package_version",
-        "source_hash",
-        "world",
-        "avoider",
-        "avoider_sha256",
-        "python",
-        "platform",
-    ):
-        before, after = getattr(stored, name), getattr(now, name)
-        if before != after:
-            lines.append(f"  {name}: {before} then, {after} now")
+    names = ("package_version", "source_hash", "world", "avoider", "avoider_sha256", "python", "platform")
+    values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
+    lines = [f"  {name}: {before} then, {after} now" for name, before, after in values if before != after]
     versions = dict(now.libraries + now.files)
     for name, before in stored.libraries + stored.files:
         if versions.get(name) != before:
@@ -114,6 +88,7 @@ def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
 
 
+@explained()
 def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
     """Judge stored traces by their claims, with the present code, without simulating.
 
@@ -121,17 +96,12 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
     """
     code = AS_EXPECTED
     for path in paths:
-        try:
-            trace = load_trace(path)
-            if sentences:
-                claims = with_expectation(_claims(sentences), trace.scenario)
-                trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
-            run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", notes=())
-        except InputError as error:
-            explain(error)
-            return BAD_INPUT
-        for line in result_lines(run):
-            result(line)
+        trace = load_trace(path)
+        if sentences:
+            claims = with_expectation(_claims(sentences), trace.scenario)
+            trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
+        run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="")
+        say_results(run)
         if not run.all_as_expected:
             code = DIFFERS
     return code

@@ -10,34 +10,31 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.avoiders import replay_command, told_avoider, with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
-    ScenarioProgress,
     explain,
-    one_more_ctrl_c,
-    replay_command,
-    result,
-    result_lines,
+    explain_each,
     say,
     say_shared_modules,
-    told_avoider,
-    without_repetition,
 )
+from safety_harness.cli.options import explained
+from safety_harness.cli.runs import ScenarioProgress, say_results
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
+from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.tally import table_lines
 from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import DecisionTally, fault_notes
-from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
-from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.trace.store import save_trace
+from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
 TRACES = "traces"
@@ -53,19 +50,10 @@ def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Ad
             admitted.append(admit(scenario if avoider is None else with_avoider(scenario, avoider)))
         except InputError as error:
             errors.append(error)
-    return admitted, without_repetition(errors)
+    return admitted, errors
 
 
-def notes_of(scenario: Scenario) -> tuple[str, ...]:
-    """What a reader has to know of the recordings: gaps that were bridged, jumps removed."""
-    return tuple(
-        f"{hand.name} hand, {hand.recording}: {note}"
-        for hand in scenario.hands
-        if isinstance(hand, RecordedHand)
-        for note in hand.motion.notes
-    )
-
-
+@explained()
 def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     """Run, judge, print, save and report; returns the exit code."""
     if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
@@ -78,24 +66,15 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
         say("interrupted: nothing was run")
         return INTERRUPTED
     if errors:
-        for error in errors:
-            explain(error)
-        say(f"{len(errors)} of the inputs cannot be used; nothing was run.")
+        say(f"{explain_each(errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
-    traces = out / TRACES
-    try:
-        traces.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        explain(OutputError.of(traces, error))
-        return BAD_INPUT
-    session = RunSession(out, shlex.join(_command(paths, out, avoider)), len(admitted))
+    with writing(out / TRACES):
+        (out / TRACES).mkdir(parents=True, exist_ok=True)
+    again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    again += [] if avoider is None else ["--avoider", told_avoider(avoider)]
+    session = RunSession(out, shlex.join(again), len(admitted))
     session.run_all(admitted)
     return session.finish()
-
-
-def _command(paths: Sequence[Path], out: Path, avoider: str | None) -> list[str]:
-    command = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    return command if avoider is None else [*command, "--avoider", told_avoider(avoider)]
 
 
 @dataclass
@@ -113,7 +92,7 @@ class RunSession:
     def run_all(self, admitted: Sequence[Admitted]) -> None:
         """One after another, until Ctrl-C or a disk that takes no more."""
         progress = ScenarioProgress([one.scenario for one in admitted])
-        with progress.running():
+        with progress.bar:
             for number, one in enumerate(admitted):
                 progress.begin(number)
                 try:
@@ -129,8 +108,7 @@ class RunSession:
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
-        for line in result_lines(judged):
-            result(line)
+        say_results(judged)
         for note in fault_notes(judged.trace):
             say(f"note: {judged.trace.scenario.name}: {note}")
         self.interrupted = not judged.trace.complete
@@ -186,7 +164,8 @@ class RunSession:
         path = self.out / REPORT
         interrupted = len(self.runs) < self.planned or self.interrupted
         try:
-            with one_more_ctrl_c(f"writing {path}; Ctrl-C once more gives it up") as asked:
+            remark = f"writing {path}; Ctrl-C once more gives it up"
+            with writing(path), one_more_ctrl_c(say, remark) as asked:
                 write_report(
                     path,
                     self.runs,
@@ -196,8 +175,8 @@ class RunSession:
                     interrupted=interrupted,
                 )
                 write_json(self.out / DATA, self.runs, interrupted=interrupted)
-        except OSError as error:
-            explain(OutputError.of(path, error))
+        except OutputError as error:
+            explain(error)
             return False
         except KeyboardInterrupt:
             self.interrupted = True
@@ -211,14 +190,12 @@ def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> Ju
     """Simulate, save, judge."""
     trace = run_trial(admitted, on_tick=progress.tick)
     file = traces / f"{admitted.scenario.name}.trace"
-    try:
+    with writing(file):
         save_trace(trace, file)
-    except OSError as error:
-        raise OutputError.of(file, error) from error
     return JudgedRun(
         trace=trace,
         evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
-        replay_command=shlex.join(replay_command(admitted.scenario, file)),
+        replay_command=replay_command(admitted.scenario, file),
         trace_file=file,
         notes=notes_of(admitted.scenario),
     )

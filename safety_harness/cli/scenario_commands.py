@@ -7,13 +7,14 @@ from typing import Annotated
 
 import typer
 
-from safety_harness.cli.options import Files, OfAvoider, Out, Seed, TraceFile, TraceFiles, end
+from safety_harness.cli.console import AS_EXPECTED, result
+from safety_harness.cli.options import Files, OfAvoider, Out, Seed, command
 
 commands = typer.Typer()
 
 
-@commands.command()
-def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> None:
+@command(commands)
+def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> int:
     """Run scenario files in PyBullet, judge their claims and write a report.
 
     A Python or ONNX file that they name as an avoider is executed, which is said on standard error.
@@ -26,11 +27,11 @@ def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None)
     """
     from safety_harness.cli.run import run as run_files
 
-    end(run_files(files, out, avoider))
+    return run_files(files, out, avoider)
 
 
-@commands.command()
-def validate(files: Files, avoider: OfAvoider = None) -> None:
+@command(commands)
+def validate(files: Files, avoider: OfAvoider = None) -> int:
     """Read and check scenario files without running them, and tell every mistake of every file.
 
     Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
@@ -40,16 +41,16 @@ def validate(files: Files, avoider: OfAvoider = None) -> None:
     """
     from safety_harness.cli.validate import validate as validate_files
 
-    end(validate_files(files, avoider))
+    return validate_files(files, avoider)
 
 
-@commands.command()
+@command(commands)
 def fmt(
     files: Files,
     check: Annotated[
         bool, typer.Option("--check", help="Change nothing; only say what would change.")
     ] = False,
-) -> None:
+) -> int:
     """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
 
     Comments stay, and so do the units that you wrote; the file means what it meant before.
@@ -57,13 +58,13 @@ def fmt(
     """
     from safety_harness.cli.fmt import format_files
 
-    end(format_files(files, check=check))
+    return format_files(files, check=check)
 
 
-@commands.command()
+@command(commands)
 def explain(
     key: Annotated[list[str] | None, typer.Argument(help="A key, such as: critical distance.")] = None,
-) -> None:
+) -> int:
     """Say what a key of scenario files means: its unit, bounds, default and an example.
 
     A key that stands in several places is explained for each; "camera.rate" means one of them.
@@ -72,15 +73,15 @@ def explain(
     """
     from safety_harness.cli.explain import explain_key
 
-    end(explain_key(key or []))
+    return explain_key(key or [])
 
 
-@commands.command()
+@command(commands)
 def claims(
     words: Annotated[
         list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
     ] = None,
-) -> None:
+) -> int:
     """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
 
     A whole claim is explained by the one that understands it. Without words, all are listed.
@@ -88,35 +89,41 @@ def claims(
     """
     from safety_harness.cli.claims import explain_claims
 
-    end(explain_claims(words or []))
+    return explain_claims(words or [])
 
 
-@commands.command()
+@command(commands)
 def new(
     file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
-) -> None:
+) -> int:
     """Write a scenario file with comments to start from; it runs as it is.
 
     Exit code 0; 2: there is such a file already, or it cannot be written.
     """
     from safety_harness.cli.new import new as new_file
 
-    end(new_file(file))
+    return new_file(file)
 
 
-@commands.command()
-def schema() -> None:
+@command(commands)
+def schema() -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
 
     It is also docs/schema/scenario.schema.json. Exit code 0.
     """
-    from safety_harness.cli.schema import print_schema
+    import json
 
-    end(print_schema())
+    from safety_harness.scenario.schema import scenario_schema
+
+    result(json.dumps(scenario_schema(), indent=1, ensure_ascii=False))
+    return AS_EXPECTED
 
 
-@commands.command()
-def replay(trace: TraceFile, avoider: OfAvoider = None) -> None:
+@command(commands)
+def replay(
+    trace: Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
+    avoider: OfAvoider = None,
+) -> int:
     """Repeat a recorded run bit by bit: "identical", or the first step that differs.
 
     A trace that was made with a Python file of yours needs that file named by --avoider, as repeating
@@ -125,12 +132,12 @@ def replay(trace: TraceFile, avoider: OfAvoider = None) -> None:
     """
     from safety_harness.cli.replay import replay as replay_trace
 
-    end(replay_trace(trace, avoider))
+    return replay_trace(trace, avoider)
 
 
-@commands.command()
+@command(commands)
 def judge(
-    traces: TraceFiles,
+    traces: Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
     claim: Annotated[
         list[str] | None,
         typer.Option(
@@ -139,17 +146,17 @@ def judge(
             metavar="SENTENCE",
         ),
     ] = None,
-) -> None:
+) -> int:
     """Judge stored traces again by their claims, or by others, without simulating.
 
     Exit codes as for run.
     """
     from safety_harness.cli.replay import judge_again
 
-    end(judge_again(traces, claim or ()))
+    return judge_again(traces, claim or ())
 
 
-@commands.command()
+@command(commands)
 def show(
     files: Annotated[list[Path], typer.Argument(help="Scenario files or spaces.", metavar="FILE...")],
     out: Annotated[Path, typer.Option(help="Folder for pictures, or the picture of one file.")] = Path(
@@ -157,23 +164,23 @@ def show(
     ),
     draws: Annotated[int, typer.Option(help="Draws of a space in its picture.", min=1)] = 200,
     seed: Seed = 0,
-) -> None:
+) -> int:
     """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
 
     Exit code 0; 2: bad input; 130: interrupted.
     """
     from safety_harness.cli.show import show as show_files
 
-    end(show_files(files, out=out, draws=draws, seed=seed))
+    return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@commands.command()
+@command(commands)
 def sample(
     space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
     out: Annotated[Path, typer.Option(help="Folder for the scenario files.")] = Path("reports/sample"),
     count: Annotated[int, typer.Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,
-) -> None:
+) -> int:
     """Draw scenarios from a space, independently, each as a file that run takes.
 
     Draws that cannot be tried (a start out of reach, ...) are counted, drawn again, and said.
@@ -181,4 +188,4 @@ def sample(
     """
     from safety_harness.cli.show import sample as sample_space
 
-    end(sample_space(space, out=out, count=count, seed=seed))
+    return sample_space(space, out=out, count=count, seed=seed)

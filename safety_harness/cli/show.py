@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Looker
-from safety_harness.admission.elsewhere import as_seen_from
+from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain, result, say
-from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.options import explained
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
@@ -21,54 +22,42 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.space.boxes import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.whole_file import write_whole
+from safety_harness.whole_file import write_text, writing
 
 PICTURES = (".png", ".svg", ".pdf")
 
 
+@explained(interrupted="interrupted: this picture and those after it were not drawn")
 def show(files: Sequence[Path], *, out: Path, draws: int = 200, seed: int = 0) -> int:
     """One picture a scenario, and one of ``draws`` admissible draws of each space; returns the exit code."""
-    try:
-        gathered = gather(files, spaces=True)
-        if gathered.errors:
-            raise gathered.errors[0]
-        alone = out.suffix in PICTURES and len(gathered.scenarios) + len(gathered.spaces) == 1
-        for scenario in gathered.scenarios:
-            _draw(out if alone else out / f"{scenario.name}.png", [scenario], scenario.title)
-        for variant, file in gathered.spaces:
-            space = space_of(variant.tree, file, name=variant.name)
-            drawn = draw_admissible(space, seed, draws)
-            say(f"{file}: {drawn}")
-            path = out if alone else out / f"{space.name}.png"
-            _draw(path, drawn.scenarios, space.title, regions_of(space))
-    except InputError as error:
-        explain(error)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted: this picture and those after it were not drawn")
-        return INTERRUPTED
+    gathered = gather(files, spaces=True)
+    if gathered.errors:
+        raise gathered.errors[0]
+    alone = out.suffix in PICTURES and len(gathered.scenarios) + len(gathered.spaces) == 1
+    for scenario in gathered.scenarios:
+        _draw(out if alone else out / f"{scenario.name}.png", [scenario], scenario.title)
+    for variant, file in gathered.spaces:
+        space = space_of(variant.tree, file, name=variant.name)
+        drawn = draw_admissible(space, seed, draws)
+        say(f"{file}: {drawn}")
+        path = out if alone else out / f"{space.name}.png"
+        _draw(path, drawn.scenarios, space.title, regions_of(space))
     return AS_EXPECTED
 
 
+@explained(interrupted="interrupted: the files that were written are kept")
 def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
     """``count`` admissible draws of a space, each a scenario file in ``out``; returns the exit code."""
-    try:
-        if not 1 <= count <= 100_000:
-            raise ScenarioError(
-                place=Place(field="--count"), expected="a number from 1 to 100000", got=str(count)
-            )
-        space = read_space(file)
-        drawn = draw_admissible(space, seed, count)
-        for scenario in drawn.scenarios:
-            path = out / f"{scenario.name.replace('#', '-')}.yaml"
-            write_text(path, write_scenario(as_seen_from(out, scenario)))
-            result(str(path))
-    except InputError as error:
-        explain(error)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        say("interrupted: the files that were written are kept")
-        return INTERRUPTED
+    if not 1 <= count <= 100_000:
+        raise ScenarioError(
+            place=Place(field="--count"), expected="a number from 1 to 100000", got=str(count)
+        )
+    space = read_space(file)
+    drawn = draw_admissible(space, seed, count)
+    for scenario in drawn.scenarios:
+        path = out / f"{scenario.name.replace('#', '-')}.yaml"
+        write_text(path, write_scenario(as_seen_from(out, scenario)))
+        result(str(path))
     for note in (*space.notes, str(drawn)):
         say(note)
     return AS_EXPECTED
@@ -77,10 +66,8 @@ def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
 def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> None:
     looker = Looker()
     previews = [preview_of(looker.look(scenario)) for scenario in scenarios]
-    try:
+    with writing(path):
         draw_scene(path, previews, title=title, regions=regions)
-    except OSError as error:
-        raise OutputError.of(path, error) from error
     result(str(path))
 
 
@@ -102,11 +89,3 @@ def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDA
         for name, low, high in boxes:
             found[(name, *low, *high)] = (name, np.array(low) + shift, np.array(high) + shift)
     return list(found.values())
-
-
-def write_text(path: Path, text: str) -> None:
-    """A text file, with folders that are missing; OutputError if it cannot be written."""
-    try:
-        write_whole(path, text)
-    except OSError as error:
-        raise OutputError.of(path, error) from error

@@ -10,15 +10,7 @@ from safety_harness.admission.admit import Checked, Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.cli.console import (
-    AS_EXPECTED,
-    BAD_INPUT,
-    INTERRUPTED,
-    explain,
-    result,
-    say,
-    without_repetition,
-)
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, explain_each, result, say
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.model import Scenario
@@ -36,18 +28,17 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         say("interrupted")
         return INTERRUPTED
     of_claims = errors_of_claims(gathered.scenarios)
-    errors = without_repetition([*gathered.errors, *errors, *of_claims, *errors_of_spaces])
+    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces]
     bad = {error.place.file for error in errors}
     for file, scenarios in groupby(usable, key=lambda one: one.scenario.file):
         if file not in bad:
             result(f"ok {file}: {_words(list(scenarios))}")
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
-    for error in errors:
-        explain(error)
     if errors:
+        mistakes = _count(explain_each(errors), "mistake")
         rest = f"{_count(len(usable), 'scenario')} and {_count(len(spaces), 'space')}"
-        say(f"{_count(len(errors), 'mistake')}; {rest} can be used")
+        say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
 
 

@@ -16,11 +16,11 @@ class ControllerWrapper:
         self.name = pilot.name
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """The pilot's own."""
+        """The pilot's own.  ``observation`` (1,) OBSERVATION."""
         return self.pilot.step(observation)
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """The pilot's own."""
+        """The pilot's own.  ``tick`` (1,) TICK."""
         self.pilot.report(tick)
 
     @property

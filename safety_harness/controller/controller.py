@@ -21,7 +21,21 @@ from safety_harness.avoidance.faulty import faulty
 from safety_harness.avoidance.gate import Gate, GateDecision, Query, answer_to
 from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
 from safety_harness.controller.decision_times import NOTHING
-from safety_harness.controller.records import ANSWER, COMMAND, initial_state, parameters
+from safety_harness.controller.records import (
+    ANSWER,
+    COMMAND,
+    AnswerRecords,
+    CommandRecords,
+    FaultRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    QuestionRecords,
+    StateRecords,
+    TrackRecords,
+    initial_state,
+    parameters,
+)
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
@@ -41,7 +55,10 @@ class Controller(Protocol):
         ...
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call."""
+        """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call.
+
+        ``observation`` (1,) OBSERVATION.
+        """
         ...
 
     def report(self, tick: NDArray[np.void]) -> None:
@@ -62,8 +79,8 @@ class Controller(Protocol):
 class AvoidingServo:
     """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
 
-    ``decision_times_s`` (n,) is what a question of each tick costs in simulated time, as
-    ``decision_times_s`` makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
+    ``decision_times_s`` (n,) [s] is what a question of each tick costs in simulated time, as the function of
+    that name makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
     the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
     says which decisions of an old trace came too late by the wall's clock, and in which words.
     """
@@ -85,14 +102,14 @@ class AvoidingServo:
         self.gate = gate
         fixed = _fixed(settings, arm, view)
         self.records = ControllerRecords(
-            fixed[0].copy(),
-            fixed[1].copy(),
-            initial_state(),
-            no_tracks(),
-            np.zeros(1, ANSWER),
-            np.zeros(1, COMMAND),
-            np.zeros(1, QUESTION),
-            fault_table(()) if faults is None else faults,
+            ParameterRecords(fixed[0].copy()),
+            FilterRecords(fixed[1].copy()),
+            StateRecords(initial_state()),
+            TrackRecords(no_tracks()),
+            AnswerRecords(np.zeros(1, ANSWER)),
+            CommandRecords(np.zeros(1, COMMAND)),
+            QuestionRecords(np.zeros(1, QUESTION)),
+            FaultRecords(fault_table(()) if faults is None else faults),
             decision_times_s.copy(),
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
@@ -104,20 +121,24 @@ class AvoidingServo:
         self._latencies_s: list[float] = []
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """Look, decide if it is time to, act."""
-        if look(*(self.records.for_look + (observation,))):
+        """Look, decide if it is time to, act.  ``observation`` (1,) OBSERVATION."""
+        r, o = self.records, ObservationRecords(observation)
+        if look(
+            r.parameters, r.filter_parameters, r.state, r.tracks, r.question, r.faults, r.decision_times_s, o
+        ):
             query = self.query(observation)
             held, self._held = self._held, None
             gate = self.gate
             self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
         elif self._on_the_clock:
             self._ask_now(observation)
-        act(*(self.records.for_act + (observation,)))
-        return self.records.command
+        act(r.parameters, r.state, r.answer, r.command, r.question, o)
+        return r.command
 
     def report(self, tick: NDArray[np.void]) -> None:
-        """Copy what the stack knows into the trace's record of this tick."""
-        report(*(self.records.for_report + (tick.view(TICK_COMPILED),)))
+        """Copy what the stack knows into the trace's record of this tick.  ``tick`` (1,) TICK."""
+        r = self.records
+        report(r.state, r.command, r.question, tick.view(TICK_COMPILED))
 
     @property
     def decisions(self) -> NDArray[np.void]:
@@ -157,7 +178,7 @@ class AvoidingServo:
         return DelayedQuery(avoider, hand_in_base_m, tcp_in_base_m)
 
     def query(self, observation: NDArray[np.void]) -> Query:
-        """The decision that counts now, as the gate wants it."""
+        """The decision that counts now, as the gate wants it.  ``observation`` (1,) OBSERVATION."""
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
         hand = (

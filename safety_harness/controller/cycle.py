@@ -6,19 +6,31 @@ goes on.  One episode at a time or many to their next decision: these are the fu
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
+from safety_harness.controller.records import (
+    AnswerRecords,
+    CommandRecords,
+    FaultRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    QuestionRecords,
+    StateRecords,
+    TrackRecords,
+)
 from safety_harness.controller.stack import begin_tick, finish_tick
-from safety_harness.scenario.fault_table import TIME_EPS_S, FaultKind, acting, delay_s
+from safety_harness.scenario.fault_table import TIME_EPS_S, acting, delay_s
+from safety_harness.scenario.faults import FaultKind
 from safety_harness.trace.records import MAX_TRACKS, Mode
 
 PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
-LATE, SILENT = int(FaultKind.AVOIDER_LATE), int(FaultKind.AVOIDER_SILENT)
-NAN = int(FaultKind.AVOIDER_NAN)
+LATE, SILENT = np.int64(FaultKind.AVOIDER_LATE), np.int64(FaultKind.AVOIDER_SILENT)
+NAN = np.int64(FaultKind.AVOIDER_NAN)
 
 Records = NDArray[np.void]
 
@@ -48,50 +60,27 @@ QUESTION = np.dtype(
 class ControllerRecords(NamedTuple):
     """All that one episode's controller knows and remembers."""
 
-    parameters: Records  # (1,) PARAMETERS
-    filter_parameters: Records  # (1,) FILTER_PARAMETERS
-    state: Records  # (1,) STATE
-    tracks: Records  # (MAX_TRACKS,) TRACK
-    answer: Records  # (1,) ANSWER
-    command: Records  # (1,) COMMAND
-    question: Records  # (1,) QUESTION
-    faults: Records  # (n,) FAULT
+    parameters: ParameterRecords  # (1,) PARAMETERS
+    filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
+    state: StateRecords  # (1,) STATE
+    tracks: TrackRecords  # (MAX_TRACKS,) TRACK
+    answer: AnswerRecords  # (1,) ANSWER
+    command: CommandRecords  # (1,) COMMAND
+    question: QuestionRecords  # (1,) QUESTION
+    faults: FaultRecords  # (n,) FAULT
     decision_times_s: NDArray[np.float64]  # (n,) of a question of each tick, as ``decision_times`` has it
-
-    @property
-    def for_look(self) -> Any:
-        """What ``look`` takes before the observation."""
-        return (
-            self.parameters,
-            self.filter_parameters,
-            self.state,
-            self.tracks,
-            self.question,
-            self.faults,
-            self.decision_times_s,
-        )
-
-    @property
-    def for_act(self) -> Any:
-        """What ``act`` takes before the observation."""
-        return self.parameters, self.state, self.answer, self.command, self.question
-
-    @property
-    def for_report(self) -> Any:
-        """What ``report`` takes before the trace's record."""
-        return self.state, self.command, self.question
 
 
 @inlined
 def look(
-    parameters: Records,
-    filter_parameters: Records,
-    states: Records,
-    tracks: Records,
-    questions: Records,
-    faults: Records,
-    decision_times_s: NDArray[np.float64],
-    observations: Records,
+    parameters: ParameterRecords,
+    filter_parameters: FilterRecords,
+    states: StateRecords,
+    tracks: TrackRecords,
+    questions: QuestionRecords,
+    faults: FaultRecords,
+    decision_times_s: NDArray[np.float64],  # (n,) of a question of each tick; the last for all later ones
+    observations: ObservationRecords,
 ) -> bool:
     """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
 
@@ -123,12 +112,12 @@ def look(
 
 @compiled
 def ask(
-    parameters: Records,
-    states: Records,
-    questions: Records,
-    faults: Records,
-    decision_times_s: NDArray[np.float64],
-    observations: Records,
+    parameters: ParameterRecords,
+    states: StateRecords,
+    questions: QuestionRecords,
+    faults: FaultRecords,
+    decision_times_s: NDArray[np.float64],  # (n,)
+    observations: ObservationRecords,
 ) -> None:
     """Open the question of now; its answer counts when its decision time is over."""
     s, q, time_s = states[0], questions[0], observations[0].time_s
@@ -144,11 +133,14 @@ def ask(
 
 
 @compiled
-def answer_after(parameters: Records, questions: Records, faults: Records, decision_time_s: float) -> None:
+def answer_after(
+    parameters: ParameterRecords, questions: QuestionRecords, faults: FaultRecords, decision_time_s: float
+) -> None:
     """The answer to the open question takes so long [s], and a fault's delay longer; NaN: not known yet.
 
-    It counts at the first tick at which that is over, an exact multiple of the period at exactly that
-    tick.  What takes longer than the deadline is no answer, and is given up on at the deadline.
+    It counts ceil(min(late, deadline) / period) ticks after it was asked, the first at which that is over, an
+    exact multiple of the period at exactly that tick.  What takes longer than the deadline is no answer, and
+    is given up on at the deadline.
     """
     p, q = parameters[0], questions[0]
     late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
@@ -163,12 +155,12 @@ def answer_after(parameters: Records, questions: Records, faults: Records, decis
 
 @inlined
 def act(
-    parameters: Records,
-    states: Records,
-    answers: Records,
-    commands: Records,
-    questions: Records,
-    observations: Records,
+    parameters: ParameterRecords,
+    states: StateRecords,
+    answers: AnswerRecords,
+    commands: CommandRecords,
+    questions: QuestionRecords,
+    observations: ObservationRecords,
 ) -> None:
     """Act on the answer, if one was waited for, and command the arm for this tick."""
     q = questions[0]
@@ -178,7 +170,9 @@ def act(
 
 
 @inlined
-def report(states: Records, commands: Records, questions: Records, ticks: Records) -> None:
+def report(
+    states: StateRecords, commands: CommandRecords, questions: QuestionRecords, ticks: Records
+) -> None:
     """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
     tick.object_visible = s.object_visible

@@ -19,7 +19,9 @@ def decision_times_s(
 ) -> NDArray[np.float64]:
     """(n,) what a question of each tick costs [s]; the last stands for all later ones.
 
-    NaN: what the answer takes on the wall's clock.  ``declared_s`` is the avoider's own.
+    Drawn by the inverse of the distribution function that is linear between the quantiles q_0 ... q_m, evenly
+    spaced in probability: q_k + (x - k) (q_(k+1) - q_k), x = m u, k its integer part, u uniform.  NaN: what
+    the answer takes on the wall's clock.  ``declared_s`` is the avoider's own.
     """
     if cost is DecisionCost.WALL_CLOCK:
         return ON_THE_CLOCK

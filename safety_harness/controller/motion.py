@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, njit_no_nrt
+from safety_harness.controller.records import ParameterRecords, StateRecords
+from safety_harness.geometry.linear import copy_vector
 from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
@@ -19,12 +21,17 @@ LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
 
 @compiled
 def servo_twist(
-    parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
+    parameters: ParameterRecords,
+    states: StateRecords,
+    twist_in_base_out: NDArray[np.float64],  # (6,) v, w [m/s, rad/s]
 ) -> None:
     """Eq. 1 as a twist of the TCP in the base frame; the gain drops once eq. 15 is small.
 
-    The camera is fixed to the flange: with c the camera's origin seen from the TCP, in the base
-    frame, w is the same for both and v_tcp = v_camera - w x c.
+        w = R w_camera,   v_tcp = R v_camera - w x c,   R = R_tcp_to_base R_camera_to_tcp
+
+    with c the camera's origin seen from the TCP, in the base frame: both are of one rigid body, the flange.
+    lambda is ``gain_near`` where |e|^2 is below ``gain_switch_sse``, else ``gain_far``.  Without a finite
+    twist the object counts as lost.
     """
     p, s = parameters[0], states[0]
     s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
@@ -58,14 +65,18 @@ def servo_twist(
     twist_in_base_out[0] = v[0] - (w[1] * c[2] - w[2] * c[1])
     twist_in_base_out[1] = v[1] - (w[2] * c[0] - w[0] * c[2])
     twist_in_base_out[2] = v[2] - (w[0] * c[1] - w[1] * c[0])
-    twist_in_base_out[3:] = w
+    copy_vector(w, twist_in_base_out[3:])
 
 
 @njit_no_nrt
 def approach_twist(
-    parameters: NDArray[np.void], states: NDArray[np.void], twist_in_base_out: NDArray[np.float64]
+    parameters: ParameterRecords,
+    states: StateRecords,
+    twist_in_base_out: NDArray[np.float64],  # (6,) v, w [m/s, rad/s]
 ) -> None:
     """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
+
+        v = min(0.99 v_max, sqrt(2 (0.8 a) d), d/T) (target - tcp)/d,   d = |target - tcp|,   w = 0
 
     The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 %
     of the permitted acceleration can still stop within the rest of the way (the other 20 % pay
@@ -89,14 +100,19 @@ def approach_twist(
 
 @njit_no_nrt
 def shaped(
-    parameters: NDArray[np.void],
+    parameters: ParameterRecords,
     previous: NDArray[np.float64],  # (6,) the twist of the last tick, base frame
     wanted: NDArray[np.float64],  # (6,)
     max_speed_mps: float,
     max_acceleration_mps2: float,
     twist_out: NDArray[np.float64],  # (6,)
 ) -> int:
-    """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted."""
+    """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted.
+
+        u = wanted min(1, v_max/|wanted|),   out = previous + (u - previous) min(1, a_max T/|u - previous|)
+
+    for the halves v and w, T the control period; of the linear v_max only ``SPEED_RESERVE`` is used.
+    """
     p = parameters[0]
     limits = 0
     bounds = (SPEED_RESERVE * max_speed_mps, p.max_tcp_angular_speed_radps)

@@ -7,13 +7,15 @@ elements of an array of each.
 
 from __future__ import annotations
 
+from typing import NewType
+
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
-from safety_harness.robot.description import ArmModel
+from safety_harness.robot.description import CHAIN, ArmModel
 from safety_harness.servoing.control import DesiredView, choice_code
 from safety_harness.settings import HandSensorKind, ObjectKind, Settings
 from safety_harness.trace.records import MAX_TRACKS
@@ -21,9 +23,7 @@ from safety_harness.trace.records import MAX_TRACKS
 PARAMETERS = np.dtype(
     [
         ("control_period_s", np.float64),
-        ("joint_origins", np.float64, (6, 4, 4)),
-        ("joint_axes", np.float64, (6, 3)),
-        ("flange", np.float64, (4, 4)),
+        ("chain", CHAIN),
         ("joint_velocity_limit_radps", np.float64, (6,)),
         ("transform_camera_to_tcp", np.float64, (4, 4)),  # as calibrated, not as mounted
         ("eye_in_hand", np.bool_),
@@ -107,10 +107,18 @@ OBSERVATION = np.dtype(
 
 ANSWER = np.dtype([("stop", np.bool_), ("position_in_base_m", np.float64, (3,))], align=True)
 
-COMMAND = np.dtype(
-    [("joint_velocity_radps", np.float64, (6,)), ("protective_stop", np.bool_)],
-    align=True,
-)
+COMMAND = np.dtype([("joint_velocity_radps", np.float64, (6,)), ("protective_stop", np.bool_)], align=True)
+
+Records = NDArray[np.void]
+ParameterRecords = NewType("ParameterRecords", Records)  # (1,) PARAMETERS
+FilterRecords = NewType("FilterRecords", Records)  # (1,) FILTER_PARAMETERS
+StateRecords = NewType("StateRecords", Records)  # (1,) STATE
+TrackRecords = NewType("TrackRecords", Records)  # (MAX_TRACKS,) TRACK
+ObservationRecords = NewType("ObservationRecords", Records)  # (1,) OBSERVATION
+AnswerRecords = NewType("AnswerRecords", Records)  # (1,) ANSWER
+CommandRecords = NewType("CommandRecords", Records)  # (1,) COMMAND
+QuestionRecords = NewType("QuestionRecords", Records)  # (1,) QUESTION
+FaultRecords = NewType("FaultRecords", Records)  # (n,) FAULT
 
 
 def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]:
@@ -125,7 +133,7 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
     """(1,) PARAMETERS from the settings, the arm and the desired view of the object."""
     p = np.zeros(1, PARAMETERS)
     p["control_period_s"] = settings.clock.control_period_s
-    p["joint_origins"], p["joint_axes"], p["flange"] = arm.joint_origins, arm.joint_axes, arm.flange
+    p["chain"] = arm.chain
     p["joint_velocity_limit_radps"] = arm.velocity_limit_radps
     p["transform_camera_to_tcp"] = transform_camera_to_tcp(settings.camera, calibrated=True)
     p["eye_in_hand"] = settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND

@@ -8,15 +8,22 @@ these two functions; the state table is docs/state-table.md.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.compiled import inlined, njit_no_nrt
 from safety_harness.controller.motion import approach_twist, servo_twist, shaped
+from safety_harness.controller.records import (
+    AnswerRecords,
+    CommandRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    StateRecords,
+    TrackRecords,
+)
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
-from safety_harness.robot.velocity import joint_velocity
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, joint_velocity
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.trace.records import MAX_TRACKS, Limit, Mode, Trigger
 
@@ -34,15 +41,15 @@ STANDSTILL_RADPS = 1e-3
 
 @njit_no_nrt
 def begin_tick(
-    parameters: NDArray[np.void],  # (1,) PARAMETERS
-    filter_parameters: NDArray[np.void],  # (1,) FILTER_PARAMETERS
-    states: NDArray[np.void],  # (1,) STATE
-    tracks: NDArray[np.void],  # (MAX_TRACKS,) TRACK
-    observations: NDArray[np.void],  # (1,) OBSERVATION
+    parameters: ParameterRecords,  # (1,) PARAMETERS
+    filter_parameters: FilterRecords,  # (1,) FILTER_PARAMETERS
+    states: StateRecords,  # (1,) STATE
+    tracks: TrackRecords,  # (MAX_TRACKS,) TRACK
+    observations: ObservationRecords,  # (1,) OBSERVATION
 ) -> bool:
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
     p, s, o = parameters[0], states[0], observations[0]
-    forward_kinematics(p.joint_origins, p.joint_axes, p.flange, o.joint_position_rad, s.link_transforms)
+    forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[7], s.transform_tcp_to_base)
     see_object(parameters, states, observations)
     see_hands(parameters, filter_parameters, states, tracks, observations)
@@ -54,10 +61,8 @@ def begin_tick(
 
 
 @njit_no_nrt
-def see_object(
-    parameters: NDArray[np.void], states: NDArray[np.void], observations: NDArray[np.void]
-) -> None:
-    """Features, their error and eq. 15 from a new image; between images the last ones stand."""
+def see_object(parameters: ParameterRecords, states: StateRecords, observations: ObservationRecords) -> None:
+    """Features f (eqs. 3 to 5), e = f - f*, |e|^2 (eq. 15) of a new image; between images the last stand."""
     p, s, o = parameters[0], states[0], observations[0]
     if not o.image_new:
         return
@@ -76,13 +81,16 @@ def see_object(
 
 @njit_no_nrt
 def see_hands(
-    parameters: NDArray[np.void],
-    filter_parameters: NDArray[np.void],
-    states: NDArray[np.void],
-    tracks: NDArray[np.void],
-    observations: NDArray[np.void],
+    parameters: ParameterRecords,
+    filter_parameters: FilterRecords,
+    states: StateRecords,
+    tracks: TrackRecords,
+    observations: ObservationRecords,
 ) -> None:
-    """Filter the boxes, predict each hand at now + horizon, find the nearest to the TCP."""
+    """Filter the boxes (eqs. 7, 8), predict each hand at now + horizon, find the nearest to the TCP.
+
+    The sensor's pose is that of the flange's camera, T_tcp_to_base T_camera_to_tcp, or fixed.
+    """
     p, s, o = parameters[0], states[0], observations[0]
     if o.boxes_new:
         advance_tracks(tracks, o.boxes, o.box_count, o.boxes_time_s, filter_parameters)
@@ -113,8 +121,14 @@ def see_hands(
 
 
 @inlined
-def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
-    """Distance from the TCP to the predicted centre of a tracked hand."""
+def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
+    """Is a tracked hand within the critical distance, |h - t| < d_crit?  One whose distance is NaN is."""
+    return not hand_to_tcp(states, track) >= parameters[0].critical_distance_m
+
+
+@inlined
+def hand_to_tcp(states: StateRecords, track: int) -> float:
+    """|h - t| [m] of the predicted centre h of a tracked hand and the TCP t, both in the base frame."""
     s = states[0]
     total = 0.0
     for i in range(3):
@@ -125,14 +139,14 @@ def hand_to_tcp(states: NDArray[np.void], track: int) -> float:
 
 @njit_no_nrt
 def decide_mode(
-    parameters: NDArray[np.void],
-    states: NDArray[np.void],
-    tracks: NDArray[np.void],
-    observations: NDArray[np.void],
+    parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords, observations: ObservationRecords
 ) -> bool:
-    """The transitions that need no decision; True (with the trigger set) where one is needed."""
+    """The transitions that need no decision; True (with the trigger set) where one is needed.
+
+    docs/state-table.md has them as a table.
+    """
     p, s, o = parameters[0], states[0], observations[0]
-    inside = s.nearest_track >= 0 and not s.predicted_distance_m >= p.critical_distance_m
+    inside = s.nearest_track >= 0 and hand_inside(parameters, states, s.nearest_track)
     if inside:
         s.clear_since_s = np.nan
     elif np.isnan(s.clear_since_s):
@@ -162,7 +176,7 @@ def decide_mode(
 
 
 @inlined
-def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
+def arrived(parameters: ParameterRecords, states: StateRecords) -> bool:
     """Is the TCP within the arrival tolerance of the repulsive position?"""
     p, s = parameters[0], states[0]
     total = 0.0
@@ -173,13 +187,11 @@ def arrived(parameters: NDArray[np.void], states: NDArray[np.void]) -> bool:
 
 
 @njit_no_nrt
-def unknown_hand_inside(
-    parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]
-) -> bool:
+def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> bool:
     """Is a hand within the distance that was not there when the last decision was made?"""
-    p, s = parameters[0], states[0]
+    s = states[0]
     for i in range(MAX_TRACKS):
-        if s.track_valid[i] and not hand_to_tcp(states, i) >= p.critical_distance_m:
+        if s.track_valid[i] and hand_inside(parameters, states, i):
             known = False
             for j in range(MAX_TRACKS):
                 known = known or s.known_track_ids[j] == tracks[i].id
@@ -189,23 +201,31 @@ def unknown_hand_inside(
 
 
 @njit_no_nrt
-def remember_hands(parameters: NDArray[np.void], states: NDArray[np.void], tracks: NDArray[np.void]) -> None:
+def remember_hands(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> None:
     """Note which hands are within the critical distance as a decision is made."""
-    p, s = parameters[0], states[0]
+    s = states[0]
     for i in range(MAX_TRACKS):
-        within = s.track_valid[i] and not hand_to_tcp(states, i) >= p.critical_distance_m
+        within = s.track_valid[i] and hand_inside(parameters, states, i)
         s.known_track_ids[i] = tracks[i].id if within else -1
 
 
 @njit_no_nrt
 def finish_tick(
-    parameters: NDArray[np.void],  # (1,) PARAMETERS
-    states: NDArray[np.void],  # (1,) STATE
-    observations: NDArray[np.void],  # (1,) OBSERVATION
-    answers: NDArray[np.void],  # (1,) ANSWER; read only if a decision is pending
-    commands: NDArray[np.void],  # (1,) COMMAND
+    parameters: ParameterRecords,  # (1,) PARAMETERS
+    states: StateRecords,  # (1,) STATE
+    observations: ObservationRecords,  # (1,) OBSERVATION
+    answers: AnswerRecords,  # (1,) ANSWER; read only if a decision is pending
+    commands: CommandRecords,  # (1,) COMMAND
 ) -> None:
-    """Act on the answer, if one was asked for, and command the arm for this tick."""
+    """Act on the answer, if one was asked for, and command the arm for this tick.
+
+    The wanted twist (eq. 1, the way to the repulsive position, or none) is bounded (``shaped``), and
+
+        q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
+
+    so that a joint at its limit slows all down and the TCP keeps its direction.  Near a singularity
+    (``joint_velocity``) a protective stop.
+    """
     p, s, o, answer, command = parameters[0], states[0], observations[0], answers[0], commands[0]
     if s.decision_pending:
         s.decision_pending = False
@@ -216,7 +236,7 @@ def finish_tick(
             copy_vector(answer.position_in_base_m, s.target_in_base_m)
 
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
-    geometric_jacobian(p.joint_axes, s.link_transforms, jacobian)
+    geometric_jacobian(p.chain.joint_axes, s.link_transforms, jacobian)
     for i in range(6):
         wanted[i] = s.camera_twist[i] = 0.0
     s.gain = 0.0

@@ -16,7 +16,7 @@ MOVING = 1e-3  # m/s or rad/s: slower is rest, as for the catalogue's limits of 
 
 
 def at_ticks(value: Values) -> Sampled:
-    """A signal that keeps its value until the next tick, or of which no more is asked."""
+    """A signal that keeps its value until the next tick, or of which no more is asked.  ``value`` (n,)."""
     return Sampled(value=value, low=value, high=value)
 
 
@@ -31,6 +31,8 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
 
     Within a cell each is taken to lie between its least and its largest value at both ends and in
     the mean.  Occasions: the ticks from which on it moves.
+
+    ``at_tick`` (n, ...), ``mean`` (n-1, ...).
     """
     low, high = at_tick.copy(), at_tick.copy()
     low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
@@ -60,6 +62,8 @@ def tent(value: Values, way: Values, slack: Values | float) -> tuple[Values, Val
 
     After a part x of the way it has left the one end by at most x and is at most way - x from the
     other; ``slack`` is what it may be off by beside that.
+
+    ``slack`` (n-1,).
     """
     first, second = value[:-1], value[1:]
     low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack

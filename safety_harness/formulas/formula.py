@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING
 
-from safety_harness.formulas.quantities import Quantity, formula_error
-from safety_harness.formulas.span import Span, Window, span_of
+from safety_harness.formulas.quantities import Quantity, Span, Window, formula_error, span_of
 
 if TYPE_CHECKING:
     from safety_harness.formulas.signal import Signal

@@ -14,6 +14,7 @@ What could be read in two ways is refused: "and" mixed with "or", and anything t
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from safety_harness.exceptions import FormulaError, InputError, Place
@@ -34,11 +35,9 @@ from safety_harness.formulas.formula import (
     conjunction,
     disjunction,
 )
-from safety_harness.formulas.quantities import Quantity, read_quantity
+from safety_harness.formulas.quantities import NOW, Quantity, Span, read_quantity
 from safety_harness.formulas.signal import Signal
 from safety_harness.formulas.signals import SIGNALS
-from safety_harness.formulas.span import NOW, Span
-from safety_harness.formulas.tokens import Token, tokens_of
 from safety_harness.scenario.units import TIME, Dimension, near_miss
 
 FIRST = ("always", "eventually", "whenever", "within", "initially", "not")
@@ -273,3 +272,44 @@ class _Parser:
 
 def _words(signal: Signal) -> list[str]:
     return signal.words.lower().split()
+
+
+_TOKEN = re.compile(
+    r"(?P<number>[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<sign><=|>=|==|!=|[<>≤≥=()])"
+    r"|(?P<word>[^\s<>≤≥=()0-9.+\-][^\s<>≤≥=()]*)"
+)
+SAME = {"≤": "<=", "≥": ">="}
+
+
+@dataclass(frozen=True)
+class Token:
+    """One word (in lower case as ``text``, as it is written in ``written``), number or sign; or the end."""
+
+    kind: str  # "number", "sign", "word" or "end"
+    written: str
+    column: int  # counted from 1
+
+    @property
+    def text(self) -> str:
+        """What it says, however it is written."""
+        return SAME.get(self.written, self.written.lower())
+
+
+def tokens_of(sentence: str, place: Place) -> list[Token]:
+    """The tokens of a sentence, with one that says where it ends; FormulaError for what is none."""
+    found, at = [], 0
+    while at < len(sentence):
+        if sentence[at].isspace():
+            at += 1
+            continue
+        match = _TOKEN.match(sentence, at)
+        if match is None:
+            raise FormulaError(
+                place=place,
+                expected="words, numbers with units, <, <=, >, >= and parentheses",
+                got=f'"{sentence[at]}" at column {at + 1} of "{sentence}"',
+            )
+        found.append(Token(match.lastgroup or "", match.group(), at + 1))
+        at = match.end()
+    return [*found, Token("end", "", len(sentence) + 1)]

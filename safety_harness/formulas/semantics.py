@@ -21,6 +21,7 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -35,8 +36,7 @@ from safety_harness.formulas.formula import (
     Truth,
     Until,
 )
-from safety_harness.formulas.kernels import least_from_here, least_in_window, until_from_here
-from safety_harness.formulas.span import Span
+from safety_harness.formulas.quantities import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
 TIME_EPS = 1e-6  # of a control period: windows are written in decimals
@@ -166,3 +166,59 @@ def truth_bounds(value: Values) -> MarginBounds:
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
+
+
+@compiled
+def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """out[k] = min of x[k:]."""
+    out = np.empty(x.shape[0])
+    least = np.inf
+    for k in range(x.shape[0] - 1, -1, -1):
+        least = min(least, x[k])
+        out[k] = least
+    return out
+
+
+@compiled
+def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
+    """out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` where they leave x.
+
+    0 <= begin <= end.  A queue keeps the positions at which a smaller value than all before it
+    stands, seen from the window's begin: each is put in and taken out once.
+
+    ``x`` (n,).
+    """
+    n = x.shape[0]
+    out = np.empty(n)
+    queue = np.empty(n, np.int64)
+    first, last = 0, 0  # the queue is queue[first:last], its values falling from last to first
+    for k in range(n - 1, -1, -1):
+        entering = k + begin
+        if entering < n:
+            value = x[entering]
+            while last > first and x[queue[last - 1]] >= value:
+                last -= 1
+            queue[last] = entering
+            last += 1
+            while queue[first] > k + end:
+                first += 1
+        least = x[queue[first]] if last > first else np.inf
+        out[k] = min(least, beyond) if k + end >= n else least
+    return out
+
+
+@compiled
+def until_from_here(
+    lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
+) -> NDArray[np.float64]:
+    """out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+
+    ``lasts`` and ``ends`` (n,).
+    """
+    n = lasts.shape[0]
+    out = np.empty(n)
+    after = beyond
+    for k in range(n - 1, -1, -1):
+        after = max(ends[k], min(lasts[k], after))
+        out[k] = after
+    return out

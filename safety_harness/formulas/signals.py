@@ -1,31 +1,275 @@
-"""The signals that formulas can name.  ``hand_distance() > mm(50)`` is a formula, and so is ``stopped()``."""
+"""From a trace to each signal: its value at the ticks and what is known of it between them."""
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import lru_cache
 
-from safety_harness.formulas.hand_cells import hand_distance_of, nearest_hand_to_tcp_of
-from safety_harness.formulas.sampling import (
-    angle_to_desired_pose_of,
-    deciding_of,
-    distance_to_desired_pose_of,
-    elapsed_time_of,
-    falling_back_of,
-    fault_acting_of,
-    hand_tracked_of,
-    image_error_of,
-    in_mode,
-    joint_speed_of,
-    object_visible_of,
-    predicted_hand_distance_of,
-    prediction_error_of,
-    spread_of,
-    tcp_height_of,
-    tcp_speed_of,
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.formulas.cells import (
+    absent,
+    at_ticks,
+    bounded,
+    rises,
+    speeds,
+    tcp_way_m,
+    tent,
+    turned_rad,
 )
-from safety_harness.formulas.signal import Flag, Interpolation, Measure, Signal
+from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled, Signal
+from safety_harness.properties.consistency import TOLERANCE
+from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
+from safety_harness.properties.hand_prediction import prediction_errors_m
+from safety_harness.properties.servoing import pose_errors
+from safety_harness.properties.true_motion import HandPaths, arm_of, hand_bend_m
+from safety_harness.robot.capsules import Arm
+from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME
-from safety_harness.trace.records import Mode
+from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.trace import Trace
+
+
+def elapsed_time_of(trace: Trace) -> Sampled:
+    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
+    period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
+    ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
+    time_s = ticks * float(period.numerator) / float(period.denominator)
+    later = np.append(time_s[1:], time_s[-1:])
+    return Sampled(value=time_s, low=time_s, high=later)
+
+
+def tcp_speed_of(trace: Trace) -> Sampled:
+    """Of the TCP; between ticks the mean speed counts too."""
+    at_tick = trace.ticks["tcp_speed_mps"]
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    mean = steps / np.diff(trace.time_s)
+    return speeds(at_tick, mean, of="the TCP")
+
+
+def joint_speed_of(trace: Trace) -> Sampled:
+    """Of the fastest joint, likewise."""
+    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
+    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
+    return speeds(at_tick, mean, of="the arm")
+
+
+def tcp_height_of(trace: Trace) -> Sampled:
+    """Above the base frame's origin."""
+    return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
+
+
+def distance_to_desired_pose_of(trace: Trace) -> Sampled:
+    """Of the TCP from where servoing wants it."""
+    return bounded(pose_errors(trace)[0], tcp_way_m(trace))
+
+
+def angle_to_desired_pose_of(trace: Trace) -> Sampled:
+    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
+    none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
+    return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
+
+
+def image_error_of(trace: Trace) -> Sampled:
+    """Eq. 15 as the controller has it; unknown while the object is not seen."""
+    sse = trace.ticks["sse"]
+    if not np.any(np.isfinite(sse)):
+        return absent(trace, "the object is never seen")
+    return at_ticks(sse)
+
+
+def predicted_hand_distance_of(trace: Trace) -> Sampled:
+    """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
+    distance_m = trace.ticks["predicted_distance_m"]
+    if not np.any(np.isfinite(distance_m)):
+        return absent(trace, "no hand is ever predicted")
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    return replace(
+        at_ticks(distance_m),
+        occasions=rises(distance_m < critical_m),
+        untried=f"no predicted hand comes within {critical_m * 1e3:g} mm",
+    )
+
+
+def prediction_error_of(trace: Trace) -> Sampled:
+    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
+    valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
+    if hands == 0 or not valid.any():
+        return absent(trace, "no hand is ever predicted" if hands else "there is no hand in this scenario")
+    errors_m = prediction_errors_m(trace)
+    tracked = valid[: len(errors_m)]
+    value = np.full(len(valid), np.nan)
+    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    value[np.isneginf(value)] = np.nan  # nothing is tracked
+    return at_ticks(value)
+
+
+def in_force(trace: Trace) -> NDArray[np.int64]:
+    """(n,) the latest decision at each tick, -1 before the first."""
+    return np.maximum.accumulate(trace.ticks["decision"])
+
+
+def spread_of(trace: Trace) -> Sampled:
+    """The largest of the three axes, as the gate takes it."""
+    if len(trace.decisions) == 0:
+        return absent(trace, "no decision was made")
+    spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
+    if not np.any(np.isfinite(spread_m)):
+        return absent(trace, "the avoider says no spread")
+    number = in_force(trace)
+    return at_ticks(np.where(number >= 0, spread_m[number], np.nan))
+
+
+def falling_back_of(trace: Trace) -> Sampled:
+    """While it gives way to the opposite pose, or stops, because of its latest decision."""
+    if len(trace.decisions) == 0:
+        return absent(trace, "no decision was made")
+    number = in_force(trace)
+    gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
+    refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
+    return truth(gives_way & (number >= 0) & refused)
+
+
+def in_mode(*modes: Mode) -> Callable[[Trace], Sampled]:
+    """Whether the controller is in one of ``modes``."""
+    return lambda trace: truth(np.isin(trace.ticks["mode"], modes))
+
+
+def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
+    """Something (n,) that is true or false until the next tick.  ``true`` (n,)."""
+    return at_ticks(np.asarray(true, np.float64))
+
+
+def fault_acting_of(trace: Trace) -> Sampled:
+    """At least one of the scenario's faults acts."""
+    if not trace.scenario.faults:
+        return absent(trace, "there is no fault in this scenario")
+    return truth(trace.ticks["faults"] != 0)
+
+
+@lru_cache(maxsize=4)
+def hand_distance_of(trace: Trace) -> Sampled:
+    """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
+
+    Between two ticks it is not below the certified bound of ``HandDistance``, and not above what
+    both ends and the ways of arm and hand allow.  Occasions: a hand comes within the critical
+    distance of the arm's surface.
+    """
+    paths, why = followed_hands(trace)
+    if paths is None:
+        return absent(trace, why)
+    value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
+    low, high = value.copy(), value.copy()
+    for hand in range(value.shape[1]):
+        way_m, slack_m = _ways(trace, paths, hand)
+        low[:-1, hand] = np.minimum(low[:-1, hand], _certified(trace, paths, hand))
+        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
+    return _nearest(trace, value, low, high)
+
+
+@lru_cache(maxsize=4)
+def nearest_hand_to_tcp_of(trace: Trace) -> Sampled:
+    """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
+    paths, why = followed_hands(trace)
+    if paths is None:
+        return absent(trace, why)
+    tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]
+    hands = trace.ticks["hand_position_in_base_m"][:, : len(trace.scenario.hands)]
+    value = np.linalg.norm(hands - tcp, axis=2)  # (n, hands)
+    low, high = value.copy(), value.copy()
+    for hand in range(value.shape[1]):
+        way_m = tcp_way_m(trace) + _path_m(trace, paths, hand)[0]
+        slack_m = hand_bend_m(trace, paths, hand)
+        low[:-1, hand], high[:-1, hand] = tent(value[:, hand], way_m, slack_m)
+    return _nearest(trace, value, low, high)
+
+
+def _nearest(
+    trace: Trace, value: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> Sampled:
+    """The nearest of the hands of (n, hands) distances and bounds of them."""
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    near = value.min(axis=1) < critical_m
+    return Sampled(
+        value=value.min(axis=1),
+        low=low.min(axis=1),
+        high=high.min(axis=1),
+        occasions=rises(near),
+        untried=f"no hand comes within {critical_m * 1e3:g} mm",
+    )
+
+
+def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n-1,) ways of a hand and of its elbow within each tick [m], corners of a recording included."""
+    at, _, hand_m, elbow_m, _, _ = instants(trace, paths, hand)
+    tick = np.minimum(at[:-1].astype(int), max(len(trace.ticks) - 2, 0))
+    ways = np.zeros((2, max(len(trace.ticks) - 1, 0)))
+    for way, points in zip(ways, (hand_m, elbow_m), strict=True):
+        np.add.at(way, tick, np.linalg.norm(np.diff(points, axis=0), axis=1))
+    return ways[0], ways[1]
+
+
+def _ways(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n-1,) how far arm and hand can go to or from each other within a tick, and by how much they bend."""
+    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    hand_m, elbow_m = _path_m(trace, paths, hand)
+    way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
+    return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
+
+
+def _certified(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
+    """(n-1,) lower bound of one hand's distance within each tick; NaN where it is not known."""
+    settings = trace.scenario.settings
+    at, joints_rad, hand_m, elbow_m, _, slack_m = instants(trace, paths, hand)
+    bounds = _bounds(
+        arm_of(trace),
+        joints_rad,
+        hand_m,
+        elbow_m,
+        settings.hand.radius_m,
+        settings.hand.forearm_radius_m,
+        RESOLUTION_M,
+    )
+    least = np.full(max(len(trace.ticks) - 1, 0), np.inf)
+    tick = np.minimum(at[:-1].astype(int), max(len(least) - 1, 0))
+    np.minimum.at(least, tick, bounds - slack_m)
+    return least
+
+
+@compiled
+def _bounds(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    hands_m: NDArray[np.float64],  # (n, 3)
+    elbows_m: NDArray[np.float64],  # (n, 3)
+    hand_radius_m: float,
+    forearm_radius_m: float,
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """(n-1,) certified lower bound of the distance from each instant to the next."""
+    bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
+    room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
+    for k in range(bounds.shape[0]):
+        bounds[k], _, _ = closest_approach_between(
+            arm,
+            room,
+            joints_rad[k],
+            joints_rad[k + 1],
+            hands_m[k],
+            hands_m[k + 1],
+            elbows_m[k],
+            elbows_m[k + 1],
+            hand_radius_m,
+            forearm_radius_m,
+            tolerance_m,
+            np.inf,
+        )
+    return bounds
+
 
 hand_distance = Measure(
     words="hand distance",
@@ -118,7 +362,7 @@ elapsed_time = Measure(
 object_visible = Flag(
     words="object visible",
     meaning="the controller's image shows the object",
-    sample=object_visible_of,
+    sample=lambda trace: truth(trace.ticks["object_visible"]),
 )
 servoing = Flag(words="servoing", meaning="the controller servoes", sample=in_mode(Mode.SERVOING))
 repulsing = Flag(words="repulsing", meaning="the controller gives way", sample=in_mode(Mode.REPULSING))
@@ -128,14 +372,20 @@ object_lost = Flag(
     meaning="the controller waits for the object to be seen",
     sample=in_mode(Mode.OBJECT_LOST),
 )
-deciding = Flag(words="deciding", meaning="a decision is made at this tick", sample=deciding_of)
+deciding = Flag(
+    words="deciding",
+    meaning="a decision is made at this tick",
+    sample=lambda trace: truth(trace.ticks["decision"] >= 0),
+)
 falling_back = Flag(
     words="falling back",
     meaning="it gives way to the opposite pose, or stops, since the latest proposal was refused",
     sample=falling_back_of,
 )
 hand_tracked = Flag(
-    words="hand tracked", meaning="the controller predicts a hand at least", sample=hand_tracked_of
+    words="hand tracked",
+    meaning="the controller predicts a hand at least",
+    sample=lambda trace: truth(trace.ticks["track_valid"].any(axis=1)),
 )
 fault_acting = Flag(words="fault acting", meaning="one of the scenario's faults acts", sample=fault_acting_of)
 
@@ -162,3 +412,27 @@ SIGNALS: tuple[Signal, ...] = (
     hand_tracked,
     fault_acting,
 )
+
+
+_UNIT = "true or false"
+
+
+def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:
+    """A row for each signal: its words and Python name, units, meaning, what is known between ticks."""
+    rows = ["| words | in Python | units | what it is | between ticks |", "|---|---|---|---|---|"]
+    for signal in signals:
+        units = ", ".join(signal.dimension.units) or "a plain number" if signal.dimension else _UNIT
+        cells = (
+            f"`{signal.words}`",
+            f"`{python_name(signal)}()`",
+            units,
+            signal.meaning,
+            signal.between.value,
+        )
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def python_name(signal: Signal) -> str:
+    """What ``formulas.language`` calls it."""
+    return signal.words.lower().replace(" ", "_")

@@ -18,8 +18,8 @@ from safety_harness.formulas.formula import (
     Truth,
     Until,
 )
+from safety_harness.formulas.quantities import Span
 from safety_harness.formulas.semantics import MarginBounds, Margins, ticks_of, where_triggered
-from safety_harness.formulas.span import Span
 
 
 @dataclass(frozen=True)

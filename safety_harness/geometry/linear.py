@@ -10,10 +10,10 @@ from safety_harness.compiled import compiled, inlined
 
 @compiled
 def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> bool:
-    """Solve ``matrix`` x = ``vector`` by Gaussian elimination with partial pivoting.
+    """Solve A x = b by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013, section 3.4).
 
-    Overwrites both: ``vector`` (n,) becomes x, ``matrix`` (n, n) is used up.  False, with
-    unusable contents, when a pivot is zero or not finite.
+    A is ``matrix`` (n, n), b ``vector`` (n,).  Overwrites both: ``vector`` becomes x, ``matrix`` is used up.
+    False, with unusable contents, when a pivot is zero or not finite.
     """
     n = vector.shape[0]
     for column in range(n):
@@ -43,9 +43,11 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
 
 @compiled
 def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
-    """Gauss-Jordan inverse of a square matrix with partial pivoting; False if a pivot is 0 or not finite.
+    """Gauss-Jordan inverse with partial pivoting; False if a pivot is 0 or not finite.
 
-    An exactly singular matrix (a straight elbow gives one) is an answer here, not an exception.
+    ``matrix`` (n, n) is left as it is; ``inverse_out`` (n, n) gets A^-1, by the row operations that turn
+    (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is an answer here, not
+    an exception.
     """
     n = matrix.shape[0]
     work = matrix.copy()
@@ -81,14 +83,17 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
 
 @inlined
 def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill ``out`` (n,) with ``source``; an assignment to a slice would first look for an overlap."""
+    """Fill ``out`` with ``source``, both (n,).
+
+    An assignment to a slice would first look for an overlap, and have numba compile the words of an error.
+    """
     for i in range(out.shape[0]):
         out[i] = source[i]
 
 
 @inlined
 def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """Fill ``out`` (m, n) with ``source``; an assignment to a slice would first look for an overlap."""
+    """Fill ``out`` with ``source``, both (m, n): as ``copy_vector``."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = source[i, j]

@@ -8,15 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_vector
 from safety_harness.geometry.segments import segment_segment_distance
 
 
 @compiled
 def segment_pyramid_distance(
-    start: NDArray[np.float64],  # (3,)
-    end: NDArray[np.float64],  # (3,), may be the start
-    apex: NDArray[np.float64],  # (3,)
-    base: NDArray[np.float64],  # (n, 3) corners of a flat simple polygon, one after another
+    start: NDArray[np.float64],  # (3,) [m], all four in one frame
+    end: NDArray[np.float64],  # (3,) [m], may be the start
+    apex: NDArray[np.float64],  # (3,) [m]
+    base: NDArray[np.float64],  # (n, 3) [m], corners of a flat simple polygon, one after another
 ) -> float:
     """Distance [m] from a segment to the solid pyramid over ``base``; 0 where they meet.
 
@@ -36,7 +37,9 @@ def segment_pyramid_distance(
         a, b = base[k], base[(k + 1) % n]
         least = min(least, segment_segment_distance(start, end, a, b))
         least = min(least, segment_segment_distance(start, end, apex, a))
-        triangle[0], triangle[1], triangle[2] = apex, a, b
+        copy_vector(apex, triangle[0])
+        copy_vector(a, triangle[1])
+        copy_vector(b, triangle[2])
         side = _normal(triangle)
         if _crosses(start, end, triangle, side):
             return 0.0
@@ -46,7 +49,10 @@ def segment_pyramid_distance(
 
 @compiled
 def _normal(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) unit normal of a flat polygon by Newell's sum; zeros for one without an area."""
+    """(3,) unit normal of a flat ``polygon`` (n, 3) by Newell's sum; zeros for one without an area.
+
+    It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k, |N| twice the area.
+    """
     normal = np.zeros(3)
     n = polygon.shape[0]
     for k in range(n):
@@ -63,6 +69,7 @@ def _normal(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def _height(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]) -> float:
+    """Height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
     height = 0.0
     for i in range(3):
         height += normal[i] * (point[i] - polygon[0, i])
@@ -71,7 +78,11 @@ def _height(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: ND
 
 @compiled
 def _over(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]) -> bool:
-    """Is a point in the prism along ``normal`` over a polygon?  Even-odd rule, along the largest axis."""
+    """Is ``point`` (3,) in the prism along ``normal`` (3,) over ``polygon`` (n, 3)?
+
+    The even-odd rule: a ray from the point's foot in the plane crosses the outline an odd number of times.
+    The coordinate along which the normal is largest is left out, so that the outline keeps its area.
+    """
     drop = 0
     for i in range(1, 3):
         if abs(normal[i]) > abs(normal[drop]):
@@ -94,7 +105,10 @@ def _over(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDAr
 def _base_distance(
     point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> float:
-    """Distance to a polygon's plane for a point over the polygon, else infinity: its edges are nearer."""
+    """|n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
+
+    ``point`` (3,), ``polygon`` (n, 3) and ``normal`` (3,) as in ``_height``.
+    """
     return abs(_height(point, polygon, normal)) if _over(point, polygon, normal) else np.inf
 
 
@@ -105,7 +119,11 @@ def _crosses(
     polygon: NDArray[np.float64],
     normal: NDArray[np.float64],
 ) -> bool:
-    """Does a segment go through a polygon?"""
+    """Does the segment from ``start`` (3,) to ``end`` (3,) go through ``polygon`` (n, 3), ``normal`` (3,)?
+
+    Its ends have heights h_0 and h_1 of different sign, and the polygon holds the point at the share
+    h_0/(h_0 - h_1) of the way.
+    """
     below, above = _height(start, polygon, normal), _height(end, polygon, normal)
     if below == above or (below > 0.0) == (above > 0.0):
         return False
@@ -123,7 +141,11 @@ def _within(
     base: NDArray[np.float64],
     normal: NDArray[np.float64],
 ) -> bool:
-    """Is a point inside the pyramid: between base and apex, and seen from there over the base?"""
+    """Is ``point`` (3,) in the pyramid: between base and apex, and seen from there over the base?
+
+    With h its height over ``base`` (n, 3) of ``normal`` (3,) and H that of ``apex`` (3,): 0 <= h/H < 1, and
+    the line from the apex a through the point p meets the base, at a + (p - a)/(1 - h/H).
+    """
     top, height = _height(apex, base, normal), _height(point, base, normal)
     if top == 0.0 or not 0.0 <= height / top < 1.0:
         return False

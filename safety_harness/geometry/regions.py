@@ -64,7 +64,7 @@ class Box:
         return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """(..., 3) -> (...): which points are in the box; NaN is not."""
+        """``points_in_base_m`` (..., 3) -> (...): which points are in the box; NaN is not."""
         inside: NDArray[np.bool_] = np.all(
             (points_in_base_m >= self.low_m) & (points_in_base_m <= self.high_m), axis=-1
         )
@@ -92,7 +92,10 @@ class Region:
             )
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """(..., 3) -> (...): in the box and not in the hole; the hole's boundary belongs to the shell."""
+        """``points_in_base_m`` (..., 3) -> (...): which are in the box and not in the hole.
+
+        The hole's boundary belongs to the shell.
+        """
         inside = self.outer.contains(points_in_base_m)
         if self.hole is not None:
             inside &= ~np.all(

@@ -15,9 +15,11 @@ SMALL_SQUARED_ANGLE = 1e-8
 
 @compiled
 def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula.
+    """Rotation matrix (3, 3) of a rotation ``vector`` (3,) v [rad], by Rodrigues' formula.
 
-    R = I + a [v]x + b [v]x^2 with a = sin(t)/t, b = (1 - cos t)/t^2, t = |v|.
+        R = I + a [v]x + b [v]x^2,   a = sin(t)/t,   b = (1 - cos t)/t^2,   t = |v|,
+
+    with [v]x u = v x u.  Near t = 0 the series a = 1 - t^2/6, b = 1/2 - t^2/24.
     """
     x, y, z = vector[0], vector[1], vector[2]
     squared = x * x + y * y + z * z
@@ -44,11 +46,14 @@ def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation vector (3,) [rad] of a rotation matrix (3, 3); its length is at most pi.
+    """Rotation vector (3,) [rad] of a matrix ``rotation`` (3, 3); its length is at most pi.
 
-    Goes through the unit quaternion, whose largest component is computed first (Shepperd 1978),
-    so nothing cancels near the identity or near a half turn.  At exactly pi both signs of the
-    vector mean the same rotation; one of them is returned.
+        v = 2 atan2(|u|, w) u/|u|,   (w, u) the unit quaternion of the rotation with w >= 0,
+
+    where 4 w^2 = 1 + tr R, 4 w u = (R_21 - R_12, R_02 - R_20, R_10 - R_01), and by analogy for u.  Goes
+    through the unit quaternion, whose largest component is computed first (Shepperd 1978), so nothing cancels
+    near the identity or near a half turn.  At exactly pi both signs of the vector mean the same rotation;
+    one of them is returned.
     """
     r00, r11, r22 = rotation[0, 0], rotation[1, 1], rotation[2, 2]
     trace = r00 + r11 + r22
@@ -86,7 +91,10 @@ def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: NDArray[np.float64]) -> None:
-    """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` about the *unit* ``axis`` (3,)."""
+    """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` t about the *unit* ``axis`` (3,) a.
+
+    Rodrigues' formula, R = cos t I + sin t [a]x + (1 - cos t) a a^T.
+    """
     entries = rotation_entries(axis[0], axis[1], axis[2], angle_rad)
     for i in range(9):
         rotation_out[i // 3, i % 3] = entries[i]
@@ -96,7 +104,10 @@ def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: ND
 def rotation_entries(
     x: float, y: float, z: float, angle_rad: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """The entries, row by row, of the turn by ``angle_rad`` about the *unit* axis (x, y, z)."""
+    """The entries, row by row, of ``rotation_about``: by ``angle_rad`` about the *unit* axis (x, y, z).
+
+    1 - cos t is 2 sin^2(t/2), which does not cancel.
+    """
     c, s = cos(angle_rad), sin(angle_rad)
     half = sin(0.5 * angle_rad)
     d = 2.0 * half * half

@@ -16,7 +16,11 @@ ROUNDING_M = 1e-9  # by which a bound of a distance, computed otherwise, may be 
 def point_segment_distance(
     point: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> float:
-    """Distance [m] from ``point`` (3,) to the segment from ``start`` to ``end``, which may be a point."""
+    """Distance [m] from ``point`` (3,) p to the segment from ``start`` (3,) a to ``end`` (3,) b.
+
+    |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1]; t = 0 where u = 0,
+    for the segment may be a point.
+    """
     ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     wx, wy, wz = point[0] - start[0], point[1] - start[1], point[2] - start[2]
     squared = ux * ux + uy * uy + uz * uz
@@ -29,9 +33,11 @@ def point_segment_distance(
 
 @inlined
 def axes_lower_m(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Two segments (2, 3) are no nearer [m], but for ROUNDING_M: no point is farther from a middle than half.
+    """Segments ``a`` (2, 3) and ``b`` (2, 3), ends by row, are no nearer than this [m], but for ROUNDING_M.
 
-    A third of the work of ``segment_segment_distance``; below zero where they may touch.
+    |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, as no point of a segment is farther from its
+    middle than half of it (triangle inequality).  A third of the work of ``segment_segment_distance``; below
+    zero where they may touch.
     """
     between, one, other = 0.0, 0.0, 0.0
     for i in range(3):
@@ -43,40 +49,46 @@ def axes_lower_m(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 @inlined
 def segment_segment_distance(
-    a_start: NDArray[np.float64],
-    a_end: NDArray[np.float64],
-    b_start: NDArray[np.float64],
-    b_end: NDArray[np.float64],
+    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
+    a_end: NDArray[np.float64],  # (3,)
+    b_start: NDArray[np.float64],  # (3,)
+    b_end: NDArray[np.float64],  # (3,)
 ) -> float:
-    """Distance [m] between two segments, ends (3,) each; parallel and point-like ones included."""
+    """Distance [m] between two segments: the length of ``segment_segment_vector``."""
     x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
     return sqrt(x * x + y * y + z * z)
 
 
 @inlined
 def segment_segment_vector(
-    a_start: NDArray[np.float64],
-    a_end: NDArray[np.float64],
-    b_start: NDArray[np.float64],
-    b_end: NDArray[np.float64],
+    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
+    a_end: NDArray[np.float64],  # (3,)
+    b_start: NDArray[np.float64],  # (3,)
+    b_end: NDArray[np.float64],  # (3,)
 ) -> tuple[float, float, float]:
-    """Shortest vector (x, y, z) [m] from a point of segment a to a point of segment b."""
+    """Shortest vector (x, y, z) [m] from segment a to segment b: that of ``nearest_of_segments``."""
     x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
     return x, y, z
 
 
 @inlined
 def nearest_of_segments(
-    a_start: NDArray[np.float64],
-    a_end: NDArray[np.float64],
-    b_start: NDArray[np.float64],
-    b_end: NDArray[np.float64],
+    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
+    a_end: NDArray[np.float64],  # (3,)
+    b_start: NDArray[np.float64],  # (3,)
+    b_end: NDArray[np.float64],  # (3,)
 ) -> tuple[float, float, float, float, float]:
     """(x, y, z) [m] from the point of segment a that is nearest to segment b to that of b, and both shares.
 
-    A share is how far along its segment, 0 to 1, the point lies; all is NaN if an end is.  The least
-    distance is taken either at an end of one of the segments, or at two inner points whose joining line
-    is perpendicular to both.  All four ends are tried beside the inner solution, so an ill-conditioned
+    A share is how far along its segment, 0 to 1, the point lies; all is NaN if an end is.  With u and v the
+    segments' vectors and w = b_start - a_start it is the least |w + t v - s u| over s and t in [0, 1].
+    Inside, with n = u x v (Ericson, 2005, section 5.1.9, which divides by |u|^2 |v|^2 - (u . v)^2 instead),
+
+        s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2;
+
+    at an end the other share is that of ``point_segment_distance``.  Segments may be parallel or points.
+    The least distance is taken either at an end of one of the segments, or at two inner points whose joining
+    line is perpendicular to both.  All four ends are tried beside the inner solution, so an ill-conditioned
     one (nearly parallel segments) never makes the answer wrong.
     """
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]

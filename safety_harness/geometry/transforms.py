@@ -22,7 +22,7 @@ def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float6
 
 @compiled
 def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse (4, 4) of a rigid transform, by transposing its rotation: (R^T, -R^T t)."""
+    """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
     inverse = np.zeros((4, 4))
     for i in range(3):
         shift = 0.0
@@ -38,7 +38,10 @@ def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
 def compose_into(
     outer: NDArray[np.float64], inner: NDArray[np.float64], transform_out: NDArray[np.float64]
 ) -> None:
-    """Fill ``transform_out`` (4, 4) with outer @ inner; it must not be one of the two."""
+    """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must not be one of the two.
+
+    (R, t) (S, u) = (R S, R u + t): first the inner one, so that b_to_c and a_to_b give a_to_c.
+    """
     for i in range(3):
         for j in range(4):
             transform_out[i, j] = (

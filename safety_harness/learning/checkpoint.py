@@ -10,9 +10,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
@@ -20,6 +21,7 @@ from safetensors.numpy import save
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.recipes import Recipe
 from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.typed_json import plain, typed
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness checkpoint 1"
@@ -42,6 +44,11 @@ class Epoch:
     validation_loss: float
     validation_rmse_m: float
     is_best: bool
+
+
+@dataclass(frozen=True)
+class _History:
+    history: Annotated[tuple[Epoch, ...], Meta(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -116,11 +123,8 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
     for name, expected in _identity(recipe, seed, data).items():
         if text.get(name) != expected:
             raise _refused(path, name, *_difference(expected, text.get(name)))
-    try:
-        history = tuple(Epoch(**epoch) for epoch in text["history"])
-        members = range(recipe.members)[: history[-1].member + 1]
-    except (KeyError, IndexError, TypeError) as error:
-        raise _refused(path, "history", "the epochs that were trained", repr(error)) from error
+    history = typed({"history": text.get("history")}, _History, path, error=ModelError).history
+    members = range(recipe.members)[: history[-1].member + 1]
     return Checkpoint(
         recipe=recipe,
         seed=seed,
@@ -134,7 +138,7 @@ def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpo
 
 def _identity(recipe: Recipe, seed: int, data: str) -> dict[str, Any]:
     """What must be the same for a training to go on, as JSON gives it back."""
-    return {"recipe": asdict(recipe) | {"dropout": recipe.dropout.value}, "seed": seed, "data": data}
+    return {"recipe": plain(recipe), "seed": seed, "data": data}
 
 
 def _difference(expected: object, got: object) -> tuple[str, str]:

@@ -3,6 +3,14 @@
 10,000 TCPs times 500 hands are 5,000,000 samples, but the selected candidate belongs to the TCP and the
 hand only shifts it, so that 10,000 selections and 500 hands say everything.  Sample k joins TCP k // hands
 with hand k mod hands; rows are made when somebody asks for them.
+
+TCPs and hands lie in the seen space or in one of the three unseen ones (Table 3); the regions themselves are
+those of scenario spaces (``space.regions``, which says why they are so).
+
+0.8, 0.1 and 0.1 of the samples are trained on, validated on and tested on.  The paper splits them at random,
+so that every TCP, and with it the noise of its label, is in all three parts: a network may remember what it
+is then tested on.  Splitting by TCP has no such leak.  (Hands are shared in both; they only shift the
+target, in a known way.)
 """
 
 from __future__ import annotations
@@ -17,9 +25,76 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import DatasetError, Place
+from safety_harness.geometry.regions import Region
 from safety_harness.learning.image_error import ImageErrors
-from safety_harness.learning.spaces import Space
 from safety_harness.settings import Settings
+from safety_harness.space.regions import paper_seen, region_named
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Space:
+    """Where the TCPs and, independently of them, the hands of a data set are."""
+
+    name: str
+    tcp: Region
+    hand: Region
+
+    def draw_tcps(self, rng: np.random.Generator, count: int) -> Vector:
+        """(count, 3) TCP positions in the base frame [m], uniform."""
+        return self.tcp.draw(rng, count)
+
+    def draw_hands(self, rng: np.random.Generator, count: int) -> Vector:
+        """(count, 3) hand positions in the base frame [m], uniform."""
+        return self.hand.draw(rng, count)
+
+    def contains(self, *, hand_in_base_m: Vector, tcp_in_base_m: Vector) -> NDArray[np.bool_]:
+        """``hand_in_base_m`` and ``tcp_in_base_m`` (..., 3) -> (...): which pairs belong to the space."""
+        return self.hand.contains(hand_in_base_m) & self.tcp.contains(tcp_in_base_m)
+
+
+def seen(settings: Settings) -> Space:
+    """Where training happens: TCPs about the desired one, hands about the nominal one."""
+    return _space("seen", settings, hand="seen hand", tcp="seen tcp")
+
+
+def unseen_hand(settings: Settings) -> Space:
+    """Seen TCPs with hands that were not."""
+    return _space("unseen hand", settings, hand="unseen hand", tcp="seen tcp")
+
+
+def unseen_tcp(settings: Settings) -> Space:
+    """Seen hands with TCPs that were not."""
+    return _space("unseen tcp", settings, hand="seen hand", tcp="unseen tcp")
+
+
+def unseen_both(settings: Settings) -> Space:
+    """Neither the hand nor the TCP was seen."""
+    return _space("unseen both", settings, hand="unseen hand", tcp="unseen tcp")
+
+
+SPACES: dict[str, Callable[[Settings], Space]] = {
+    "seen": seen,
+    "unseen hand": unseen_hand,
+    "unseen tcp": unseen_tcp,
+    "unseen both": unseen_both,
+}
+
+
+def space_named(name: str, settings: Settings) -> Space:
+    """The space that a user names; DatasetError with the four names for any other."""
+    if name not in SPACES:
+        raise DatasetError(
+            place=Place(field="space"), expected=f"one of {', '.join(map(repr, SPACES))}", got=repr(name)
+        )
+    return SPACES[name](settings)
+
+
+def _space(name: str, settings: Settings, *, hand: str, tcp: str) -> Space:
+    bounds = paper_seen(settings)
+    return Space(name, tcp=region_named(tcp, bounds, settings), hand=region_named(hand, bounds, settings))
+
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.integer]
@@ -175,7 +250,10 @@ def generate(
 
 
 def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
-    """(len(numbers), candidates, 3): the candidate positions of the TCPs with these numbers [m]."""
+    """(k, candidates, 3): the candidate positions of the TCPs with these ``numbers`` (k,) [m].
+
+    ``tcp_in_base`` (n, 3) are all TCPs; a candidate is its TCP and an offset within the cap.
+    """
     generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
     positions: Vectors = CandidateCap.of(settings).draw_many(generators)
     positions += tcp_in_base[numbers, None]
@@ -194,11 +272,14 @@ class LabelFloor:
 def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
     """The least RMSE and MAE against labels selected from fresh candidates, by ``redraws`` for each TCP.
 
-    A regressor knows the TCP and not the draw: its RMSE is least when it predicts the mean label of each
-    TCP and its MAE when it predicts the median, so that the floors are the root mean variance and the
-    mean distance from the median.  (Two floors: one regressor does not reach both.)  A TCP that was
-    trained on is no test of this, for its label may be remembered.  Selection is by nearness to the
-    desired position, which least image error is for upright views; the hand shifts labels and floor alike.
+        RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis,
+
+    over ``tcp_in_base`` (n, 3).  A regressor knows the TCP and not the draw: its RMSE is least when it
+    predicts the mean label of each TCP and its MAE when it predicts the median, so that the floors are the
+    root mean variance and the mean distance from the median.  (Two floors: one regressor does not reach
+    both.)  A TCP that was trained on is no test of this, for its label may be remembered.  Selection is by
+    nearness to the desired position, which least image error is for upright views; the hand shifts labels and
+    floor alike.
 
     TCPs share their redraws in groups of 32, which leaves every TCP's own distribution as it is.
     """
@@ -232,7 +313,10 @@ def _furthest_along(
     way: NDArray[np.float64],  # (n, 3)
     best_out: NDArray[np.float64],  # (n, sets, 3)
 ) -> None:
-    """Of each set the offset that leads furthest along each way: the one that ends nearest to its end."""
+    """Of each set the offset o that leads furthest along each way w: the one that ends nearest to its end.
+
+    All o are of one length, so that |o - w|^2 = |o|^2 + |w|^2 - 2 o . w is least there.
+    """
     sets, candidates, _ = offsets.shape
     for k in range(way.shape[0]):
         x, y, z = way[k, 0], way[k, 1], way[k, 2]
@@ -244,3 +328,50 @@ def _furthest_along(
                     best, furthest = c, along
             for i in range(3):
                 best_out[k, s, i] = offsets[s, best, i]
+
+
+HELD_OUT = 0.1  # for validation, and as much again for testing
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Numbers of the samples in each part, read-only; together they are all samples, each once."""
+
+    kind: str
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        for part in (self.train, self.validation, self.test):
+            part.setflags(write=False)
+
+
+def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
+    """The paper's split: samples at random, in random order.  DatasetError with fewer than 10 of them."""
+    return Split("by sample", *_parts(len(dataset), "samples", seed, 0))
+
+
+def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
+    """TCPs at random, each with all of its samples in one part.  DatasetError with fewer than 10 TCPs."""
+    train, validation, test = (
+        (tcps[:, None] * dataset.hands + np.arange(dataset.hands)).ravel()
+        for tcps in _parts(dataset.tcps, "TCPs", seed, 1)
+    )
+    return Split("by TCP", train, validation, test)
+
+
+def _parts(
+    count: int, what: str, seed: int, kind: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """A random permutation of 0 ... count - 1, cut into train, validation and test."""
+    held_out = round(HELD_OUT * count)
+    if count < 10:
+        raise DatasetError(
+            place=Place(field="split"),
+            expected=f"at least 10 {what} to split into 0.8, 0.1 and 0.1",
+            got=f"{count} {what}",
+        )
+    order = stream(seed, Stream.SPLIT, kind).permutation(count)
+    train = count - 2 * held_out
+    return order[:train], order[train : train + held_out], order[train + held_out :]

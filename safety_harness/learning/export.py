@@ -1,4 +1,4 @@
-"""A trained model as one function from metres to metres, for other programs: ONNX, or TorchScript.
+"""A trained model as one function from metres to metres, for other programs: an ONNX file.
 
 Normalisation, all passes or members, their mean and their standard deviation are inside.  Inputs are
 float64 (n, 3), as are the outputs; the network between them computes in float32, as ours does.  With
@@ -8,14 +8,11 @@ dropout the masks are an input, so that whoever calls decides on them, and can h
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +35,7 @@ from safety_harness.avoidance.onnx_model import (
 )
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.networks import RegressionResNet, load_tensors
+from safety_harness.scenario.references import ONNX_SUFFIX
 from safety_harness.whole_file import replacing
 
 ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
@@ -46,18 +44,6 @@ FARTHER = 1.5  # how much larger than the seen boxes those are that the unseen h
 
 Arrays = tuple[NDArray[np.float64], ...]
 Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
-
-
-class Format(Enum):
-    """What is written, and how its files end."""
-
-    ONNX = "onnx"
-    TORCHSCRIPT = "torchscript"
-
-    @property
-    def suffix(self) -> str:
-        """Of a file of this format."""
-        return {Format.ONNX: ".onnx", Format.TORCHSCRIPT: ".pt"}[self]
 
 
 class WholeFunction(nn.Module):
@@ -102,30 +88,26 @@ def _network(model: Model, member: int) -> RegressionResNet:
     return network.eval().requires_grad_(False)
 
 
-def write_export(model: Model, source: bytes, out: Path, format: Format, *, seed: int) -> float:
+def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
     """Write ``model`` (of a file with the bytes ``source``) to ``out``; what is written is tried first.
 
     Returns the greatest difference [m] that ``difference`` found between the loaded file and
     ``LearnedAvoider``; ModelError, and the file as it was before, if that is above 1e-6 m.
-    OutputError if ``out`` cannot be written or does not end as files of its format do.
+    OutputError if ``out`` cannot be written or does not end in .onnx.
     """
-    if out.suffix != format.suffix:
+    if out.suffix != ONNX_SUFFIX:
         raise OutputError(
-            place=Place(file=out), expected=f"a file that ends in {format.suffix}", got=repr(out.name)
+            place=Place(file=out), expected=f"a file that ends in {ONNX_SUFFIX}", got=repr(out.name)
         )
     metadata = metadata_of(model) | {
         "format": EXPORT_FORMAT,
         "source_sha256": hashlib.sha256(source).hexdigest(),
     }
-    write, load = {
-        Format.ONNX: (_onnx_bytes, _load_onnx),
-        Format.TORCHSCRIPT: (_torchscript_bytes, _load_torchscript),
-    }[format]
-    data = write(model, json.dumps(metadata, sort_keys=True))
+    data = _onnx_bytes(model, json.dumps(metadata, sort_keys=True))
     try:
         with replacing(out) as unfinished:
             unfinished.write_bytes(data)
-            found_m = difference(model, load(unfinished), seed=seed)
+            found_m = difference(model, load_onnx(unfinished), seed=seed)
             if not found_m <= MOST_DIFFERENT_M:
                 raise ModelError(
                     place=Place(file=out),
@@ -179,33 +161,21 @@ def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float
         yield (low + high) / 2, (high - low) / 2
 
 
-@dataclass(frozen=True)
-class _Traced:
-    """A question that a function is recorded with."""
-
-    names: tuple[str, ...]
-    arguments: tuple[Tensor, ...]
-
-    @classmethod
-    def of(cls, model: Model) -> _Traced:
-        point = torch.zeros((2, 3), dtype=torch.float64)
-        drawn = drawn_masks(model, np.arange(2, dtype=np.uint64))
-        if drawn is None:
-            return cls((HAND, TCP), (point, point.clone()))
-        return cls((HAND, TCP, MASKS), (point, point.clone(), torch.from_numpy(drawn)))
-
-
 def _onnx_bytes(model: Model, metadata: str) -> bytes:
     """One self-contained ONNX file, without the paths of this machine that PyTorch leaves in it."""
-    question = _Traced.of(model)
+    point = torch.zeros((2, 3), dtype=torch.float64)
+    question = {HAND: point, TCP: point.clone()}
+    drawn = drawn_masks(model, np.arange(2, dtype=np.uint64))
+    if drawn is not None:
+        question[MASKS] = torch.from_numpy(drawn)
     rows = torch.export.Dim("n")
     with _quiet():
         program = torch.onnx.export(
             WholeFunction(model),
-            question.arguments,
+            tuple(question.values()),
             dynamo=True,
-            dynamic_shapes=tuple({0: rows} for _ in question.arguments),
-            input_names=list(question.names),
+            dynamic_shapes=({0: rows},) * len(question),
+            input_names=list(question),
             output_names=[POSITION, SPREAD],
             external_data=False,
             verbose=False,
@@ -222,24 +192,8 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
     return data
 
 
-def _torchscript_bytes(model: Model, metadata: str) -> bytes:
-    """The recorded function, and what a program needs to draw its masks as small text files in it."""
-    question = _Traced.of(model)
-    texts = {
-        "safety_harness.json": metadata,
-        "passes": str(model.passes),
-        "places": str(PLACES[model.dropout]),
-        "width": str(WIDTH),
-        "dropout_probability": repr(model.dropout_probability),
-    }
-    buffer = io.BytesIO()
-    with _quiet():
-        traced = torch.jit.trace(WholeFunction(model), question.arguments)  # type: ignore[no-untyped-call]
-        torch.jit.save(traced, buffer, _extra_files=texts)
-    return buffer.getvalue()
-
-
-def _load_onnx(path: Path) -> Function:
+def load_onnx(path: Path) -> Function:
+    """What an exported ONNX file computes, in onnxruntime."""
     session = open_session(path, path.read_bytes())  # just written
 
     def function(
@@ -251,29 +205,9 @@ def _load_onnx(path: Path) -> Function:
     return function
 
 
-def _load_torchscript(path: Path) -> Function:
-    with _quiet():
-        loaded = torch.jit.load(path, map_location="cpu")  # type: ignore[no-untyped-call]
-
-    def function(
-        hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
-    ) -> Arrays:
-        given = [hands, tcps] if masks is None else [hands, tcps, masks]
-        with torch.no_grad():
-            position, spread = loaded(*map(torch.from_numpy, given))
-        return position.numpy(), spread.numpy()
-
-    return function
-
-
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the remarks of PyTorch's exporters about themselves.
-
-    TorchScript is deprecated in favour of torch.export, but the one form that a small C++ program loads
-    without a compiler having run for it; the tracer doubts loops over the layers, which never change.
-    Whether the outcome is right is not left to warnings: it is tried.
-    """
+    """Without the remarks of PyTorch's exporter about itself; whether the outcome is right is tried."""
     logger = logging.getLogger("torch.onnx")
     before = logger.level
     logger.setLevel(logging.ERROR)

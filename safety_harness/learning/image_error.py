@@ -56,7 +56,10 @@ class ImageErrors:
     def at(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """(..., 3) TCP positions -> errors (...) and whether the whole object is in the image (...).
+        """TCP ``positions_in_base_m`` (..., 3) -> errors (...) and is the whole object in the image (...)?
+
+        The error of a position is |f - f*|^2 (eq. 15, in metres and radians) of the features f of the
+        image from there.
 
         The exact image has no border: beyond it the error is what a larger sensor would see.
         ``raster`` samples at pixel centres as the camera does (dense objects only) and crops.
@@ -93,7 +96,9 @@ class ImageErrors:
     def select(
         self, positions_in_base_m: NDArray[np.float64], *, raster: bool = False
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Candidates (n, c, 3) -> the selected ones' numbers (n,) and how many had the object in view (n,).
+        """Candidates, ``positions_in_base_m`` (n, c, 3) -> the selected ones' numbers (n,), and in view (n,).
+
+        The second says how many of the candidates had the whole object in view.
 
         Selected is the least error among those with the whole object in view, or among all where
         none has.  DatasetError where there is no error at all.
@@ -131,7 +136,12 @@ def _image_errors(
     errors_out: NDArray[np.float64],  # (n,)
     in_view_out: NDArray[np.bool_],  # (n,)
 ) -> None:
-    """Errors by ``ImageErrors.at``; a shift of the camera moves the object the other way in its frame."""
+    """Errors by ``ImageErrors.at``; a shift of the camera moves the object the other way in its frame.
+
+        t(p) = t* - R_camera_to_base^T (p - p*)
+
+    with t the object's position in the camera frame, p that of the TCP, * at the desired pose, R kept.
+    """
     corners = polygon_m.shape[0]
     pose = transform_object_to_camera.copy()
     points, image = np.empty((corners, 3)), np.empty((corners, 2))

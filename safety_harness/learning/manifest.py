@@ -11,21 +11,19 @@ import hashlib
 import json
 import platform
 import zipfile
-from dataclasses import asdict, fields, is_dataclass
-from enum import Enum
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import DatasetError, OutputError, Place, RegionError
-from safety_harness.geometry.regions import Box, Region
-from safety_harness.learning.dataset import CompactDataset
-from safety_harness.learning.spaces import Space
-from safety_harness.scenario.files import decode, read_bytes, refuse_no_file
+from safety_harness.learning.dataset import CompactDataset, Space
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.settings import Settings
 from safety_harness.whole_file import replacing, write_whole
 
@@ -41,7 +39,23 @@ DTYPES = {
     "hand_in_base": np.float64,
 }
 
-T = TypeVar("T")
+
+@dataclass(frozen=True)
+class _StoredArray:
+    sha256: str
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What of a manifest is used again; the settings in full."""
+
+    seed: int
+    tcps: int
+    hands: int
+    candidates: int
+    space: Space
+    settings: Settings
+    arrays: dict[str, _StoredArray]
 
 
 def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
@@ -59,8 +73,8 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
         "samples": len(dataset),
         "views_without_object": dataset.views_without_object,
         "tcps_without_view": dataset.tcps_without_view,
-        "space": asdict(dataset.space),
-        "settings": _plain(asdict(dataset.settings)),
+        "space": plain(dataset.space),
+        "settings": plain(dataset.settings),
         "arrays": {
             name: {"sha256": _sha256(array), "dtype": array.dtype.str, "shape": list(array.shape)}
             for name, array in _arrays(dataset).items()
@@ -95,21 +109,19 @@ def save_dataset(dataset: CompactDataset, folder: Path) -> None:
 
 def load_dataset(folder: Path) -> CompactDataset:
     """Read what ``save_dataset`` wrote; DatasetError says what is wrong with anything else."""
-    manifest = _read_manifest(folder / MANIFEST)
+    file = folder / MANIFEST
+    manifest = _read_manifest(file)
     try:
-        arrays = _read_arrays(folder / ARRAYS, manifest["arrays"])
-        dataset = CompactDataset(
-            settings=_settings(manifest["settings"]),
-            space=_space(manifest["space"]),
-            seed=int(manifest["seed"]),
-            **arrays,
-        )
-        shapes = {"tcps": dataset.tcps, "hands": dataset.hands, "candidates": dataset.candidates}
-    except (KeyError, TypeError, ValueError, AttributeError, RegionError) as error:
-        raise _error(folder / MANIFEST, "a manifest as this version writes it", repr(error)) from error
-    for name, number in shapes.items():
-        if manifest.get(name) != number:
-            raise _error(folder / MANIFEST, f"{number}, as the arrays have", repr(manifest.get(name)), name)
+        read = typed(manifest, _Read, file, others=True, error=DatasetError)
+        settings = typed(manifest["settings"], Settings, file, where="settings", error=DatasetError)
+    except RegionError as error:
+        raise _error(file, "a manifest as this version writes it", str(error), "space") from error
+    arrays = _read_arrays(folder / ARRAYS, read.arrays)
+    dataset = CompactDataset(settings=settings, space=read.space, seed=read.seed, **arrays)
+    for name in ("tcps", "hands", "candidates"):
+        number, said = getattr(dataset, name), getattr(read, name)
+        if number != said:
+            raise _error(file, f"{number}, as the arrays have", str(said), name)
     return dataset
 
 
@@ -128,13 +140,6 @@ def _manifest_hash(manifest: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def _plain(value: Any) -> Any:
-    """Enumerations by their values; the rest is JSON already."""
-    if isinstance(value, dict):
-        return {name: _plain(one) for name, one in value.items()}
-    return value.value if isinstance(value, Enum) else value
-
-
 def _error(file: Path, expected: str, got: str, field: str | None = None) -> DatasetError:
     return DatasetError(place=Place(file=file, field=field), expected=expected, got=got)
 
@@ -142,20 +147,14 @@ def _error(file: Path, expected: str, got: str, field: str | None = None) -> Dat
 def _read_manifest(path: Path) -> dict[str, Any]:
     """The manifest as an object of this format that has not been changed."""
     refuse_no_file(path, "the manifest of a data set", DatasetError)
-    try:
-        data = read_bytes(path, most=LARGEST_MANIFEST_BYTES, place=Place(file=path), error=DatasetError)
-        manifest = json.loads(decode(data, most=LARGEST_MANIFEST_BYTES, file=path, error=DatasetError))
-    except (ValueError, RecursionError) as error:
-        raise _error(path, "the manifest of a data set, in JSON", str(error)) from error
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        got = repr(manifest.get("format")) if isinstance(manifest, dict) else "no object"
-        raise _error(path, f"the format {FORMAT!r}", got, "format")
+    found = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
+    manifest = of_format(found, FORMAT, path, DatasetError)
     if manifest.get("sha256") != _manifest_hash(manifest):
         raise _error(path, "a manifest as it was written", "one that was changed since", "sha256")
     return manifest
 
 
-def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, Any]:
+def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, Any]:
     """The arrays, each with the bytes that the manifest promises."""
     arrays: dict[str, NDArray[Any]] = {}
     refuse_no_file(path, "the arrays of a data set", DatasetError)
@@ -174,59 +173,15 @@ def _read_arrays(path: Path, described: dict[str, Any]) -> dict[str, Any]:
     except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
         raise _error(path, "arrays in a .npz file, whole", f"{type(error).__name__}: {error}") from error
     for name, dtype in DTYPES.items():
-        array, rows = arrays[name], len(arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"])
+        array, counted = arrays[name], arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"]
+        rows = len(counted) if counted.ndim else 0
         shape = (rows,) if name == "candidates_in_view" else (rows, 3)
         if array.dtype != dtype or array.shape != shape or rows == 0:
             expected = f"{np.dtype(dtype)} of shape {shape}, not empty"
             raise _error(path, expected, f"{array.dtype} of shape {array.shape}", name)
-        promised, actual = described[name]["sha256"], _sha256(array)
+        if name not in described:
+            raise _error(path.with_name(MANIFEST), "this field", "none", f"arrays.{name}")
+        promised, actual = described[name].sha256, _sha256(array)
         if promised != actual:
             raise _error(path, f"data with sha256 {promised}", f"sha256 {actual}", name)
     return arrays
-
-
-def _space(found: dict[str, Any]) -> Space:
-    """A space from its JSON form."""
-    return Space(str(found["name"]), _region(found["tcp"]), _region(found["hand"]))
-
-
-def _region(found: dict[str, Any]) -> Region:
-    hole = found["hole"]
-    return Region(_box(found["outer"]), None if hole is None else _box(hole))
-
-
-def _box(found: dict[str, Any]) -> Box:
-    return Box(_tuples(found["low_m"]), _tuples(found["high_m"]))
-
-
-def _settings(found: dict[str, Any]) -> Settings:
-    """Settings from their JSON form; ValueError for a setting that is missing or that nobody knows."""
-    groups = get_type_hints(Settings)
-    if found.keys() != groups.keys():
-        raise ValueError(f"settings are {sorted(groups)}, not {sorted(found)}")
-    return Settings(**{name: _group(kind, found[name]) for name, kind in groups.items()})
-
-
-def _group(kind: type[T], found: dict[str, Any]) -> T:
-    """One dataclass of settings: lists become tuples, texts the enumerations that they stand for."""
-    hints = get_type_hints(kind)
-    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    if found.keys() != names:
-        raise ValueError(
-            f"{kind.__name__}: other settings than this version's: {sorted(found.keys() ^ names)}"
-        )
-    return kind(**{name: _value(hints[name], value) for name, value in found.items()})
-
-
-def _value(hint: Any, value: Any) -> Any:
-    """One setting; of several kinds that it may have the text is an enumeration, the object a dataclass."""
-    for kind in get_args(hint) or (hint,):
-        if isinstance(kind, type) and issubclass(kind, Enum) and not isinstance(value, dict):
-            return kind(value)
-        if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
-            return _group(kind, value)
-    return _tuples(value)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value

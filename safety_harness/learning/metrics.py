@@ -30,7 +30,7 @@ class Errors:
 
 
 def errors(predictions: Floats, targets: Floats) -> Errors:
-    """RMSE and MAE of (n, 3) predictions."""
+    """RMSE sqrt(mean e^2) and MAE mean |e| of e = ``predictions`` - ``targets`` (n, 3)."""
     difference = _finite(predictions - targets)
     squares, sizes = difference**2, np.abs(difference)
     return Errors(
@@ -42,25 +42,35 @@ def errors(predictions: Floats, targets: Floats) -> Errors:
 
 
 def half_width_of_spread(spreads: Floats) -> Floats:
-    """1.96 standard deviations of the passes: what the paper's figures can be reached with."""
+    """1.96 s with s = ``spreads`` (n, 3), standard deviations of the passes.
+
+    It is what the paper's figures can be reached with.
+    """
     return NORMAL_95 * spreads
 
 
 def half_width_with_precision(spreads: Floats, precision: float) -> Floats:
-    """With the inverse model precision 1/tau added to the variance (Gal and Ghahramani 2016).
+    """1.96 sqrt(s^2 + 1/tau): the inverse model precision added to the variance (Gal and Ghahramani 2016).
 
-    At the paper's tau of 1e-6 per mm^2, 1/tau is a variance of one square metre.
+    s is ``spreads`` (n, 3), tau ``precision``.  At the paper's tau of 1e-6 per mm^2, 1/tau is a variance of
+    one square metre.
     """
     return NORMAL_95 * np.sqrt(spreads**2 + 1.0 / precision)
 
 
 def half_width_of_eq_11(spreads: Floats, predictions: Floats) -> Floats:
-    """Eq. 11 as it is printed: the mean of the squares, the squared mean not taken off."""
+    """1.96 sqrt(s^2 + y^2): eq. 11 as it is printed, the mean of the squares, the squared mean not taken off.
+
+    s is ``spreads`` (n, 3), y ``predictions`` (n, 3).
+    """
     return NORMAL_95 * np.sqrt(spreads**2 + predictions**2)
 
 
 def half_width_with_residuals(spreads: Floats, residual_std: Floats) -> Floats:
-    """With the variance (3,) of validation residuals added: the labels' own noise."""
+    """1.96 sqrt(s^2 + r^2): with the variance of validation residuals added, the labels' own noise.
+
+    s is ``spreads`` (n, 3), r ``residual_std`` (3,).
+    """
     return NORMAL_95 * np.sqrt(spreads**2 + residual_std**2)
 
 
@@ -77,7 +87,10 @@ class IntervalCoverage:
 
 
 def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> IntervalCoverage:
-    """PICP and width of the intervals prediction +- half width, ends included; ``half_widths`` (n, 3)."""
+    """PICP (eq. 14) and width of the intervals prediction +- half width, ends included.
+
+    ``predictions``, ``targets`` and ``half_widths`` are (n, 3).
+    """
     inside = _finite(np.abs(predictions - targets)) <= _finite(half_widths)
     return IntervalCoverage(
         picp=inside.mean(axis=0),
@@ -91,8 +104,9 @@ def picp_variants(
 ) -> dict[str, IntervalCoverage]:
     """The readings of the paper's PICP side by side, by name.
 
-    ``spreads`` (n, 3) are standard deviations over the passes; ``precision`` is tau and
-    ``residual_std`` (3,) that of validation residuals, in the unit of the predictions.
+    ``predictions`` and ``targets`` are (n, 3), ``spreads`` (n, 3) standard deviations over the passes;
+    ``precision`` is tau and ``residual_std`` (3,) that of validation residuals, in the unit of the
+    predictions.
     """
     half_widths = {
         "spread": half_width_of_spread(spreads),
@@ -104,9 +118,10 @@ def picp_variants(
 
 
 def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, levels: Floats) -> Floats:
-    """(levels, 3): the share of targets within the central normal interval of each level, by axis.
+    """(k, 3): the share of targets within the central normal interval of each level, by axis.
 
-    ``levels`` (k,) lie in (0, 1); for calibrated normal predictions the shares equal them.
+    The interval of level p is prediction +- Phi^-1((1 + p)/2) s; ``predictions``, ``targets`` and ``spreads``
+    (n, 3), ``levels`` (k,) in (0, 1).  For calibrated normal predictions the shares equal the levels.
     """
     distances, stds = _finite(np.abs(predictions - targets)), _finite(spreads)
     quantiles = [NormalDist().inv_cdf((1.0 + level) / 2.0) for level in levels]
@@ -116,7 +131,8 @@ def calibration_curve(predictions: Floats, targets: Floats, spreads: Floats, lev
 def auroc(scores_without: Floats, scores_with: Floats) -> float:
     """Area under the ROC curve of a score that should be higher *with* (unseen, say) than *without*.
 
-    The chance that a score with exceeds one without, ties counted half (Mann and Whitney): exact.
+    P(with > without) + P(with = without)/2 over all pairs (Mann and Whitney, 1947): exact.
+    ``scores_without`` (n,) and ``scores_with`` (m,).
     """
     without, having = np.sort(_finite(scores_without)), _finite(scores_with)
     if not len(without) or not len(having):
@@ -127,7 +143,7 @@ def auroc(scores_without: Floats, scores_with: Floats) -> float:
 
 
 def conformal_quantile(scores: Floats, level: float) -> float:
-    """The ceil((n + 1) level)-th smallest of n scores.
+    """The ceil((n + 1) level)-th smallest of ``scores`` (n,) (Vovk, Gammerman and Shafer, 2005).
 
     A further score, exchangeable with these, is at most as large with probability ``level`` at
     least.  ValueError if there are too few scores to say so: level / (1 - level) are needed.
@@ -143,8 +159,8 @@ def conformal_quantile(scores: Floats, level: float) -> float:
 def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, level: float = 0.95) -> float:
     """Split-conformal: m so that prediction +- m scale covers *all three* axes at ``level``.
 
-    ``predictions`` and ``targets`` are held out; ``scales`` (n, 3), or (3,) for every row, are
-    positive.  The score of a row is its largest error in units of its scale.
+    ``predictions`` and ``targets`` (n, 3) are held out; ``scales`` (n, 3), or (3,) for every row, are
+    positive.  The score of a row is max_axis |prediction - target|/scale, m their ``conformal_quantile``.
     """
     if not np.all(_finite(scales) > 0.0):
         raise ValueError("a scale must be positive")
@@ -152,17 +168,21 @@ def conformal_multiplier(predictions: Floats, targets: Floats, scales: Floats, l
 
 
 def largest_spread(spreads: Floats) -> Floats:
-    """(n,): what a decision's spread is judged by, that of its worst axis."""
+    """(n,): what a decision's spread is judged by, that of its worst axis, of ``spreads`` (n, 3)."""
     largest: Floats = _finite(spreads).max(axis=1)
     return largest
 
 
 def spread_threshold(spreads: Floats, level: float = 0.99) -> float:
-    """The threshold that the spread of a further decision like these exceeds with 1 - ``level`` at most."""
+    """The threshold that the spread of a further decision like these exceeds with 1 - ``level`` at most.
+
+    The ``conformal_quantile`` of the largest of each row of ``spreads`` (n, 3).
+    """
     return conformal_quantile(largest_spread(spreads), level)
 
 
 def _finite(array: Floats) -> Floats:
+    """``array`` (...), if all of it is finite; ValueError otherwise."""
     if not np.all(np.isfinite(array)):
         raise ValueError("expected finite numbers")
     return array

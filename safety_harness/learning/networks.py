@@ -53,7 +53,10 @@ class Block(nn.Module):
             self.fcs, self.bns = nn.Linear(inputs, width), nn.BatchNorm1d(width)
 
     def forward(self, x: Tensor, drop: Drop) -> Tensor:
-        """(n, inputs) to (n, width); ``drop`` acts before fc1, fc2, fc3, fcs, in this order."""
+        """(n, inputs) to (n, width); ``drop`` acts before fc1, fc2, fc3, fcs, in this order.
+
+        relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), the shortcut bns fcs x or x itself.
+        """
         h = torch.relu(self.bn1(self.fc1(drop(x))))
         h = torch.relu(self.bn2(self.fc2(drop(h))))
         h = self.bn3(self.fc3(drop(h)))

@@ -99,7 +99,7 @@ def _columns(samples: Samples, index: Index) -> NDArray[np.float64]:
 
 
 def network_inputs(inputs: NDArray[np.float64], normalisation: Normalisation) -> NDArray[np.float32]:
-    """(n, 6) in metres to the network's (n, 7): normalised, and the constant 1 at the end."""
+    """``inputs`` (n, 6) in metres to the network's (n, 7): (x - mean)/std, and the constant 1 at the end."""
     x = np.ones((len(inputs), 7), dtype=np.float32)
     x[:, :6] = (inputs - normalisation.input_mean) / normalisation.input_std
     return x

@@ -25,7 +25,7 @@ def principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
 
 
 def transform_camera_to_tcp(camera: Camera, *, calibrated: bool) -> NDArray[np.float64]:  # (4, 4)
-    """The camera's mount on the flange.
+    """The camera's mount on the flange: T = (R_z(yaw), offset), or (R_z(yaw) R(error), offset + error's).
 
     ``calibrated=False`` is the true mount.  ``calibrated=True`` is the result of the hand-eye
     calibration, the one that the controller believes: the true mount turned by the error's
@@ -45,7 +45,7 @@ def polygon_in_camera(
     transform_object_to_camera: NDArray[np.float64],  # (4, 4)
     out: NDArray[np.float64],  # (n, 3)
 ) -> None:
-    """The vertices of a flat object (the plane z = 0 of its own frame) in the camera frame."""
+    """The vertices of a flat object in the camera frame [m]: R (x, y, 0) + t of the transform (R, t)."""
     t = transform_object_to_camera
     for k in range(polygon_m.shape[0]):
         for row in range(3):
@@ -86,12 +86,12 @@ def project(
 
 @compiled
 def polygon_inside_image(
-    normalised: NDArray[np.float64],  # (n, 2)
+    normalised: NDArray[np.float64],  # (n, 2) x, y
     focal_px: float,
     width_px: int,
     height_px: int,
 ) -> bool:
-    """True if every vertex is in the image, a pixel or more inside its outermost rows and columns.
+    """True if every vertex, at u = f x + c_u, v = f y + c_v, is a pixel or more inside the image's border.
 
     A triangle that the border crops parallel to a side is a similar triangle, which the invariants
     gamma and delta do not notice: this test has to.  NaN is outside.

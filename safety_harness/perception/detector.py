@@ -18,8 +18,8 @@ that of ``BoundingBoxDetector`` takes its place; a YOLO exported to ONNX, say:
             return np.array(rows).reshape(-1, 5)
 
 Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them, and edge 0
-is the left edge of pixel 0, whose *centre* is at u = 0.  A detector that is asked at each frame
-should not depend on the frames before: the tracks remember, and a run can then be repeated.
+is the left edge of pixel 0, whose *centre* is at u = 0.  A detector should be
+stateless from frame to frame: the tracks hold the state, and a run can then be repeated.
 """
 
 from __future__ import annotations
@@ -71,7 +71,9 @@ class SkinColourDetector:
     """
 
     def detect(
-        self, colour: NDArray[np.uint8], depth_m: NDArray[np.float64]
+        self,
+        colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
+        depth_m: NDArray[np.float64],  # (h, w) [m]
     ) -> NDArray[np.float64]:  # (k, 5), k <= MAX_DETECTIONS
         """Return the boxes of the largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
@@ -99,7 +101,10 @@ class SkinColourDetector:
 def _depth_near(
     area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
 ) -> float | None:
-    """Median over the ``DEPTH_SAMPLES`` pixels of ``area`` with a depth that are nearest to (u, v)."""
+    """Median over the ``DEPTH_SAMPLES`` pixels of ``area`` with a depth that are nearest to (u, v) [m].
+
+    ``area`` is (h, w); ``depth_m`` (h, w) is 0 or not finite where it is unknown; None if it is everywhere.
+    """
     v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
     if u.size == 0:
         return None
@@ -111,7 +116,7 @@ def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) 
     """Copy what a detector returned into ``boxes_out`` (MAX_DETECTIONS, 5); return how many.
 
     Of more than ``MAX_DETECTIONS`` the largest in the image are kept, in the detector's order.
-    Raises ``SimulationError`` if ``boxes`` is not an array of numbers of shape (k, 5).
+    Raises ``SimulationError`` if ``boxes`` (k, 5) is not an array of numbers of this shape.
     """
     try:
         rows = np.asarray(boxes, np.float64)

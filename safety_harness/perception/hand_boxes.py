@@ -38,7 +38,10 @@ def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
 
 @compiled
 def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: float) -> float:
-    """Depth at which the ray (x, y, 1) enters the sphere; NaN if it misses it."""
+    """Depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,) C; NaN if it misses.
+
+    The smaller root Z of |Z d - C|^2 = r^2, as (|C|^2 - r^2)/(d . C + sqrt((d . C)^2 - |d|^2 (|C|^2 - r^2))).
+    """
     ray_squared = x * x + y * y + 1.0
     along = x * centre[0] + y * centre[1] + centre[2]
     centre_squared = centre[0] * centre[0] + centre[1] * centre[1] + centre[2] * centre[2]
@@ -137,10 +140,10 @@ def box_in_image(
 
 @compiled
 def line_of_sight_blocked(
-    camera_position: NDArray[np.float64],  # (3,)
-    hand_position: NDArray[np.float64],  # (3,)
+    camera_position: NDArray[np.float64],  # (3,) [m]
+    hand_position: NDArray[np.float64],  # (3,) [m]
     hand_radius_m: float,
-    capsules: NDArray[np.float64],  # (n, 2, 3): the two ends of each axis
+    capsules: NDArray[np.float64],  # (n, 2, 3) [m]: the two ends of each axis
     capsule_radii_m: NDArray[np.float64],  # (n,)
 ) -> bool:
     """Tell whether a capsule cuts the straight line from the camera to the hand's nearest point.
@@ -178,7 +181,9 @@ def position_from_box(
     assumed_radius_m: float,
     position_in_camera_out: NDArray[np.float64],  # (3,)
 ) -> None:
-    """Write the hand's centre: along the ray through (u, v) to depth z, then one radius deeper.
+    """Write the hand's centre [m]: along the ray through (u, v) to depth z, then one radius deeper.
+
+        (X, Y, Z) = (x, y, 1) (z + r/sqrt(x^2 + y^2 + 1)),   x = (u - c_u)/f,   y = (v - c_v)/f
 
     This is the pinhole conversion of section 3.2.  The centre of the box of a sphere of radius r
     at depth Z, seen under the angle theta to the optical axis, lies outward of the projection

@@ -114,7 +114,7 @@ def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_
 
 @compiled
 def initialise(track: np.void, box: NDArray[np.float64], time_s: float, parameters: np.void) -> None:
-    """Start ``track`` (a ``TRACK`` record) at rest where ``box`` (5,) was seen at ``time_s``.
+    """Start ``track`` (a ``TRACK`` record) at rest where ``box`` (5,) was seen at ``time_s``: x = (box, 0).
 
     Values are as uncertain as a measurement, rates as the settings say.  The area's rate has no
     setting of its own: area ~ 1/z^2, hence area' = -2 (area/z) z', and its initial standard
@@ -139,7 +139,7 @@ def initialise(track: np.void, box: NDArray[np.float64], time_s: float, paramete
 
 @compiled
 def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
-    """Advance a track by ``dt_s`` >= 0: constant rates, and growing uncertainty."""
+    """Advance a track by ``dt_s`` >= 0: value + dt rate, and growing uncertainty (``wait``)."""
     mean = track["mean"]
     for i in range(PAIRS):
         mean[i] += dt_s * mean[5 + i]
@@ -176,8 +176,9 @@ def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
 def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> None:
     """Correct a track by ``box`` (5,), seen at the time of its state.
 
-    With S = P00 + R the gain of a pair is (P00, P01)/S.  The covariance is written as P00 R/S,
-    P01 R/S, P11 - P01^2/S: Joseph's form multiplied out, symmetric by construction.
+    x <- x + K (z - H x) with H = (1, 0) of each pair: with S = P00 + R its gain K is (P00, P01)/S.  The
+    covariance is written as P00 R/S, P01 R/S, P11 - P01^2/S: Joseph's form multiplied out, symmetric by
+    construction.
     """
     mean, covariance = track["mean"], track["pair_covariance"]
     for i in range(PAIRS):

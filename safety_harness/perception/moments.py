@@ -29,14 +29,14 @@ _WEIGHTS = np.array([_OUTER_WEIGHT, _INNER_WEIGHT, _INNER_WEIGHT, _OUTER_WEIGHT]
 
 @inlined
 def mu_index(i: int, j: int) -> int:
-    """Where mu_ij stands in a moment vector."""
+    """Where mu_ij stands in a moment vector: at 3 + o (o + 1)/2 + j with the order o = i + j."""
     order = i + j
     return FIRST_MU + (order * (order + 1)) // 2 + j
 
 
 @inlined
 def add_powers(x: float, y: float, weight: float, out: NDArray[np.float64]) -> None:
-    """Add ``weight`` x^i y^j to every mu_ij of the moment vector ``out``."""
+    """Add ``weight`` x^i y^j to every mu_ij of the moment vector ``out`` (31,)."""
     weighted_x_power = weight
     for i in range(MAX_ORDER + 1):
         term = weighted_x_power
@@ -95,8 +95,9 @@ def point_moments(
     points: NDArray[np.float64],  # (n, 2), normalised
     out: NDArray[np.float64],  # (31,)
 ) -> bool:
-    """Moments of a set of points (the *discrete* object of eq. 6); m00 is their number.
+    """Moments of a set of points (the *discrete* object): mu_ij = sum_k (x_k - x_g)^i (y_k - y_g)^j (eq. 6).
 
+    m00 is their number n, (x_g, y_g) their mean.
     False, and ``out`` all NaN, for no points or points that are not finite.
     """
     n = points.shape[0]
@@ -113,7 +114,10 @@ def point_moments(
 
 @inlined
 def _finish(xg: float, yg: float, out: NDArray[np.float64]) -> bool:
-    """Write m00 and the centroid before the centred moments, whose first order is zero by definition."""
+    """Write m00 and the centroid into ``out`` (31,), and mu_10 = mu_01 = 0, which they are by definition.
+
+    False, and all NaN, if anything is not finite.
+    """
     out[M00] = out[FIRST_MU]
     out[XG] = xg
     out[YG] = yg

@@ -153,10 +153,13 @@ def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
 
 @compiled
 def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> None:
-    """Add the pixels of one run, centred coordinates in pixels, to every mu_ij of ``out``.
+    """Add the pixels of one run, centred coordinates in pixels, to every mu_ij of ``out`` (31,).
 
     With n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, odd powers of d cancel and the even
-    power sums are polynomials in n (Faulhaber's formula); the binomial theorem does the rest.
+    power sums are polynomials in n (Faulhaber's formula), the binomial theorem does the rest:
+
+        sum d^2 = n (n^2 - 1)/12,   sum d^4 = sum d^2 (3 n^2 - 7)/20,
+        sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112.
     """
     n = float(length)
     nn = n * n
@@ -187,7 +190,10 @@ def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> 
 def _to_normalised(
     u_g: float, v_g: float, focal_px: float, c_u: float, c_v: float, out: NDArray[np.float64]
 ) -> None:
-    """From centred sums over pixels to a moment vector: lengths over f, each pixel of area 1/f^2."""
+    """From centred sums over pixels in ``out`` (31,) to a moment vector: mu_ij / f^(i + j + 2).
+
+    Lengths are over f, and each pixel has the area 1/f^2; x_g = (u_g - c_u)/f, y_g = (v_g - c_v)/f.
+    """
     scale = 1.0 / (focal_px * focal_px)
     for order in range(MAX_ORDER + 1):
         for j in range(order + 1):

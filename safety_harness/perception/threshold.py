@@ -2,7 +2,7 @@
 
 The object is nearly black on a light table.  Nothing else that may come into view is: black is what
 is dark in *every* colour channel, so that the order of the channels does not matter and a blue
-sleeve, whose brightness is low but whose blue is not, is told apart.
+sleeve, whose brightness is low but whose blue is not, is distinguished.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OBJECT_SMALLEST_PX = 200
 
 
 def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) -> (h, w)
-    """1 on the object's pixels, 0 elsewhere; nowhere 1 if no complete object is in view.
+    """1 on the object's pixels, 0 elsewhere; all 0 if no complete object is in view.
 
     The object is the largest connected black region that does not touch the image border: one
     that does may be cropped, and a cropped triangle can have the features of a whole one.  A hand

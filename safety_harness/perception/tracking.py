@@ -124,17 +124,19 @@ def predict_positions(
 
 @compiled
 def _is_place(box: NDArray[np.float64]) -> bool:
-    """Tell whether u, v and z of a box denote a point in front of the sensor."""
+    """Tell whether u, v and z of ``box`` (5,) denote a point in front of the sensor."""
     return isfinite(box[0]) and isfinite(box[1]) and isfinite(box[2]) and box[2] > 0.0
 
 
 @compiled
 def _is_measurement(box: NDArray[np.float64]) -> bool:
+    """Tell whether ``box`` (5,) is finite, with a positive depth and area."""
     return _is_place(box) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
 
 
 @compiled
 def _extrapolated_box(track: np.void, dt_s: float, box_out: NDArray[np.float64]) -> None:
+    """Fill ``box_out`` (5,) with value + dt rate of each pair, and the aspect ratio as it is."""
     mean = track["mean"]
     for i in range(4):
         box_out[i] = mean[i] + dt_s * mean[5 + i]
@@ -153,8 +155,8 @@ def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
 
 @compiled
 def _assign(
-    tracks: NDArray[np.void],
-    boxes: NDArray[np.float64],
+    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK
+    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
     count: int,
     gate_px: float,
     track_of_box_out: NDArray[np.int64],  # (MAX_DETECTIONS,), filled with -1

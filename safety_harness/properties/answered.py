@@ -1,6 +1,6 @@
-"""The avoider is what answers: where it does not, the fallback stands in for it, and is what is shown.
+"""The avoider is what answers, and in time: else the fallback stands in for it, and is what is shown.
 
-The one claim that is judged of every run, whether its scenario makes it or not.
+That it answers is the one claim that is judged of every run, whether its scenario makes it or not.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import ENDLESS, Evaluation, Unit, inconclusive, judged, unreadable
-from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.base import ENDLESS, Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
+NOT_MODELLED = "computing time not modelled"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,11 +36,9 @@ class AvoiderAnswered:
     unit: Unit = Unit.COUNT
     sentence: str = "the avoider answered"
 
+    @readable()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision."""
-        problem = unreadable(trace, ())
-        if problem is not None:
-            return inconclusive(self, problem)
         own, silent = _own(trace), unanswered(trace)
         asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
         if asked == 0:
@@ -98,10 +98,7 @@ def _words(trace: Trace, number: int) -> str:
 
 
 ANSWERED = CatalogueEntry(
-    example="the avoider answered",
-    pattern="the avoider answered",
-    make=lambda *_: AvoiderAnswered(),
-    unit=Unit.COUNT,
+    prop=AvoiderAnswered(),
     rationale="where the avoider gives no answer the fallback stands in for it, and whatever holds then was "
     "shown of the fallback. It is judged of every run; a scenario that does not claim it expects it to hold",
     source="the seam of the avoider: one proposal of finite numbers for each question, in time",
@@ -109,7 +106,6 @@ ANSWERED = CatalogueEntry(
     "an answer that came too late, a process that ended; 0 holds",
     parameters="the decision deadline of the settings",
     exercised="the avoider was asked while no fault of the scenario kept it from answering",
-    inconclusive="-",
     scenario="hand-visits-and-leaves",
     broken_by="an avoider that raises at every question",
 )
@@ -135,3 +131,62 @@ def by_default(trace: Trace) -> Evaluation | None:
         return None
     evaluation = AvoiderAnswered().evaluate(trace)
     return evaluation if evaluation.verdict is Verdict.VIOLATED else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionTime:
+    """min over decisions of ``within_s`` less the time that the arm went on without the answer.
+
+    That is the decision time of the settings, or as the avoider declares it, and what a fault of the
+    scenario adds, to the tick at which the answer counts.  An answer that was given up on at the deadline
+    never came: it counts as one control period more than the limit, at least.  A decision that costs no
+    simulated time shows nothing: with one of those nothing holds.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"decisions within {self.within_s * 1e3:g} ms"
+
+    @readable()
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision."""
+        decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
+        if len(decisions) == 0:
+            return inconclusive(self, "never exercised: nothing was decided")
+        took_s = (decisions["tick"] - decisions["asked_tick"]) * period_s
+        late = (decisions["proposed_failed"] & Check.LATE) != 0
+        took_s = np.where(late, np.maximum(took_s, self.within_s + period_s), took_s)
+        worst = int(np.argmax(took_s))
+        free = np.count_nonzero(~late & (decisions["decision_time_s"] == 0.0))
+        if free and not took_s[worst] > self.within_s:
+            return inconclusive(self, NOT_MODELLED)
+        words = f"slowest {took_s[worst] * 1e3:.1f} ms, median {np.median(took_s) * 1e3:.1f} ms"
+        return judged(
+            self,
+            trace,
+            margin=self.within_s - float(took_s[worst]),
+            worst_time_s=float(decisions["time_s"][worst]),
+            reason=f"{np.count_nonzero(late)} of {len(late)} were never answered" if late.any() else words,
+            exercised=len(decisions) - int(free) + int(took_s[worst] > self.within_s),
+        )
+
+
+DECISION_TIME = CatalogueEntry(
+    prop=DecisionTime(within_s=0.1),
+    pattern=r"decisions within (.+)",
+    make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),
+    rationale="the hand moves on while the avoider thinks. What a decision costs is declared, or measured in "
+    "a profile: whether the avoider keeps to it on the robot's own computer is not shown by any run here",
+    source="the reaction time T_r of ISO/TS 15066, in which all has to fit",
+    margin="the limit less the longest simulated time from a question to the tick at which its answer "
+    "counts; one control period over the limit, at least, for an answer that was given up on",
+    parameters="the limit; the decision time and the decision deadline of the settings",
+    exercised="a decision was made that costs simulated time",
+    inconclusive="a decision that costs none: its computing time is not modelled",
+    scenario="decisions-take-90-ms",
+    broken_by="an avoider that never answers",
+)

@@ -9,11 +9,12 @@ truncation is still a violation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import wraps
 from math import isclose, isfinite
-from typing import Protocol
+from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from safety_harness.scenario.model import MAX_HANDS, Verdict
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import COLUMNS, as_numbers
 from safety_harness.trace.trace import Trace, once_a_trace
+
+Judge = TypeVar("Judge", bound=Callable[[Any, Trace], "Evaluation"])
 
 HORIZON_M = 1e3
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
@@ -142,6 +145,20 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
     return None
 
 
+def readable(*fields: str) -> Callable[[Judge], Judge]:
+    """For ``evaluate``: what is ``unreadable`` on ``fields`` is inconclusive, and not looked at."""
+
+    def decorate(evaluate: Judge) -> Judge:
+        @wraps(evaluate)
+        def evaluate_readable(prop: Property, trace: Trace) -> Evaluation:
+            problem = unreadable(trace, fields)
+            return evaluate(prop, trace) if problem is None else inconclusive(prop, problem)
+
+        return cast(Judge, evaluate_readable)
+
+    return decorate
+
+
 @once_a_trace
 def first_unreal(trace: Trace) -> dict[str, int]:
     """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
@@ -158,6 +175,7 @@ def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
 
 @compiled
 def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(c,) how many of each column of ``rows`` (n, c) are not below ENDLESS in size."""
     found = np.zeros(rows.shape[1], np.int64)
     for k in range(rows.shape[0]):
         for column in range(rows.shape[1]):

@@ -1,4 +1,7 @@
-"""A repulsion leads into nothing else: not into the table, the object or the robot itself."""
+"""A repulsion leads into nothing else: not into the table, the object or the robot itself.
+
+And how far the arm is from these along any sequence of joint positions.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
-from safety_harness.properties.clearance import OBSTACLES, clearances_m
+from safety_harness.avoidance.own_body import wrist_distance
+from safety_harness.compiled import compiled
+from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.true_motion import joint_reach_m
+from safety_harness.properties.true_motion import arm_of
+from safety_harness.robot.capsules import Arm
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.straight_way import straight_way
+from safety_harness.robot.distance import place_capsules
+from safety_harness.robot.inverse import straight_way
+from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 STEP_M = 0.0025  # between two samples of a planned way
-READS = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base")
+OBSTACLES = ("table", "object", "robot itself")
+FOREARM = 3  # base, shoulder and upper arm stand there, and end where the forearm begins
 
 
 @dataclass(frozen=True)
@@ -45,13 +55,11 @@ class ClearWays:
     unit: Unit = Unit.LENGTH
     sentence: str = "repulsive ways clear of table, object and robot"
 
+    @readable("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every repulsion's planned and executed way."""
-        problem = unreadable(trace, READS)
-        if problem is not None:
-            return inconclusive(self, problem)
         ways: list[Way] = []
-        reach_m = joint_reach_m(trace)
+        reach_m = arm_of(trace).reach_m
         for number, decision in enumerate(trace.decisions):
             if decision["outcome"] == DecisionOutcome.STOP:
                 continue
@@ -80,7 +88,7 @@ class ClearWays:
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The straight way to the position that decision ``number`` chose."""
+    """The straight way to the position that decision ``number`` chose.  ``reach_m`` (6,)."""
     decision = trace.decisions[number]
     joints_rad = straight_way(
         load_arm(trace.scenario.robot.arm_name),
@@ -94,7 +102,7 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The true way from decision ``number`` to the end of its repulsion."""
+    """The true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (6,)."""
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
@@ -118,10 +126,7 @@ def _least(
 
 
 CLEAR_WAYS = CatalogueEntry(
-    example="repulsive ways clear of table, object and robot",
-    pattern="repulsive ways clear of table, object and robot",
-    make=lambda *_: ClearWays(),
-    unit=Unit.LENGTH,
+    prop=ClearWays(),
     rationale="an arm that gives way to a hand and runs into the table, the workpiece or itself stops there, "
     "and what is held is crushed",
     source="the project's own; capsules as for the hand distance",
@@ -133,3 +138,87 @@ CLEAR_WAYS = CatalogueEntry(
     scenario="hand-visits-and-leaves",
     broken_by="an avoider that proposes a position below the table, behind a gate that passes everything",
 )
+
+
+def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) clearance from the table, the object and the robot itself at each of ``joints_rad`` (n, 6).
+
+    Capsules enclose the links and the camera, so that no clearance is longer than the true one;
+    negative in penetration (of the object, which is flat, by the radius at most).  The table is its
+    plane, without end.  From table and object: forearm, wrist and camera; base, shoulder and upper arm
+    stand there, and end where the forearm begins.  From the robot itself: wrist and camera from base,
+    shoulder and upper arm.
+    """
+    settings = trace.scenario.settings
+    return _clearances(
+        arm_of(trace),
+        np.ascontiguousarray(joints_rad),
+        settings.cell.table_height_m,
+        object_polygon_in_base(settings),
+    )
+
+
+@compiled
+def _clearances(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    table_m: float,
+    polygon: NDArray[np.float64],  # (m, 3)
+) -> NDArray[np.float64]:
+    """(n, 3) [m] at each of ``joints_rad``: from the table's plane, the polygon and the robot itself.
+
+    min over capsules with axis c and radius r of min c_z - r - table, |c, polygon| - r; ``wrist_distance``.
+    """
+    found = np.full((joints_rad.shape[0], 3), np.inf)
+    transforms, ends = np.empty((8, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    for k in range(joints_rad.shape[0]):
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        if np.isnan(joints_rad[k].sum()):
+            found[k] = np.nan
+            continue
+        for capsule in range(arm.capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+            if arm.capsules[capsule].link_index < FOREARM:
+                continue
+            start, end, radius = ends[capsule, 0], ends[capsule, 1], arm.capsules[capsule].radius_m
+            found[k, 0] = min(found[k, 0], min(start[2], end[2]) - radius - table_m)
+            if min(start[2], end[2]) - polygon[0, 2] - radius < found[k, 1]:  # it may be nearer
+                found[k, 1] = min(found[k, 1], above_polygon(start, end, polygon) - radius)
+        found[k, 2] = wrist_distance(arm.capsules, ends)
+    return found
+
+
+@compiled
+def above_polygon(
+    start: NDArray[np.float64],  # (3,)
+    end: NDArray[np.float64],  # (3,), may be the start
+    polygon: NDArray[np.float64],  # (m, 3) corners, one after another, all at one height
+) -> float:
+    """Distance [m] of a segment from a level polygon; at an edge, at an end over it, or 0 if through it."""
+    height = polygon[0, 2]
+    first, last = start[2] - height, end[2] - height
+    least = np.inf
+    for k in range(polygon.shape[0]):
+        following = polygon[(k + 1) % polygon.shape[0]]
+        least = min(least, segment_segment_distance(start, end, polygon[k], following))
+    if _over(start[0], start[1], polygon):
+        least = min(least, abs(first))
+    if _over(end[0], end[1], polygon):
+        least = min(least, abs(last))
+    if first * last < 0.0:
+        share = first / (first - last)
+        if _over(start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), polygon):
+            least = 0.0
+    return float(least)
+
+
+@compiled
+def _over(x: float, y: float, polygon: NDArray[np.float64]) -> bool:
+    """Is a point within a polygon, seen from above?  Even-odd rule.  ``polygon`` (m, 3)."""
+    odd = False
+    n = polygon.shape[0]
+    for k in range(n):
+        a, b = polygon[k], polygon[(k + 1) % n]
+        if (a[1] > y) != (b[1] > y) and x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0]):
+            odd = not odd
+    return odd

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
-from safety_harness.properties.hand_paths import first_stray, hand_paths
-from safety_harness.properties.true_motion import capsules_of
+from safety_harness.properties.true_motion import capsules_of, first_stray, hand_paths
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.simulation.hand_motion import HAND
@@ -40,15 +39,11 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     settings = trace.scenario.settings
     arm = load_arm(trace.scenario.robot.arm_name)
     capsules = capsules_of(trace)
-    placed = np.empty((len(capsules.names), 2, 3))
     derived = np.zeros(len(trace.ticks), TICK)
     _derive(
         arm_record(arm, settings),
-        capsules.link_index,
-        capsules.start_in_link,
-        capsules.end_in_link,
-        capsules.radius_m,
-        placed,
+        capsules.records,
+        np.empty((len(capsules.names), 2, 3)),
         np.zeros(MAX_HANDS, HAND),
         trace.ticks.copy().view(TICK_COMPILED),  # compiled code takes no array that is read-only
         derived.view(TICK_COMPILED),
@@ -73,11 +68,8 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 @compiled
 def _derive(
     arms: NDArray[np.void],  # (1,) ARM
-    capsule_link: NDArray[np.int64],
-    capsule_start_in_link: NDArray[np.float64],
-    capsule_end_in_link: NDArray[np.float64],
-    capsule_radius_m: NDArray[np.float64],
-    placed: NDArray[np.float64],
+    capsules: NDArray[np.void],  # (n,) CAPSULE
+    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3), overwritten
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND, overwritten
     stored: NDArray[np.void],  # (n,) TICK_COMPILED
     derived: NDArray[np.void],  # (n,) TICK_COMPILED, its truth written
@@ -92,11 +84,8 @@ def _derive(
                 hands[i].elbow_in_base_m[j] = tick.elbow_position_in_base_m[i, j]
         fill_truth(
             arms,
-            capsule_link,
-            capsule_start_in_link,
-            capsule_end_in_link,
-            capsule_radius_m,
-            placed,
+            capsules,
+            capsule_endpoints_in_base_m,
             hands,
             tick.joint_position_rad,
             tick.joint_velocity_radps,

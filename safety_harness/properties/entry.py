@@ -1,9 +1,12 @@
-"""What the catalogue says of a property: how to claim it, and everything that one should know before."""
+"""What the catalogue says of a property: how to claim it, and everything that one should know before.
+
+Pages are written from the entries, so that they say what the code knows.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from safety_harness.exceptions import InadmissibleError, Place
@@ -27,6 +30,7 @@ _LARGEST = {  # in SI
     ANGULAR_ACCELERATION.name: 10_000.0,
 }
 LARGEST_COUNT = 1_000_000
+NONE = "-"
 
 Maker = Callable[[re.Match[str], Scenario, Place], Property]
 
@@ -35,30 +39,43 @@ Maker = Callable[[re.Match[str], Scenario, Place], Property]
 class CatalogueEntry:
     """One property of the catalogue.
 
-    ``example`` is a sentence that claims it, and ``pattern`` matches every such sentence whole, in
-    either case; ``make`` turns the match into the property.  The rest is for people: ``rationale``,
-    ``source``, the ``margin``'s formula, the ``parameters`` that it takes from the sentence and from the
-    settings, when it is ``exercised`` (otherwise it is inconclusive), what else makes it
-    ``inconclusive``, the shipped ``scenario`` that exercises it, and what it is ``broken_by``: the
-    controller or avoider with which the tests see it violated.
+    ``prop`` is an example of it, and ``pattern`` matches every sentence that claims one whole, in either
+    case; ``make`` turns the match into the property.  Without these two it is claimed by the example's own
+    sentence alone.  The rest is for people: ``rationale``, ``source``, the ``margin``'s formula, the
+    ``parameters`` that it takes from the sentence and from the settings, when it is ``exercised`` (otherwise
+    it is inconclusive), what else makes it ``inconclusive``, the shipped ``scenario`` that exercises it, and
+    what it is ``broken_by``: the controller or avoider with which the tests see it violated.
     """
 
-    example: str
-    pattern: str
-    make: Maker
-    unit: Unit
+    prop: Property
+    pattern: str = ""
+    make: Maker | None = None
     rationale: str
     source: str
     margin: str
     parameters: str
     exercised: str
-    inconclusive: str
+    inconclusive: str = NONE
     scenario: str
     broken_by: str
 
+    @property
+    def example(self) -> str:
+        """A sentence that claims it."""
+        return self.prop.sentence
+
+    @property
+    def unit(self) -> Unit:
+        """What its margins are shown in."""
+        return self.prop.unit
+
+    def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
+        """What the sentence of ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
+        return self.prop if self.make is None else self.make(match, scenario, place)
+
     def understands(self, sentence: str) -> re.Match[str] | None:
         """The match of a sentence that claims this property, whatever its case and outer spaces."""
-        return re.fullmatch(self.pattern, sentence.strip(), re.IGNORECASE)
+        return re.fullmatch(self.pattern or self.example, sentence.strip(), re.IGNORECASE)
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
@@ -77,3 +94,35 @@ def count(text: str, place: Place) -> int:
         expected = f"a whole number from 1 to {LARGEST_COUNT}"
         raise InadmissibleError(place=place, expected=expected, got=repr(text))
     return int(text)
+
+
+def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+    """(name, text) of everything that an entry says for people, in the order to read it in."""
+    yield "why", entry.rationale
+    yield "source", entry.source
+    yield "margin", f"{entry.margin} ({_unit_words(entry)})"
+    yield "parameters", entry.parameters
+    yield "exercised", entry.exercised
+    yield "inconclusive", _also(entry.inconclusive)
+    yield "tried in", f"scenarios/{entry.scenario}.yaml"
+    yield "broken by", entry.broken_by
+
+
+def _unit_words(entry: CatalogueEntry) -> str:
+    return entry.unit.symbol or "a number"
+
+
+def _also(text: str) -> str:
+    return "only for the reasons that make any claim so" if text == NONE else text
+
+
+def markdown_of_claims(entries: Sequence[CatalogueEntry]) -> str:
+    """A table of all sentences, then each with everything that its entry says."""
+    rows = ["| sentence | margin in | exercised when |", "|---|---|---|"]
+    rows += [f"| `{e.example}` | {_unit_words(e)} | {e.exercised} |" for e in entries]
+    sections = []
+    for entry in entries:
+        lines = [f"### {entry.example}", ""]
+        lines += [f"- *{name}*: {text}" for name, text in told(entry)]
+        sections.append("\n".join(lines))
+    return "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"

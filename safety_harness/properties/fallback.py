@@ -1,16 +1,19 @@
-"""Doubt leads to the fallback, certainty to the answer: judged by where the arm goes."""
+"""Doubt leads to the fallback, certainty to the answer: judged by where the arm goes.
+
+The fallback is there when it is needed, and where there is nothing to give way to the arm stops.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
-from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
+from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
@@ -22,6 +25,8 @@ READS = (
     "tcp_speed_mps",
     "demanded_joint_velocity_radps",
 )
+WHAT = ("reachable", "away from every hand")
+BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
 
 
 def has_doubt(decision: np.void) -> bool | None:
@@ -35,7 +40,10 @@ def has_doubt(decision: np.void) -> bool | None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int, where: str
 ) -> tuple[list[Finding], bool]:
-    """What the choice and the motion of a decision say of a target; and whether there was time for any."""
+    """What the choice and the motion of a decision say of a target; and whether there was time for any.
+
+    ``target_in_base_m`` (3,).
+    """
     decision, findings = trace.decisions[number], []
     time_s = float(decision["time_s"])
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
@@ -72,7 +80,7 @@ class UncertainFallsBack:
     """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
 
     The opposite pose is computed again from the predictions of the tick.  From ``cycles`` control ticks
-    after the decision on, the TCP has to keep up with the point mass of ``reference`` that heads for
+    after the decision on, the TCP has to keep up with the point mass of ``progress`` that heads for
     it; a chosen position more than 1 mm from it is a violation at once.  A stop is right where the
     opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``); where it could
     have been, its margin is minus what the pose had to spare.
@@ -86,11 +94,9 @@ class UncertainFallsBack:
         """As the catalogue writes it."""
         return f"uncertain answers fall back within {self.cycles} cycles"
 
+    @readable(*READS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was uncertain."""
-        problem = unreadable(trace, READS)
-        if problem is not None:
-            return inconclusive(self, problem)
         findings: list[Finding] = []
         exercised = 0
         for number, decision in enumerate(trace.decisions):
@@ -134,11 +140,9 @@ class CertainIsUsed:
     unit: Unit = Unit.LENGTH
     sentence: str = "certain answers are used"
 
+    @readable(*READS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
-        problem = unreadable(trace, READS)
-        if problem is not None:
-            return inconclusive(self, problem)
         findings: list[Finding] = []
         exercised = 0
         for number, decision in enumerate(trace.decisions):
@@ -158,33 +162,155 @@ class CertainIsUsed:
 
 
 UNCERTAIN = CatalogueEntry(
-    example="uncertain answers fall back within 2 cycles",
+    prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
     make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
-    unit=Unit.LENGTH,
     rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
     margin="how far the TCP keeps up with a point mass that heads for the opposite pose; after a stop what "
     "that pose lacked, or minus what it had to spare",
     parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
     exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
-    inconclusive="-",
     scenario="hesitating-reach",
     broken_by="an avoider in doubt behind a gate that does not ask for its spread",
 )
 
 CERTAIN = CatalogueEntry(
-    example="certain answers are used",
-    pattern="certain answers are used",
-    make=lambda *_: CertainIsUsed(),
-    unit=Unit.LENGTH,
+    prop=CertainIsUsed(),
     rationale="a system that always falls back is not the one whose avoider was tested",
     source="the other direction of the same rule",
     margin="how far the TCP keeps up with a point mass that heads for the proposed position; after a stop "
     "minus the way there",
     parameters="the threshold of the avoider; what a position has to spare",
     exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
-    inconclusive="-",
     scenario="hesitating-reach",
     broken_by="a gate that lets no proposal pass",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FallbackPoses:
+    """At every decision the fallback pose that the gate had at hand is reachable and leads away.
+
+    Asked of all decisions, not only of those that fell back: a net is tested before one falls.  The
+    first of the ``parts`` is as for ``repulsive poses reachable``, from the true joints; the second is
+    the component of the way to it away from each true hand, least over hands; the margin is the least
+    of both.  Where it is violated the system has nothing left but to stop.
+
+    Exercised by every decision; the second part by those made while a true hand was there.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "fallback poses reachable and away"
+
+    @readable("joint_position_rad", "transform_tcp_to_base", "hand_position_in_base_m")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the fallback pose of every decision."""
+        if len(trace.decisions) == 0:
+            return inconclusive(self, "never exercised: no decision was made")
+        reachable = [_reachable(trace, decision) for decision in trace.decisions]
+        away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
+        parts = tuple(
+            self._part(trace, what, findings) for what, findings in zip(WHAT, (reachable, away), strict=True)
+        )
+        known = [part for part in parts if part.margin is not None]
+        worst = min(known, key=lambda part: part.margin or 0.0) if known else parts[0]
+        return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
+
+    def _part(self, trace: Trace, what: str, findings: list[Finding]) -> Evaluation:
+        if not findings:
+            evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
+        else:
+            worst = min(findings, key=lambda finding: finding.margin_m)
+            of = f"worst of {len(findings)}" if len(findings) > 1 else "one pose"
+            evaluation = judged(
+                self,
+                trace,
+                margin=worst.margin_m,
+                worst_time_s=worst.time_s,
+                reason=f"{what}{worst.what}: {of}",
+                exercised=len(findings),
+            )
+        return replace(evaluation, sentence=f"fallback poses {what}")
+
+
+def _reachable(trace: Trace, decision: np.void) -> Finding:
+    margin_m = reach_m(trace, decision, decision["opposite_position_in_base_m"])
+    return Finding(margin_m, float(decision["time_s"]), "")
+
+
+def _away(trace: Trace, decision: np.void) -> list[Finding]:
+    tick, found = trace.ticks[decision["tick"]], []
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    position = decision["opposite_position_in_base_m"]
+    for hand in np.flatnonzero(tick["hand_present"]):
+        apart = tcp_in_base - tick["hand_position_in_base_m"][hand]
+        distance = float(np.linalg.norm(apart))
+        margin_m = -trace.scenario.settings.avoidance.radius_m  # no pose leads away from nobody
+        if is_somewhere(position):
+            way = position - tcp_in_base
+            margin_m = float(way @ apart) / distance if distance > 0.0 else float(np.linalg.norm(way))
+        name = trace.scenario.hands[hand].name
+        found.append(Finding(margin_m, float(decision["time_s"]), f" ({name})"))
+    return found
+
+
+FALLBACK_POSES = CatalogueEntry(
+    prop=FallbackPoses(),
+    rationale="the fallback is what doubt, faults and lateness end in: it has to be there beforehand",
+    source="the paper, section 3.3; opposite poses out of reach are counted in its table 4",
+    margin="the lesser of how far beyond the pose the straight way goes on (at most 100 mm) and of the way's "
+    "component away from each true hand",
+    parameters="radius and least singular value of the settings",
+    exercised="a decision was made",
+    scenario="hand-visits-and-leaves",
+    broken_by="a gate whose fallback heads for the hand",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopsWhereNothingIsReachable:
+    """Where neither the answer nor the opposite pose can be reached, the arm comes to a stop.
+
+    Both are tried again from the true joints; an avoider that gave no answer gave none that can be
+    reached.  Margin: what the TCP's way leaves of that of a protective stop from the decision on
+    (``stopped_m``), so that an arm that goes on to anywhere is violated, whatever its controller says.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "stops where neither answer nor opposite pose can be reached"
+
+    @readable("joint_position_rad", "transform_tcp_to_base", "tcp_speed_mps")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision that left nothing."""
+        findings: list[Finding] = []
+        for decision in trace.decisions:
+            answers = (decision["proposed_position_in_base_m"], opposite_position(trace, decision))
+            if any(reach_m(trace, decision, position) >= -BEYOND_DOUBT_M for position in answers):
+                continue
+            left_m = stopped_m(trace, int(decision["tick"]))
+            findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
+        if not findings:
+            return inconclusive(self, "never exercised: one of the two could always be reached")
+        worst = min(findings, key=lambda finding: finding.margin_m)
+        return judged(
+            self,
+            trace,
+            margin=worst.margin_m,
+            worst_time_s=worst.time_s,
+            reason=worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else ""),
+            exercised=len(findings),
+        )
+
+
+STOPS = CatalogueEntry(
+    prop=StopsWhereNothingIsReachable(),
+    rationale="an arm that goes on as before has not noticed the hand; one that heads for where it cannot go "
+    "ends at its limits",
+    source="the last of the three steps: answer, opposite pose, stop",
+    margin="way allowed to a protective stop (v T_r + v T_s/2, one period's and 2 mm) less the TCP's",
+    parameters="reaction and stop time, radius and least singular value of the settings",
+    exercised="a decision of which neither can be reached",
+    scenario="nothing-reachable",
+    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
 )

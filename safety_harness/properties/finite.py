@@ -103,6 +103,7 @@ def _mark(
     tracked: NDArray[np.bool_],  # (n, tracks)
     bad: NDArray[np.bool_],  # (n,), written
 ) -> None:
+    """Mark the rows with a value that is not below ENDLESS in size, of something that is there."""
     for field in range(fields.shape[0]):
         start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
         for column in range(start, stop):
@@ -146,17 +147,13 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
 
 
 FINITE_TRACE = CatalogueEntry(
-    example="trace finite and monotone",
-    pattern="trace finite and monotone",
-    make=lambda *_: FiniteTrace(),
-    unit=Unit.COUNT,
+    prop=FiniteTrace(),
     rationale="whatever else is claimed of a run is claimed of these numbers",
     source="arithmetic: a comparison with what is no number is never true",
     margin="minus the number of ticks and decisions that hold something that is no number, or that are not "
     "later than the one before; 0 holds",
     parameters="none",
     exercised="always",
-    inconclusive="-",
     scenario="hand-visits-and-leaves",
     broken_by="a controller whose features are no numbers",
 )

@@ -1,23 +1,36 @@
-"""Giving way is done, not only decided: away from every hand, as far and as fast as the arm can."""
+"""Giving way is done, not only decided: away from every hand, as far and as fast as the arm can.
+
+How far a repulsion has got is held against how far it had time to get: a point mass as the reference.
+It begins with the TCP's true position and velocity, and heads for the chosen position with nine tenths
+of the repulsion speed and seven tenths of its acceleration, slowing down in time to stop there.  A
+system that is set to give way more slowly than 20 mm/s (or 0.1 m/s^2) is measured by these: anything
+slower is no giving way beside a hand.  In ticks in which the drives brake or a joint is at its speed
+limit, the reference moves as the TCP does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, unreadable
+from safety_harness.compiled import compiled
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.reference import LEAST_ACCELERATION_MPS2, RepulsionProgress, progress
-from safety_harness.trace.records import DecisionOutcome, Mode, Trigger
+from safety_harness.robot.description import load_arm
+from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
 LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
 ARRIVED_FRACTION = 0.1  # of the way may be left when the controller takes itself to have arrived
 DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
-READS = ("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
+SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
+LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
+SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
+SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
 @dataclass(frozen=True)
@@ -47,7 +60,7 @@ class MovesAway:
     Executed, from the decision to the next one or the end of the repulsion; each counts only
     where it is negative: (1) the TCP must not come nearer to where the hand was by more than the
     unavoidable, v^2/(2 a) + 2 v dt for the speed v towards the hand that it had when the decision
-    was made.  (2) It must get on as ``reference`` says that it had time for.  (3) Where the
+    was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
     controller goes on because it has arrived, at most a tenth of the way may be left.
 
     Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
@@ -62,11 +75,9 @@ class MovesAway:
         """As the catalogue writes it."""
         return "repulsion moves away from every hand"
 
+    @readable("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision's planned and executed way."""
-        problem = unreadable(trace, READS)
-        if problem is not None:
-            return inconclusive(self, problem)
         findings: list[Finding] = []
         made = exercised = 0
         before: RepulsionProgress | None = None
@@ -179,10 +190,7 @@ def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
 
 
 MOVES_AWAY = CatalogueEntry(
-    example="repulsion moves away from every hand",
-    pattern="repulsion moves away from every hand",
-    make=lambda *_: MovesAway(),
-    unit=Unit.LENGTH,
+    prop=MovesAway(),
     rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "
@@ -193,3 +201,103 @@ MOVES_AWAY = CatalogueEntry(
     scenario="hand-visits-and-leaves",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )
+
+
+@dataclass(frozen=True)
+class RepulsionProgress:
+    """What one repulsion has done of its way.
+
+    ``margin_m`` is the slack less the longest that the TCP was behind the reference, at
+    ``worst_tick``; ``behind_m`` is how far it is at the end; ``due_m`` is how far the reference got.
+    """
+
+    margin_m: float
+    worst_tick: int
+    behind_m: float
+    due_m: float
+
+
+def progress(
+    trace: Trace, decision: np.void, last: int, before: RepulsionProgress | None
+) -> RepulsionProgress:
+    """Of the repulsion from ``decision`` to the tick ``last``.
+
+    ``before`` is the progress of the repulsion that this one cuts short because of another hand:
+    what was due and what was behind are carried over, so that deciding again and again does not
+    take the place of moving.
+    """
+    first = int(decision["tick"])
+    settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
+    window = trace.ticks[first : last + 1]
+    arm = load_arm(trace.scenario.robot.arm_name)
+    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
+    slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
+    tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
+    earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
+    period_s = settings.clock.control_period_s
+    behind_m, due_m = _behind(
+        tcp_in_base,
+        (tcp_in_base[0] - earlier) / period_s,
+        decision["chosen_position_in_base_m"].copy(),
+        slowed | (window["limits"] & Limit.BRAKING != 0),
+        SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),
+        ACCELERATION_SHARE * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
+        period_s,
+    )
+    if before is not None:
+        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
+    worst = int(np.argmax(behind_m))  # the first NaN, if there is one
+    way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
+    slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
+    return RepulsionProgress(slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
+
+
+@compiled
+def _behind(
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    velocity_in_base_mps: NDArray[np.float64],  # (3,) at the first
+    target_in_base_m: NDArray[np.float64],  # (3,)
+    excused: NDArray[np.bool_],  # (n,)
+    speed_mps: float,
+    acceleration_mps2: float,
+    period_s: float,
+) -> tuple[NDArray[np.float64], float]:
+    """How much farther from the target the TCP is than the reference, each tick, and the latter's way [m].
+
+    The reference x at the speed v: v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt, with u = min(v_max,
+    (2 a s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
+    """
+    n = tcp_in_base_m.shape[0]
+    behind = np.zeros(n)
+    x, v, change = tcp_in_base_m[0].copy(), velocity_in_base_mps.copy(), np.empty(3)
+    way = _apart(x, target_in_base_m)
+    left = way
+    for k in range(n):
+        left = _apart(x, target_in_base_m)
+        behind[k] = _apart(tcp_in_base_m[k], target_in_base_m) - left
+        if k == n - 1:
+            break
+        if excused[k]:
+            for i in range(3):
+                step = tcp_in_base_m[k + 1, i] - tcp_in_base_m[k, i]
+                x[i] += step
+                v[i] = step / period_s
+            continue
+        speed = min(speed_mps, sqrt(2.0 * acceleration_mps2 * left), left / period_s)
+        total = 0.0
+        for i in range(3):
+            wanted = speed * (target_in_base_m[i] - x[i]) / left if left > 0.0 else 0.0
+            change[i] = wanted - v[i]
+            total += change[i] * change[i]
+        most = acceleration_mps2 * period_s
+        share = most / sqrt(total) if total > most * most else 1.0
+        for i in range(3):
+            v[i] += share * change[i]
+            x[i] += v[i] * period_s
+    return behind, way - left
+
+
+@compiled
+def _apart(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """|a - b| of two points (3,)."""
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

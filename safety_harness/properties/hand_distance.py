@@ -8,27 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
-from safety_harness.properties.hand_paths import HandPaths, first_stray, hand_bend_m, hand_paths
-from safety_harness.properties.true_motion import capsules_of, joint_reach_m, true_motion
-from safety_harness.robot.closest_approach import MAX_BISECTIONS, approach_between
-from safety_harness.robot.description import load_arm
+from safety_harness.properties.true_motion import (
+    HandPaths,
+    arm_of,
+    capsules_of,
+    first_stray,
+    hand_bend_m,
+    hand_paths,
+    true_motion,
+)
+from safety_harness.robot.capsules import Arm
+from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
+from safety_harness.settings import DEFAULTS
 from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
-READS = (
-    "joint_position_rad",
-    "joint_velocity_radps",
-    "transform_tcp_to_base",
-    "hand_position_in_base_m",
-    "elbow_position_in_base_m",
-    "hand_distance_m",
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,11 +54,16 @@ class HandDistance:
         """As the catalogue writes it."""
         return f"hand distance never below {self.minimum_m * 1e3:g} mm"
 
+    @readable(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach, between ticks too."""
-        problem = unreadable(trace, READS)
-        if problem is not None:
-            return inconclusive(self, problem)
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
@@ -114,26 +119,17 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
 
 def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
     """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
-    arm = load_arm(trace.scenario.robot.arm_name)
     settings = trace.scenario.settings
-    capsules = capsules_of(trace)
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         least_m, index, fraction = _closest_in_trace(
-            arm.joint_origins,
-            arm.joint_axes,
-            arm.flange,
-            capsules.link_index,
-            capsules.start_in_link,
-            capsules.end_in_link,
-            capsules.radius_m,
+            arm_of(trace),
             joints_rad,
             hand_m,
             elbow_m,
             distance_m,
             slack_m,
-            joint_reach_m(trace),
             settings.hand.radius_m,
             settings.hand.forearm_radius_m,
             RESOLUTION_M,
@@ -181,7 +177,7 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     length of the chain of links that the joint moves.
     """
     period_s = trace.scenario.settings.clock.control_period_s
-    return _joint_bends(true_motion(trace).rates_radps, joint_reach_m(trace), period_s)
+    return _joint_bends(true_motion(trace).rates_radps, arm_of(trace).reach_m, period_s)
 
 
 @compiled
@@ -190,6 +186,7 @@ def _joint_bends(
     reach_m: NDArray[np.float64],  # (6,)
     period_s: float,
 ) -> NDArray[np.float64]:
+    """(n-1,) dt/4 sum over joints of |q'_(k+1) - q'_k| l [m], with l of ``chain_lengths``."""
     found = np.zeros(max(rates_radps.shape[0] - 1, 0))
     for k in range(found.shape[0]):
         for joint in range(6):
@@ -200,19 +197,12 @@ def _joint_bends(
 
 @compiled
 def _closest_in_trace(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
+    arm: Arm,
     joints_rad: NDArray[np.float64],  # (n, 6)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
     distance_m: NDArray[np.float64],  # (n,) at the ticks, inf elsewhere
     slack_m: NDArray[np.float64],  # (n - 1,)
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
@@ -228,33 +218,26 @@ def _closest_in_trace(
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
-    transforms, placed = np.empty((8, 4, 4)), np.empty((radius_m.shape[0], 2, 3))
-    room = np.empty((MAX_BISECTIONS + 1, radius_m.shape[0], 2, 3))
+    transforms, ends = np.empty((8, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
     k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
         if not known:
-            forward_kinematics(joint_origins, joint_axes, flange, joints_rad[k], transforms)
-            place_capsules(transforms, link_index, start_in_link, end_in_link, placed)
+            forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+            place_capsules(arm.capsules, transforms, ends)
             left_m, _ = hand_distance(
-                placed, radius_m, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
+                arm.capsules, ends, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
             )
         first, known = k, False
         while k < distance_m.shape[0] - 1:
-            left_m -= _displacement(joints_rad, hands_m, elbows_m, reach_m, k)
+            left_m -= _displacement(joints_rad, hands_m, elbows_m, arm.reach_m, k)
             if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
                 break
             k += 1
         if k > first:
             continue
-        bound, where, left_m = approach_between(
-            joint_origins,
-            joint_axes,
-            flange,
-            link_index,
-            start_in_link,
-            end_in_link,
-            radius_m,
-            reach_m,
+        bound, where, left_m = closest_approach_between(
+            arm,
             room,
             joints_rad[k],
             joints_rad[k + 1],
@@ -293,13 +276,11 @@ def _displacement(
 
 
 HAND_DISTANCE = CatalogueEntry(
-    example="hand distance never below 50 mm",
+    prop=HandDistance(minimum_m=0.05, near_m=DEFAULTS.avoidance.critical_distance_m),
     pattern=r"hand distance never below (.+)",
     make=lambda match, scenario, place: HandDistance(
-        minimum_m=quantity(match[1], LENGTH, place),
-        near_m=scenario.settings.avoidance.critical_distance_m,
+        minimum_m=quantity(match[1], LENGTH, place), near_m=scenario.settings.avoidance.critical_distance_m
     ),
-    unit=Unit.LENGTH,
     rationale="contact with a moving robot is the hazard itself",
     source="ISO/TS 15066, the protective separation distance as a constant",
     margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.units import LENGTH
@@ -34,11 +34,9 @@ class HandPredictions:
         """As the catalogue writes it."""
         return f"hand predictions within {self.maximum_m * 1e3:g} mm"
 
+    @readable("hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
-        problem = unreadable(trace, ("hand_position_in_base_m",))
-        if problem is not None:
-            return inconclusive(self, problem)
         if not trace.scenario.hands:
             return inconclusive(self, "there is no hand in this scenario")
         errors_m = prediction_errors_m(trace)  # (k, tracks)
@@ -86,6 +84,7 @@ def _errors(
     at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
     errors_m: NDArray[np.float64],  # (k, tracks), written
 ) -> None:
+    """Least over hands of |predicted - true| [m], the true one straight between the ticks around ``at``."""
     last = hands_m.shape[0] - 1
     for k in range(at.shape[0]):
         before = int(at[k])
@@ -126,10 +125,9 @@ def _tracked(
 
 
 HAND_PREDICTIONS = CatalogueEntry(
-    example="hand predictions within 50 mm",
+    prop=HandPredictions(maximum_m=0.05),
     pattern=r"hand predictions within (.+)",
     make=lambda match, _, place: HandPredictions(maximum_m=quantity(match[1], LENGTH, place)),
-    unit=Unit.LENGTH,
     rationale="the arm gives way to the predicted hand: an error of the prediction is one of the distance",
     source="the paper, eqs. 7 and 8: a Kalman filter for the hand's box, extrapolated by the horizon",
     margin="the limit less the greatest distance of a prediction from the nearest true hand at the time that "

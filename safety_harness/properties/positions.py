@@ -1,30 +1,32 @@
 """What a position to give way to was worth, and whether the arm went there or stopped: from the truth alone.
 
 Nothing here believes what the gate noted down: the opposite pose is computed again, and so is whether
-a position could have been used.
+a position could have been used: whether it can be reached is a claim of its own.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
-from safety_harness.properties.base import is_somewhere
-from safety_harness.properties.clearance import clearances_m
-from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.reference import RepulsionProgress, progress
-from safety_harness.properties.repulsive_pose import reach_m
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
+from safety_harness.properties.clear_ways import clearances_m
+from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.straight_way import straight_way
-from safety_harness.trace.records import Mode
-from safety_harness.trace.trace import Trace
+from safety_harness.robot.inverse import InverseKinematics, straight_way
+from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.trace import Trace, once_a_trace
 
 WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
+BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
 
 def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
@@ -53,6 +55,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
     predicted hand; clearance of the wrist from the body along the way beyond the gate's 20 mm, or
     beyond that of its start.  NaN if a prediction is not finite.
+
+    ``position_in_base_m`` (3,).
     """
     settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
     spare = reach_m(trace, decision, position_in_base_m) - REACH_MARGIN_M
@@ -86,6 +90,8 @@ def gone_towards(
 
     The reference begins ``after_ticks`` after the decision, with the TCP's place and speed of then; None
     if the repulsion was over by then.
+
+    ``target_in_base_m`` (3,).
     """
     last = last_tick(trace, number)
     decision = trace.decisions[number : number + 1].copy()
@@ -112,3 +118,122 @@ def stopped_m(trace: Trace, tick: int) -> float:
     way_m = float(np.linalg.norm(np.diff(tcp_in_base, axis=0), axis=1).sum())
     allowed_s = braking.reaction_time_s + 0.5 * stop_s + period_s
     return speed_mps * allowed_s + STOP_SLACK_M - way_m
+
+
+@lru_cache
+def _kinematics(arm_name: str) -> InverseKinematics:
+    return InverseKinematics(load_arm(arm_name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepulsivePosesReachable:
+    """Every repulsive position can be reached by inverse kinematics along the straight way there.
+
+    Margin of one decision: how much farther along the line from the TCP through the position the
+    arm could go, continuously, within its joint limits and away from singularities (at most
+    100 mm is looked for); negative by what is missing to the position.  ``proposed`` judges what the
+    avoider said, otherwise what the system chose after its checks.  The way begins where the arm
+    truly was.
+
+    Source: table 4 of the paper, which counts positions "out of the reach range of the robot".
+    """
+
+    proposed: bool
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return "proposed repulsive poses reachable" if self.proposed else "repulsive poses reachable"
+
+    @readable("joint_position_rad", "transform_tcp_to_base")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every decision's position."""
+        field = "proposed_position_in_base_m" if self.proposed else "chosen_position_in_base_m"
+        worst, worst_time_s, count = np.inf, 0.0, 0
+        for decision in trace.decisions:
+            position_in_base_m = decision[field]
+            if not self.proposed and decision["outcome"] == DecisionOutcome.STOP:
+                continue  # nothing was chosen: the arm stops where it is
+            count += 1
+            margin = reach_m(trace, decision, position_in_base_m)
+            if not margin >= worst:
+                worst, worst_time_s = margin, float(decision["time_s"])
+        if count == 0:
+            return inconclusive(self, "never exercised: no repulsive position was asked for")
+        return judged(
+            self,
+            trace,
+            margin=worst,
+            worst_time_s=worst_time_s,
+            reason=f"worst of {count}" if count > 1 else "one position",
+            exercised=count,
+        )
+
+
+def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """How much farther than a position the straight way there goes; minus the radius for no position.
+
+    The way begins where the arm truly was at the decision.  Several claims ask for the same ways.
+
+    ``position_in_base_m`` (3,).
+    """
+    if not is_somewhere(position_in_base_m):
+        return -trace.scenario.settings.avoidance.radius_m
+    known, key = _reaches_m(trace), (int(decision["tick"]), position_in_base_m.tobytes())
+    if key not in known:
+        tick = trace.ticks[decision["tick"]]
+        known[key] = reach_margin(
+            tick["joint_position_rad"],
+            tick["transform_tcp_to_base"][:3, 3],
+            position_in_base_m,
+            trace.scenario.settings.motion.min_singular_value,
+            trace.scenario.robot.arm_name,
+        )
+    return known[key]
+
+
+@once_a_trace
+def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
+    """By tick and position, those that somebody has asked for."""
+    return {}
+
+
+def reach_margin(
+    joint_position_rad: NDArray[np.float64],  # (6,)
+    tcp_position_in_base_m: NDArray[np.float64],  # (3,)
+    position_in_base_m: NDArray[np.float64],  # (3,)
+    min_singular_value: float,
+    arm_name: str = "ur10",
+) -> float:
+    """How far beyond (or, negative, short of) ``position_in_base_m`` the straight way goes [m]."""
+    way = position_in_base_m - tcp_position_in_base_m
+    length_m = float(np.linalg.norm(way))
+    if length_m == 0.0:
+        return 0.0
+    reach_m = _kinematics(arm_name).reach_along(
+        joint_position_rad, way / length_m, length_m + BEYOND_M, min_singular_value=min_singular_value
+    )
+    return reach_m - length_m
+
+
+def _entry(*, proposed: bool) -> CatalogueEntry:
+    prop = RepulsivePosesReachable(proposed=proposed)
+    return CatalogueEntry(
+        prop=prop,
+        rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
+        source="the paper, table 4",
+        margin="the same for what the avoider proposed, before the gate"
+        if proposed
+        else "how far beyond the chosen position the straight way goes on being reachable within the joint "
+        "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
+        parameters="the least singular value of the settings",
+        exercised="a decision was made" if proposed else "a position was chosen",
+        scenario="hand-visits-and-leaves",
+        broken_by="an avoider that proposes a position two metres away"
+        + ("" if proposed else ", behind a gate that passes everything"),
+    )
+
+
+REPULSIVE_POSES = _entry(proposed=False)
+PROPOSED_POSES = _entry(proposed=True)

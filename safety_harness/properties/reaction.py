@@ -1,4 +1,7 @@
-"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there."""
+"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there.
+
+Where nobody is it does not, nor does it go to and fro between giving way and its task.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +17,20 @@ from safety_harness.properties.base import (
     HORIZON_M,
     Evaluation,
     Unit,
+    begins_at,
     inconclusive,
     judged,
+    readable,
     runs_of,
     time_left_s,
     times_begun,
-    unreadable,
 )
-from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.true_motion import nearest_hand_m
-from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import Mode
+from safety_harness.scenario.moves import REACHING_MPS
+from safety_harness.scenario.units import LENGTH, TIME
+from safety_harness.settings import Settings
+from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
 
 
@@ -99,11 +105,9 @@ class GivesWay:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
 
+    @readable("transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
-        problem = unreadable(trace, ("transform_tcp_to_base",))
-        if problem is not None:
-            return inconclusive(self, problem)
         near, unknown = _predictions(trace)
         if unknown >= 0:
             return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
@@ -135,11 +139,9 @@ class GivesWayToTrueHand:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
 
+    @readable("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
-        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
-        if problem is not None:
-            return inconclusive(self, problem)
         near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
         return _judged(self, trace, near, zip(*runs_of(near & ~gives_way(trace)), strict=True), "true hand")
 
@@ -175,10 +177,9 @@ def _judged(
 
 
 GIVES_WAY = CatalogueEntry(
-    example="gives way within 100 ms of a predicted hand",
+    prop=GivesWay(within_s=0.1),
     pattern=r"gives way within (.+) of a predicted hand",
     make=lambda match, _, place: GivesWay(within_s=quantity(match[1], TIME, place)),
-    unit=Unit.TIME,
     rationale="every later step takes it for granted that the arm reacts within the time that its separation "
     "allows for",
     source="the paper, section 3.3; the reaction time T_r of ISO/TS 15066",
@@ -192,7 +193,7 @@ GIVES_WAY = CatalogueEntry(
 )
 GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
-    example="gives way within 100 ms of a true hand",
+    prop=GivesWayToTrueHand(within_s=0.1),
     pattern=r"gives way within (.+) of a true hand",
     make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
@@ -205,4 +206,138 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     inconclusive="a run that ends within the time allowed",
     scenario="hidden-by-the-arm",
     broken_by="a hand sensor that is blind",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWayAtMost:
+    """``most`` less how often the arm went from its task to giving way.
+
+    From servoing, or from standing without the object, to repulsing or to a protective stop.  What is
+    decided anew while it gives way counts as one.
+    """
+
+    most: int
+    unit: Unit = Unit.COUNT
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
+
+    @readable()
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Count the transitions."""
+        entered = gives_way_at(trace)
+        if len(entered) == 0:
+            return inconclusive(self, "never exercised: the arm never gave way")
+        return judged(
+            self,
+            trace,
+            margin=float(self.most - len(entered)),
+            worst_time_s=float(trace.time_s[entered[min(len(entered) - 1, self.most)]]),
+            reason=f"gave way {len(entered)} times" if len(entered) > 1 else "gave way once",
+            exercised=len(entered),
+        )
+
+
+def gives_way_at(trace: Trace) -> NDArray[np.int64]:
+    """The ticks at which the arm leaves its task to give way; every run begins with its task."""
+    return np.flatnonzero(begins_at(gives_way(trace)))
+
+
+GIVES_WAY_AT_MOST = CatalogueEntry(
+    prop=GivesWayAtMost(most=3),
+    pattern=r"gives way at most (\S+) times?",
+    make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),
+    rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
+    source="hysteresis, a common demand on switched controllers",
+    margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
+    parameters="the times allowed",
+    exercised="the arm gives way",
+    scenario="hand-returns",
+    broken_by="an avoider that hardly leaves a hand that stays",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoFalseAlarms:
+    """The limit less the distance of the nearest true hand from the TCP whenever the arm gives way.
+
+    Asked where repulsion or a protective stop begins, and at every decision; not while they last, for
+    a hand may leave before they end, nor of stops at a singularity.  The limit is ``within_m``, else the
+    critical distance and what a hand at 2 m/s covers within the prediction horizon: a right prediction
+    can be that far ahead.  A hand farther than twice the limit, or none, counts as twice the limit;
+    where the arm never gave way the margin is the limit.
+
+    Exercised by every tick without a true hand within the limit.
+    """
+
+    within_m: float | None = None
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        words = "never gives way without a hand"
+        return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
+
+    @readable("transform_tcp_to_base", "hand_position_in_base_m")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every beginning of giving way."""
+        limit_m = self.limit_m(trace.scenario.settings)
+        nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
+        alarms = beginnings(trace)
+        worst = int(alarms[np.argmax(nearest_m[alarms])]) if len(alarms) else 0
+        reason = "the arm never gave way"
+        if len(alarms):
+            far = nearest_m[worst] >= 2.0 * limit_m
+            reason = "nobody" if far else f"nearest hand {nearest_m[worst] * 1e3:.1f} mm from the TCP"
+            reason += f", worst of {len(alarms)} alarms" if len(alarms) > 1 else ""
+        return judged(
+            self,
+            trace,
+            margin=limit_m - float(nearest_m[worst]) if len(alarms) else limit_m,
+            worst_time_s=float(trace.time_s[worst]),
+            reason=reason,
+            exercised=int(np.count_nonzero(nearest_m > limit_m)),
+        )
+
+    def limit_m(self, settings: Settings) -> float:
+        """How far a hand may be that the arm gives way to."""
+        if self.within_m is not None:
+            return self.within_m
+        horizon_s = settings.hand_filter.prediction_horizon_s
+        return settings.avoidance.critical_distance_m + REACHING_MPS * horizon_s
+
+
+@once_a_trace
+def beginnings(trace: Trace) -> NDArray[np.int64]:
+    """The ticks (k,) at which the arm begins to give way or decides to, stops at a singularity apart."""
+    begins = begins_at(gives_way(trace))
+    begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
+    begins[trace.decisions["tick"]] = True
+    return np.flatnonzero(begins)
+
+
+def _entry(prop: NoFalseAlarms, parameters: str) -> CatalogueEntry:
+    return CatalogueEntry(
+        prop=prop,
+        rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
+        source="the project's own",
+        margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
+        parameters=parameters,
+        exercised="no true hand is within the limit, for a tick at least",
+        scenario="fault-false-hand",
+        broken_by="a controller whose own critical distance is too long",
+    )
+
+
+FALSE_ALARMS = _entry(
+    NoFalseAlarms(), "critical distance and prediction horizon of the settings, hands of at most 2 m/s"
+)
+FALSE_ALARMS_WITHIN = replace(
+    _entry(NoFalseAlarms(within_m=0.6), "the limit"),
+    pattern=r"never gives way without a hand within (.+)",
+    make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
 )

@@ -1,4 +1,6 @@
-"""The protective separation distance of ISO/TS 15066, term by term, of every pair of robot and human.
+"""Speed and separation monitoring: while the arm moves, every human is far enough away for it to stop.
+
+That is the protective separation distance of ISO/TS 15066, term by term, of every pair of robot and human.
 
 S_p = S_h + S_r + S_s + C + Z_d + Z_r: what the human covers until the robot stands (S_h), what the
 robot covers in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it
@@ -7,14 +9,42 @@ is noticed (C), and how uncertain the places of human (Z_d) and robot (Z_r) are.
 A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its
 own speeds, those of its two nearest points along the line between them: the robot's is the rate at
 which the distance would shrink if the human stood still.  Receding counts as standing.
+
+``least_separation`` finds the pair with least to spare in a run, compiled: every pair, or a bound of it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import sqrt
 
-from safety_harness.compiled import compiled
+import numpy as np
+from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled, inlined
+from safety_harness.controller.stack import STANDSTILL_RADPS
+from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    readable,
+    runs_of,
+    times_begun,
+)
+from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
+from safety_harness.robot.capsules import Arm
+from safety_harness.robot.distance import place_capsules
+from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.scenario.units import SPEED
+from safety_harness.settings import Settings
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace, once_a_trace
+
+WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
+GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
 ASSUMED = (
     ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
     ("S_r", "the robot goes on at its speed towards the human for the reaction time, v_r T_r"),
@@ -101,3 +131,456 @@ def lengths(
         hand_moves_m,
         robot_moves_m,
     )
+
+
+@compiled
+def least_separation(
+    arm: Arm,
+    judged: NDArray[np.bool_],  # (n,) which ticks count
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    present: NDArray[np.bool_],  # (n, hands)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3): hand and elbow
+    reaction_s: NDArray[np.float64],  # (n,) what is left of the reaction time
+    stop_s: NDArray[np.float64],  # (n,) and of the stop time
+    body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
+    hand_speed_mps: float,  # constant, or NaN for each hand's own
+    period_s: float,
+    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
+    hand_step_m: NDArray[np.float64],  # (n,)
+    first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The pair with the least margin, the first of equals.
+
+    (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
+    distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
+
+    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
+    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
+    The trace's own distances are not believed.
+    """
+    which, what = np.full(4, -1), np.full(5, np.nan)
+    capsules = arm.capsules.shape[0]
+    transforms, ends = np.empty((8, 4, 4)), np.empty((capsules, 2, 3))
+    twists, fastest_mps, velocities = np.empty((7, 6)), np.empty(capsules), np.empty((2, 3))
+    apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
+    thickest_m = max(body_radius_m[0], body_radius_m[1])
+    least, good_enough = np.inf, np.inf
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
+    for step in range(-1, judged.shape[0]):
+        k = step if step >= 0 else first_look
+        if step > 0:
+            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
+        elif step == 0:
+            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
+        if not judged[k]:
+            continue
+        human_mps = hand_step_m[k] / period_s
+        v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
+        most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
+        per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
+        if near_m - most_human_m > good_enough:
+            arm_now_mps = arm_mps + faster_mps(joints_rad, rates_radps, arm.reach_m, looked, k)
+            if near_m - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
+                continue  # never for a NaN, which must come out
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        _twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        looked, near_m, arm_mps = k, np.inf, 0.0
+        for capsule in range(capsules):
+            link = min(arm.capsules[capsule].link_index, 6)
+            fastest_mps[capsule] = _fastest_end(twists[link], ends[capsule])
+            if not fastest_mps[capsule] <= arm_mps:
+                arm_mps = fastest_mps[capsule]
+        for hand in range(present.shape[1]):
+            if not present[k, hand]:
+                continue
+            for body in range(2):
+                for i in range(3):
+                    velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
+            for capsule in range(capsules):
+                radius_m = arm.capsules[capsule].radius_m
+                most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
+                lower_m = axes_lower_m(hands_m[k, hand], ends[capsule]) - radius_m - thickest_m
+                if lower_m - most_human_m - most_arm_m > good_enough:
+                    near_m = min(near_m, lower_m)
+                    continue
+                for body in range(2):
+                    start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
+                    _, _, _, s, t = nearest_of_segments(start, end, ends[capsule, 0], ends[capsule, 1])
+                    total = 0.0
+                    for i in range(3):
+                        robot[i] = ends[capsule, 0, i]
+                        robot[i] += t * (ends[capsule, 1, i] - ends[capsule, 0, i])
+                        apart[i] = start[i] + s * (end[i] - start[i]) - robot[i]
+                        total += apart[i] * apart[i]
+                        human[i] = velocities[0, i]
+                        human[i] += s * (velocities[body, i] - velocities[0, i])
+                    axes = sqrt(total)
+                    distance = axes - radius_m - body_radius_m[body]
+                    near_m = min(near_m, distance)
+                    own_speed = _along(human, apart, -axes)
+                    hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
+                    hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
+                    human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
+                    if distance - human_m - most_arm_m > good_enough:
+                        continue
+                    link = min(arm.capsules[capsule].link_index, 6)
+                    robot[0], robot[1], robot[2] = _velocity(twists[link], robot)
+                    robot_speed = _along(robot, apart, axes)
+                    robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
+                    needed = 0.0
+                    for length in lengths(
+                        hand_speed, robot_speed, reaction_s[k], stop_s[k], hand_moves, robot_moves
+                    ):
+                        needed += length
+                    if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
+                        least = distance - needed
+                        good_enough = min(good_enough, least)
+                        which[0], which[1], which[2], which[3] = k, hand, capsule, body
+                        what[0], what[1], what[2] = distance, robot_speed, hand_speed
+                        what[3], what[4] = hand_moves, robot_moves
+                        if np.isnan(least) and step >= 0:
+                            return which, what
+    return which, what
+
+
+@compiled
+def farthest_steps(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
+    present: NDArray[np.bool_],  # (n, hands)
+    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
+
+    Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
+    """
+    n = joints_rad.shape[0]
+    arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        farthest = 0.0
+        for i in range(6):
+            arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+        for hand in range(hands_m.shape[1]):
+            if present[k, hand] != present[k + 1, hand]:
+                farthest = np.inf
+            if not (present[k, hand] and present[k + 1, hand]):
+                continue  # what stands where no hand is need not be a number
+            for body in range(2):
+                total = 0.0
+                for i in range(3):
+                    total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
+                if not total <= farthest:
+                    farthest = total
+        hand_step_m[k] = sqrt(farthest)
+    if n > 1:
+        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
+    return arm_step_m, hand_step_m
+
+
+@inlined
+def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
+    """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before.
+
+    ``hands_m`` (n, hands, 2, 3).
+    """
+    n = hands_m.shape[0]
+    if n < 2:
+        return 0.0
+    before = min(k, n - 2)
+    return float((hands_m[before + 1, hand, body, i] - hands_m[before, hand, body, i]) / period_s)
+
+
+@inlined
+def faster_mps(
+    joints_rad: NDArray[np.float64],  # (n, 6)
+    rates_radps: NDArray[np.float64],  # (n, 6)
+    reach_m: NDArray[np.float64],  # (6,)
+    a: int,
+    b: int,
+) -> float:
+    """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
+
+    sum over j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)| l_max(i, j).
+    Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
+    the chains of links from j, and from the farther out of i and j, to p.
+    """
+    faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    for i in range(6):
+        beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
+    for j in range(6):
+        turn = abs(joints_rad[b, j] - joints_rad[a, j])
+        before += turn
+        beyond -= turn * reach_m[j]
+        faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
+        faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
+    return faster
+
+
+@inlined
+def _twists(
+    joint_axes: NDArray[np.float64],  # (6, 3)
+    transforms: NDArray[np.float64],  # (8, 4, 4)
+    rates_radps: NDArray[np.float64],  # (6,)
+    twists: NDArray[np.float64],  # (7, 6), written
+) -> None:
+    """Of each link: its angular velocity, and the velocity of its point at the base's origin.
+
+    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
+    the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    """
+    twists[0] = 0.0
+    for joint in range(6):
+        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
+        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
+        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
+        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
+        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
+        twists[joint + 1, 0] = twists[joint, 0] + wx
+        twists[joint + 1, 1] = twists[joint, 1] + wy
+        twists[joint + 1, 2] = twists[joint, 2] + wz
+        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
+        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
+        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
+
+
+@inlined
+def _velocity(twist: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[float, float, float]:
+    """The velocity v + w x p [m/s] of a point p (3,) of a link, both in the base frame."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        twist[3] + twist[1] * z - twist[2] * y,
+        twist[4] + twist[2] * x - twist[0] * z,
+        twist[5] + twist[0] * y - twist[1] * x,
+    )
+
+
+@inlined
+def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
+    """The speed [m/s] of the faster of two points (2, 3) of a link."""
+    fastest = 0.0
+    for end in range(2):
+        x, y, z = _velocity(twist, ends[end])
+        total = x * x + y * y + z * z
+        if not total <= fastest:
+            fastest = total
+    return sqrt(fastest)
+
+
+@compiled
+def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
+    """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none.
+
+    ``velocity`` and ``way`` (3,).
+    """
+    if length == 0.0:
+        return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    return float(max(total / length, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProtectiveSeparation:
+    """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
+
+    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for WALKING_MPS.  With
+    ``own_speeds`` it is that of each hand's and forearm's own nearest point at that tick.  The robot's
+    v_r is that of the link's nearest point towards the human, never below zero.  Both are those of
+    the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
+    one that should be farther away.
+
+    T_r and T_s are the settings' (T_s at the TCP speed of that tick).  Once a protective stop is
+    under way only what is left of them counts: a stop that begins in time is no violation later on.
+
+    Exercised when a hand comes as near to the moving arm as S_p can be for an arm at its speed limit.
+    """
+
+    hand_speed_mps: float | None = None
+    own_speeds: bool = False
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        if self.own_speeds:
+            return "protective separation kept from hands at their own speeds"
+        if self.hand_speed_mps is None:
+            return "protective separation kept"
+        return f"protective separation kept at {self.hand_speed_mps:g} m/s"
+
+    @property
+    def assumed_mps(self) -> float:
+        """The v_h that is taken where the hands' own speeds are not."""
+        return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
+
+    @readable(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "tcp_speed_mps",
+        "hand_position_in_base_m",
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the pair that has least to spare."""
+        if not trace.scenario.hands:
+            return inconclusive(self, "there is no hand in this scenario")
+        worst = self.worst(trace)
+        if worst is None:
+            return inconclusive(self, "never exercised: the arm did not move while a hand was there")
+        near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
+        return judged(
+            self,
+            trace,
+            margin=worst.margin_m,
+            worst_time_s=float(trace.time_s[worst.tick]),
+            reason=described(trace, worst),
+            exercised=times_begun(near),
+        )
+
+    def worst(self, trace: Trace) -> Separation | None:
+        """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
+        settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
+        reaction_s, stop_s = times_left_s(trace)
+        which, what = least_separation(
+            arm_of(trace),
+            turns,
+            true.joints_rad,
+            true.rates_radps,
+            true.present,
+            true.hands_m,
+            reaction_s,
+            stop_s,
+            np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
+            np.nan if self.own_speeds else self.assumed_mps,
+            settings.clock.control_period_s,
+            *_steps_m(trace),
+            int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
+        )
+        tick, hand, capsule, body = (int(value) for value in which)
+        if tick < 0:
+            return None
+        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in what)
+        return Separation(
+            tick=tick,
+            hand=hand,
+            capsule=capsule,
+            forearm=body == 1,
+            distance_m=distance_m,
+            robot_speed_mps=robot_mps,
+            hand_speed_mps=hand_mps,
+            reaction_time_s=float(reaction_s[tick]),
+            stop_time_s=float(stop_s[tick]),
+            terms=separation_terms(
+                hand_speed_mps=hand_mps,
+                robot_speed_mps=robot_mps,
+                reaction_time_s=float(reaction_s[tick]),
+                stop_time_s=float(stop_s[tick]),
+                hand_moves_m=hand_moves_m,
+                robot_moves_m=robot_moves_m,
+            ),
+        )
+
+    def largest_m(self, settings: Settings) -> float:
+        """S_p for an arm that heads for a human at its speed limit: how near is near."""
+        fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+        braking = settings.braking
+        stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+        return sum(lengths(self.assumed_mps, fastest_mps, braking.reaction_time_s, stop_s, 0.0, 0.0))
+
+
+@once_a_trace
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``."""
+    true = true_motion(trace)
+    return farthest_steps(true.joints_rad, true.hands_m, true.present, arm_of(trace).reach_m)
+
+
+@once_a_trace
+def moving(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) does any joint turn, by the controller's own bound for a standstill?"""
+    return _moving(true_motion(trace).rates_radps)
+
+
+@compiled
+def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) is any |q'| of ``rates_radps`` (n, 6) at least STANDSTILL_RADPS?"""
+    turns = np.zeros(rates_radps.shape[0], np.bool_)
+    for k in range(rates_radps.shape[0]):
+        for joint in range(rates_radps.shape[1]):
+            turns[k] |= abs(rates_radps[k, joint]) >= STANDSTILL_RADPS
+    return turns
+
+
+@once_a_trace
+def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
+
+    All of both, but while a protective stop is carried out (the BRAKING flag of the drives): of an
+    arm that still moves when its ramp has been over for two ticks again all of both.
+    """
+    braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
+    speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
+    reaction_s = np.full(len(time_s), braking.reaction_time_s)
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    stopping = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    whole_s = stop_s.copy()
+    for first, after in zip(*runs_of(stopping), strict=True):
+        run = slice(first, after)
+        left_s = reaction_s[run] - (time_s[run] - time_s[first])
+        braked = left_s <= 1e-9
+        ramp_s = left_s + (whole_s[first + int(np.argmax(braked))] if braked.any() else 0.0)
+        late_s = ramp_s + GRACE_TICKS * period_s
+        ramped = braked & (late_s > 0.0)
+        reaction_s[run] = np.where(ramped, 0.0, np.where(braked, reaction_s[run], left_s))
+        stop_s[run] = np.where(ramped, np.maximum(late_s, 0.0), whole_s[run])
+    return reaction_s, stop_s
+
+
+def described(trace: Trace, found: Separation) -> str:
+    """The pair and its terms in a sentence."""
+    part = capsules_of(trace).names[found.capsule].replace("_", " ")
+    whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
+    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
+    return (
+        f"{whose} {found.distance_m * 1e3:.1f} mm from {part}; needed are {found.required_m * 1e3:.1f} mm = "
+        f"{terms} (arm {found.robot_speed_mps * 1e3:.0f} mm/s towards it, v_h {found.hand_speed_mps:.2f} m/s)"
+    )
+
+
+def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> CatalogueEntry:
+    return CatalogueEntry(
+        prop=prop,
+        rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
+        "either comes: this is the distance at which stopping still helps",
+        source="ISO/TS 15066, 5.5.4 (now in ISO 10218-2:2025): S_p = S_h + S_r + S_s + C + Z_d + Z_r",
+        margin=margin,
+        parameters=parameters,
+        exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
+        inconclusive="the arm did not move while a hand was there",
+        scenario="hand-visits-and-leaves",
+        broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+    )
+
+
+_TIMES = "reaction time, stop time and hand sizes of the settings"
+_MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
+
+PROTECTIVE_SEPARATION = _entry(ProtectiveSeparation(), parameters=f"v_h = 1.6 m/s; {_TIMES}", margin=_MARGIN)
+
+
+PROTECTIVE_SEPARATION_AT = replace(
+    _entry(
+        ProtectiveSeparation(hand_speed_mps=2.0),
+        parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
+        margin=_MARGIN,
+    ),
+    pattern=r"protective separation kept at (.+)",
+    make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
+)
+PROTECTIVE_SEPARATION_OWN = _entry(
+    ProtectiveSeparation(own_speeds=True),
+    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
+    margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
+)

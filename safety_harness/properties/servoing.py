@@ -1,29 +1,44 @@
 """Servoing gets there once the hands have left: gain switch reached, and converged.
 
-Both are judged against the closed form of eq. 1 with the right interaction matrix: the error
-decays as exp(-lambda t), so from an error d the threshold c takes ln(d/c)/lambda seconds.  A run
-that ends before the time allowed is no evidence.
+On the way the task never starves, and the camera keeps the object in view.  The first two are judged
+against the closed form of eq. 1 with the right interaction matrix: the error decays as exp(-lambda t), so
+from an error d the threshold c takes ln(d/c)/lambda seconds.  A run that ends before the time allowed is
+no evidence.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import floor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s, unreadable
-from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    readable,
+    runs_of,
+    time_left_s,
+)
+from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
+from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
+LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
+LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
+MOVES_MPS = 1e-3
 
 
 @once_a_trace
@@ -61,6 +76,7 @@ def _squared_distances(
     points: NDArray[np.float64],  # (n, 3)
     place: NDArray[np.float64],  # (3,)
 ) -> NDArray[np.float64]:
+    """(n,) |p - place|^2 [m^2] of each point."""
     found = np.zeros(points.shape[0])
     for k in range(points.shape[0]):
         for i in range(3):
@@ -108,11 +124,9 @@ class GainSwitchReached:
         """As the catalogue writes it."""
         return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
 
+    @readable("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
-        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
-        if problem is not None:
-            return inconclusive(self, problem)
         first = left_at(trace)
         if first is None:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
@@ -172,11 +186,9 @@ class Converged:
     unit: Unit = Unit.LENGTH
     sentence: str = "converged to the desired pose"
 
+    @readable("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the last tick."""
-        problem = unreadable(trace, ("transform_tcp_to_base", "hand_position_in_base_m"))
-        if problem is not None:
-            return inconclusive(self, problem)
         first = left_at(trace)
         if first is None:
             return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
@@ -212,10 +224,7 @@ class Converged:
 
 
 GAIN_SWITCH = CatalogueEntry(
-    example="gain switch reached",
-    pattern="gain switch reached",
-    make=lambda *_: GainSwitchReached(),
-    unit=Unit.TIME,
+    prop=GainSwitchReached(),
     rationale="an avoider that leaves the arm where servoing cannot go on ends the task",
     source="the paper, eq. 15",
     margin="time left of 1.25 times the closed form plus 1 s, counted from when the last hand has left",
@@ -226,26 +235,18 @@ GAIN_SWITCH = CatalogueEntry(
     broken_by="a controller that does nothing",
 )
 
-GAIN_SWITCH_WITHIN = CatalogueEntry(
-    example="gain switch reached within 5 s",
+GAIN_SWITCH_WITHIN = replace(
+    GAIN_SWITCH,
+    prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
     make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
-    unit=Unit.TIME,
     rationale="the same, for a cell with a cycle time",
-    source="the paper, eq. 15",
     margin="time left of the time allowed",
     parameters="the time allowed",
-    exercised="the error is above the switch after the last hand has left",
-    inconclusive="a hand is near to the end, or the run ends before the time allowed",
-    scenario="servoing-alone",
-    broken_by="a controller that does nothing",
 )
 
 CONVERGED = CatalogueEntry(
-    example="converged to the desired pose",
-    pattern="converged to the desired pose",
-    make=lambda *_: Converged(),
-    unit=Unit.LENGTH,
+    prop=Converged(),
     rationale="small image errors can belong to another pose of the same triangle",
     source="the P3P ambiguity of a triangle; judged by pose",
     margin="1 mm less the distance at the end (and 0.1 degree)",
@@ -254,4 +255,207 @@ CONVERGED = CatalogueEntry(
     inconclusive="the run is shorter than the closed form needs",
     scenario="servoing-alone",
     broken_by="a controller that does nothing",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainSwitchIterations:
+    """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
+
+    within: int
+    unit: Unit = Unit.COUNT
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gain switch reached within {self.within} iterations"
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the first crossing after the hands have left."""
+        period_s = trace.scenario.settings.clock.control_period_s
+        # half a period more, so that no rounding of times decides; the margin is cut to whole ticks
+        timed = GainSwitchReached(within_s=(self.within + 0.5) * period_s).evaluate(trace)
+        found = replace(timed, sentence=self.sentence, unit=self.unit)
+        if timed.margin is None:
+            return found
+        left = floor(timed.margin / period_s)
+        if timed.verdict is Verdict.INCONCLUSIVE:
+            return replace(found, margin=float(left))
+        how = "not reached in" if timed.reason.startswith("not") else "reached after"
+        words = f"{how} {self.within - left} iterations; {self.within} were allowed"
+        return replace(found, margin=float(left), reason=words)
+
+
+GAIN_SWITCH_ITERATIONS = replace(
+    GAIN_SWITCH,
+    prop=GainSwitchIterations(within=600),
+    pattern=r"gain switch reached within (\S+) iterations",
+    make=lambda match, _, place: GainSwitchIterations(within=count(match[1], place)),
+    rationale="the same in the paper's measure, which does not depend on the control period",
+    source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
+    margin="iterations left of those allowed, counted in control ticks from when the last hand has left",
+    parameters="the iterations allowed",
+    inconclusive="a hand is near to the end, or the run ends before the iterations allowed",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeverStarved:
+    """``longest_s`` less the longest time that the task was starved.
+
+    The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians; below the
+    root of the gain switch the task is done.  Time is lost at every tick at which it is not done and the
+    controller does not servo, or does with less than a tenth of the closed form's rate lambda |e|.  What
+    was lost is made good when the error is 1 mm smaller than ever since the task was last done: so a
+    system that servoes and gives way in turns, without ever getting nearer, starves.
+    """
+
+    longest_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"task never starved longer than {self.longest_s:g} s"
+
+    @readable("transform_tcp_to_base")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the whole run."""
+        if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
+            return inconclusive(self, "the run is not longer than the task may starve")
+        lost, away = lost_ticks(trace)
+        worst = int(np.argmax(lost))
+        margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
+        if lost[-1] > 0 and margin_s >= 0.0:
+            open_s = trace.time_s[lost[-1]]
+            return inconclusive(
+                self, f"starved for {open_s:.2f} s when the run ends", exercised=int(away.sum())
+            )
+        return judged(
+            self,
+            trace,
+            margin=margin_s,
+            worst_time_s=float(trace.time_s[worst]),
+            reason=f"longest {trace.time_s[lost[worst]]:.2f} s",
+            exercised=int(np.count_nonzero(away)),
+        )
+
+
+def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(n,) for how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
+    settings = trace.scenario.settings
+    distance_m, angle_rad = pose_errors(trace)
+    error = np.hypot(distance_m, angle_rad)
+    done_below = float(np.sqrt(settings.servo.gain_switch_sse))
+    lost = np.zeros(len(error), np.int64)
+    _lose(
+        error,
+        history(trace, "mode") == Mode.SERVOING,
+        done_below,
+        LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s,
+        lost,
+    )
+    return lost, error >= done_below
+
+
+@compiled
+def _lose(
+    error: NDArray[np.float64],  # (n,)
+    servoing: NDArray[np.bool_],  # (n,)
+    done_below: float,
+    least_share: float,  # of the error, in one tick
+    lost: NDArray[np.int64],  # (n,), written
+) -> None:
+    """Count the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
+    best = error[0]
+    for k in range(1, error.shape[0]):
+        if error[k] < done_below:
+            best, lost[k] = done_below, 0
+        elif error[k] < best - LEAST_GAIN_M:
+            best, lost[k] = error[k], 0
+        else:
+            on = servoing[k] and error[k - 1] - error[k] >= least_share * error[k]
+            lost[k] = lost[k - 1] + (not on)
+
+
+NEVER_STARVED = CatalogueEntry(
+    prop=NeverStarved(longest_s=10.0),
+    pattern=r"task never starved longer than (.+)",
+    make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),
+    rationale="an arm that stays away for good is safe and of no use, and people will switch its safety off",
+    source="the paper, section 5: servoing is taken up again and converges after giving way",
+    margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
+    "desired pose, since the TCP was last nearer to it than before",
+    parameters="the time allowed; the gain switch and the far gain of the settings",
+    exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
+    inconclusive="the run is not longer than the limit, or ends while the task is starved",
+    scenario="hand-visits-and-leaves",
+    broken_by="a controller that does nothing",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectInView:
+    """``within_s`` less the longest time in which the last image did not show the whole object.
+
+    Before the first image it is not in view.  A loss that lasts to the end of the run, and not yet
+    longer than the limit, leaves open whether the object is recovered in time.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"object in view or recovered within {self.within_s:g} s"
+
+    @readable("tcp_speed_mps")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every loss from its first tick to that of the recovery."""
+        lost = ~trace.ticks["object_visible"]
+        begins, ends = runs_of(lost)
+        times_s = trace.time_s
+        lasted = np.minimum(ends, len(lost) - 1) - begins  # in ticks
+        worst = int(np.argmax(lasted)) if len(begins) else 0
+        longest_s = float(times_s[lasted[worst]]) if len(begins) else 0.0
+        margin_s = time_left_s(trace, self.within_s, int(lasted[worst]) if len(begins) else 0)
+        begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
+        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
+        if bool(lost[-1]) and margin_s >= 0.0:
+            left_s = float(times_s[-1] - times_s[begins[-1]])
+            return inconclusive(
+                self,
+                f"the object has been out of view for {left_s:.2f} s when the run ends",
+                exercised=exercised,
+            )
+        return judged(
+            self,
+            trace,
+            margin=margin_s,
+            worst_time_s=begun_s + min(longest_s, self.within_s),
+            reason=_words(len(begins), longest_s),
+            exercised=exercised,
+        )
+
+
+def _words(losses: int, longest_s: float) -> str:
+    if losses == 0:
+        return "in view all the time"
+    often = "once, for" if losses == 1 else f"{losses} times, longest"
+    return f"out of view {often} {longest_s:.2f} s"
+
+
+OBJECT_IN_VIEW = CatalogueEntry(
+    prop=ObjectInView(within_s=2.0),
+    pattern=r"object in view or recovered within (.+)",
+    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
+    rationale="servoing is blind without the object: giving way must not end the task",
+    source="the paper, section 3: the features are of an object that is seen whole",
+    margin="the limit less the longest time from the image that lost the object to one that shows it whole",
+    parameters="the time allowed",
+    exercised="the TCP moves, or the object is out of view",
+    inconclusive="a loss that lasts to the end of the run and is not yet longer than the limit",
+    scenario="fault-camera-hidden-by-a-hand",
+    broken_by="an avoider that goes sideways on and on, behind a gate that passes everything",
 )

@@ -107,13 +107,6 @@ def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:
 
 
 def _cells(tally: ClaimTally) -> tuple[str, ...]:
-    counts = (
-        tally.runs,
-        tally.exercised,
-        tally.occasions,
-        tally.holds,
-        tally.violated,
-        tally.inconclusive,
-    )
+    counts = (tally.runs, tally.exercised, tally.occasions, tally.holds, tally.violated, tally.inconclusive)
     worst = "NEVER PUT TO THE TEST" if tally.untested else tally.worst_words
     return (tally.sentence, *(str(count) for count in counts), worst)

@@ -1,4 +1,10 @@
-"""What many properties ask of the same trace: where arm and hands truly were."""
+"""What many properties ask of the same trace: where arm and hands truly were, at the ticks and between.
+
+At a tick a trace says where a hand is.  Between two the scenario's own moves are followed again.  Within
+a tick a recorded hand may have turned, at a sample: on the chord from tick to tick such a corner is lost,
+by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
+acceleration is bounded, but leave the chord by what that bound lets them.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.robot.capsules import CapsuleSet, load_capsules
+from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, load_capsules
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import chain_lengths
-from safety_harness.scenario.model import MAX_HANDS
+from safety_harness.scenario.model import MAX_HANDS, RecordedHand
+from safety_harness.simulation.hand_motion import advance_hands, point_forearm
+from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.records import COLUMNS, as_numbers
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 HANDS, ELBOWS = COLUMNS["hand_position_in_base_m"], COLUMNS["elbow_position_in_base_m"]
+SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 assert HANDS.stop == ELBOWS.start
 
 
@@ -65,6 +73,7 @@ def _nearest_m(
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
 ) -> NDArray[np.float64]:
+    """(n,) least over the hands that are there of |hand - tcp| [m]; NaN if one is."""
     nearest = np.full(tcp_m.shape[0], np.inf)
     for k in range(tcp_m.shape[0]):
         for hand in range(present.shape[1]):
@@ -87,9 +96,189 @@ def capsules_of(trace: Trace) -> CapsuleSet:
 
 
 @once_a_trace
-def joint_reach_m(trace: Trace) -> NDArray[np.float64]:
-    """(6,) how far from each joint the farthest point of the arm can be that it moves."""
-    arm, capsules = load_arm(trace.scenario.robot.arm_name), capsules_of(trace)
-    return chain_lengths(
-        arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
+def arm_of(trace: Trace) -> Arm:
+    """The arm of a trace with its capsules and the camera's, for compiled code."""
+    return arm_with(load_arm(trace.scenario.robot.arm_name), capsules_of(trace))
+
+
+@dataclass(frozen=True, eq=False)
+class HandPaths:
+    """What the scenario's hands do along the arm's true way.
+
+    ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``moving`` (n-1, hands):
+    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
+    whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
+    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.
+    """
+
+    positions_in_base_m: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+    corner_hand: NDArray[np.int64]
+    corner_at: NDArray[np.float64]
+    corners_in_base_m: NDArray[np.float64]
+
+
+@once_a_trace
+def hand_paths(trace: Trace) -> HandPaths:
+    """Follow the moves again; hands that head for the TCP see the trace's."""
+    scenario, count = trace.scenario, len(trace.ticks)
+    hands = hands_at_start(scenario)
+    most = len(scenario.hands) * len(hands.samples) + 1
+    positions = np.zeros((count, len(scenario.hands), 2, 3))
+    moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
+    whose, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
+    found = _follow(
+        hands.state,
+        hands.moves,
+        hands.samples,
+        true_motion(trace).tcp_m,
+        scenario.settings.clock.control_period_s,
+        positions,
+        moving,
+        whose,
+        at,
+        corners,
     )
+    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found])
+
+
+def first_stray(trace: Trace, paths: HandPaths) -> int | None:
+    """The first tick at which a hand or elbow of the trace is not where its scenario moves it."""
+    stray = _first_stray(true_motion(trace).hands_m, paths.positions_in_base_m)
+    return stray if stray >= 0 else None
+
+
+def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
+    """(n-1,) how far a hand or its elbow may leave its chord within each tick.
+
+    A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
+    is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
+    towards a fixed point; at the speed v, at least r away from that point, b is at most
+    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  A recorded hand, and its recorded elbow, go straight from
+    corner to corner.
+    """
+    scenario = trace.scenario
+    trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
+    if isinstance(trajectory, RecordedHand):
+        return np.zeros(len(paths.moving))
+    leader = scenario.leader(trajectory)
+    if leader is None:
+        return np.full(len(paths.moving), np.inf)
+    if isinstance(leader, RecordedHand):
+        fastest, hardest = leader.motion.max_speed_mps, 0.0
+    else:
+        fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
+        hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
+    towards = np.array(trajectory.elbow_towards_in_base_m)
+    return _hand_bends(
+        true_motion(trace).hands_m[:, hand, 0],
+        towards,
+        paths.moving[:, hand],
+        fastest,
+        hardest,
+        scenario.settings.hand.forearm_length_m,
+        period_s,
+    )
+
+
+@compiled
+def _hand_bends(
+    hand_m: NDArray[np.float64],  # (n, 3)
+    towards_m: NDArray[np.float64],  # (3,) the point that the elbow is towards
+    moving: NDArray[np.bool_],  # (n - 1,)
+    fastest_mps: float,
+    hardest_mps2: float,
+    length_m: float,
+    period_s: float,
+) -> NDArray[np.float64]:
+    """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it."""
+    bends, after = np.zeros(moving.shape[0]), np.nan
+    for k in range(hand_m.shape[0]):
+        total = 0.0
+        for i in range(3):
+            total += (hand_m[k, i] - towards_m[i]) ** 2
+        before, after = after, sqrt(total)
+        if k == 0 or not moving[k - 1]:
+            continue
+        nearest = max(min(before, after) - fastest_mps * period_s, 1e-9)
+        elbow = hardest_mps2 * (1.0 + length_m / nearest)
+        elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
+        # an elbow is never farther from where it was than the hand's way and twice the forearm
+        bends[k - 1] = min(elbow * period_s**2 / 8.0, fastest_mps * period_s + 2.0 * length_m)
+    return bends
+
+
+@compiled
+def _first_stray(
+    stored_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
+    moved_m: NDArray[np.float64],  # (n, hands, 2, 3)
+) -> int:
+    """The first row in which two positions are not the same, NaN or not, or -1."""
+    for k in range(moved_m.shape[0]):
+        for hand in range(moved_m.shape[1]):
+            for body in range(2):
+                for i in range(3):
+                    a, b = stored_m[k, hand, body, i], moved_m[k, hand, body, i]
+                    same = a == b or abs(a - b) <= SAME_M or (np.isnan(a) and np.isnan(b))
+                    if not same:
+                        return k
+    return -1
+
+
+@compiled
+def _follow(
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND at the start
+    moves: NDArray[np.void],  # (m,) MOVE
+    samples: NDArray[np.float64],  # (s, 7)
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    period_s: float,
+    positions: NDArray[np.float64],  # (n, hands, 2, 3), written
+    moving: NDArray[np.bool_],  # (n - 1, hands), written
+    corner_hand: NDArray[np.int64],  # written, as the next two
+    corner_at: NDArray[np.float64],  # (c,)
+    corners: NDArray[np.float64],  # (., 2, 3)
+) -> int:
+    """Positions at the ticks and corners between them; returns the number of corners.
+
+    ``corner_hand`` (c,), as the next two.
+    """
+    found = 0
+    before = hands.copy()
+    for k in range(positions.shape[0]):
+        for i in range(positions.shape[1]):
+            for j in range(3):
+                positions[k, i, 0, j] = hands[i].position_in_base_m[j]
+                positions[k, i, 1, j] = hands[i].elbow_in_base_m[j]
+        if k == positions.shape[0] - 1:
+            break
+        for i in range(positions.shape[1]):
+            leader = hands[i].leader if hands[i].leader >= 0 else i
+            if not hands[leader].recorded:
+                continue
+            row = hands[leader].first + hands[leader].current + 1
+            while row < hands[leader].first + hands[leader].count and samples[row, 0] < (k + 1) * period_s:
+                if samples[row, 0] > k * period_s:
+                    there = hands[i : i + 1].copy()
+                    for j in range(3):
+                        there[0].position_in_base_m[j] = samples[row, 1 + j] + there[0].apart_in_base_m[j]
+                        there[0].elbow_in_base_m[j] = samples[row, 4 + j]
+                    if leader != i:
+                        point_forearm(there, 0)
+                    corner_hand[found], corner_at[found] = i, samples[row, 0] / period_s
+                    for j in range(3):
+                        corners[found, 0, j] = there[0].position_in_base_m[j]
+                        corners[found, 1, j] = there[0].elbow_in_base_m[j]
+                    found += 1
+                row += 1
+        for i in range(positions.shape[1]):
+            before[i] = hands[i]
+        advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+        for i in range(positions.shape[1]):
+            one = hands[i].leader if hands[i].leader >= 0 else i
+            moves_on = hands[one].current != before[one].current or hands[one].tremor_m > 0.0
+            for j in range(3):
+                moves_on = moves_on or before[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].position_in_base_m[j] != before[one].position_in_base_m[j]
+            moving[k, i] = moves_on
+    return found

@@ -11,8 +11,7 @@ import pytest
 
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InputError
-from safety_harness.pytest_plugin.asking import explained
-from safety_harness.pytest_plugin.plugin import TEST
+from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.space.read import space_of

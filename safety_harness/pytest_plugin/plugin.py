@@ -16,9 +16,18 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
 from safety_harness.scenario.recognised import is_titled
-from safety_harness.testing.profiles import PROFILES, QUICK, profile_named
-from safety_harness.testing.session import FAILURES, Session, TestRun, begin, session
+from safety_harness.testing.session import (
+    FAILURES,
+    PROFILES,
+    QUICK,
+    Session,
+    TestRun,
+    begin,
+    profile_named,
+    session,
+)
 
 if TYPE_CHECKING:
     from safety_harness.pytest_plugin.collecting import ScenarioFile
@@ -65,6 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
     except KeyError:
         expected = ", ".join(profile.name for profile in PROFILES)
         raise pytest.UsageError(f"safety_profile: expected one of {expected}; got {name!r}") from None
+    report = config.getoption("safety_report")  # as seen from where pytest was started
     new = Session(
         root=config.rootpath,
         profile=profile,
@@ -72,17 +82,14 @@ def pytest_configure(config: pytest.Config) -> None:
         seed=_seed(config),
         avoider=config.getoption("avoider"),
         failures=config.rootpath / config.getini("safety_failures"),
-        report=_report(config),
+        report=None if report is None else config.invocation_params.dir / report,
     )
-    before = begin(new)
-    config.add_cleanup(partial(_end, before))
+    config.add_cleanup(partial(_end, begin(new)))
     if not _is_worker(config):
         from safety_harness.pytest_plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
         if new.avoider is not None and not config.option.help:
-            from safety_harness.pytest_plugin.asking import refuse_unusable_avoider
-
             refuse_unusable_avoider(new.avoider, make=False)
 
 
@@ -126,8 +133,6 @@ def pytest_runtestloop(session: pytest.Session) -> None:
         return
     avoider = config.getoption("avoider")
     if avoider is not None:
-        from safety_harness.pytest_plugin.asking import refuse_unusable_avoider
-
         refuse_unusable_avoider(avoider, make=True)
 
 
@@ -171,12 +176,8 @@ def pytest_make_collect_report(
     """A mistake in a scenario file or in what a test asks for is told without our frames."""
     report = yield
     call = getattr(report, "call", None)
-    if report.failed and call is not None and "safety_harness.exceptions" in sys.modules:
-        from safety_harness.exceptions import SafetyHarnessError
-        from safety_harness.pytest_plugin.asking import explained
-
-        if isinstance(call.excinfo.value, SafetyHarnessError):
-            report.longrepr = explained(call.excinfo.value)
+    if report.failed and call is not None and isinstance(call.excinfo.value, SafetyHarnessError):
+        report.longrepr = explained(call.excinfo.value)
     return report
 
 
@@ -191,12 +192,6 @@ def _is_worker(config: pytest.Config) -> bool:
     return hasattr(config, "workerinput")
 
 
-def _report(config: pytest.Config) -> Path | None:
-    """The file of the report: as seen from where pytest was started."""
-    asked = config.getoption("safety_report")
-    return None if asked is None else config.invocation_params.dir / asked
-
-
 def _seed(config: pytest.Config) -> int:
     """That of ``--hypothesis-seed``, else one drawn now; a worker of xdist gets its session's."""
     if _is_worker(config):
@@ -205,3 +200,20 @@ def _seed(config: pytest.Config) -> int:
     if asked is not None and asked.isdigit():
         return int(asked)
     return random.SystemRandom().randrange(2**32)
+
+
+def explained(error: BaseException) -> str:
+    """Where, what was expected, what came, the hint; and the line of the test that asked."""
+    lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
+    return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
+
+
+def refuse_unusable_avoider(reference: str, *, make: bool) -> None:
+    """UsageError for an ``--avoider`` that there is not or that is none; only ``make`` executes a file."""
+    from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
+
+    try:
+        look = resolve_avoider if make else refuse_unusable
+        look(reference, scenario_of_avoider(reference), folder=None, place=Place(field="--avoider"))
+    except InputError as error:
+        raise pytest.UsageError(explained(error)) from None

@@ -15,15 +15,14 @@ from typing import Any
 
 import pytest
 
-from safety_harness.cli.console import replay_command
-from safety_harness.cli.run import notes_of
+from safety_harness.admission.avoiders import replay_command
 from safety_harness.exceptions import InputError
 from safety_harness.properties.answered import AvoiderAnswered, with_expectation
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.pytest_plugin.asking import explained
+from safety_harness.pytest_plugin.plugin import explained
 from safety_harness.pytest_plugin.sending import Payload, packed, unpacked
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import write_report
 from safety_harness.report.machine import write_json
 from safety_harness.scenario.model import Claim, Verdict
@@ -105,7 +104,7 @@ def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
             evaluations=(*of_trace.evaluations, *more),
-            replay_command=shlex.join(replay_command(scenario, Path(name))),
+            replay_command=replay_command(scenario, Path(name)),
             trace_file=Path(name),
             notes=(*notes_of(scenario), *(f"judged by {test}" for test in of_trace.tests)),
         )

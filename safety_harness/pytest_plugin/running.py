@@ -14,9 +14,8 @@ import pytest
 
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
 from safety_harness.properties.answered import ANSWERED
-from safety_harness.pytest_plugin.asking import explained
 from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
-from safety_harness.pytest_plugin.plugin import TEST
+from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.pytest_plugin.sending import junit_properties, payload
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of

@@ -37,17 +37,12 @@ def judgements(sent: Payload) -> list[Judgement]:
 
 
 def packed(evaluation: Evaluation) -> list[Any]:
-    """An evaluation as a list of plain values."""
-    return [
-        evaluation.sentence,
-        evaluation.verdict.value,
-        evaluation.unit.name,
-        None if evaluation.margin is None else float(evaluation.margin),
-        None if evaluation.worst_time_s is None else float(evaluation.worst_time_s),
-        evaluation.reason,
-        int(evaluation.exercised),
-        [packed(part) for part in evaluation.parts],
-    ]
+    """An evaluation as a list of plain values, in the order of its fields."""
+    e = evaluation
+    margin = None if e.margin is None else float(e.margin)
+    worst_time_s = None if e.worst_time_s is None else float(e.worst_time_s)
+    plain = [e.sentence, e.verdict.value, e.unit.name, margin, worst_time_s, e.reason, int(e.exercised)]
+    return [*plain, list(map(packed, e.parts))]
 
 
 def unpacked(values: list[Any]) -> Evaluation:
@@ -61,7 +56,7 @@ def unpacked(values: list[Any]) -> Evaluation:
         worst_time_s=worst_time_s,
         reason=reason,
         exercised=exercised,
-        parts=tuple(unpacked(part) for part in parts),
+        parts=tuple(map(unpacked, parts)),
     )
 
 

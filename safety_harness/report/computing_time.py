@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.properties.decision_time import NOT_MODELLED
+from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.report.words import milliseconds_words
 from safety_harness.settings import DecisionCost, DecisionTimes
 from safety_harness.trace.trace import Trace

@@ -11,7 +11,7 @@ from pathlib import Path
 from safety_harness.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally, Judged, tally_claims
-from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
 _SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
@@ -90,6 +90,16 @@ class JudgedRun:
             and isfinite(evaluation.worst_time_s)
         ]
         return min(ranked)[-1] if ranked else None
+
+
+def notes_of(scenario: Scenario) -> tuple[str, ...]:
+    """What a reader has to know of the recordings: gaps that were bridged, jumps removed."""
+    return tuple(
+        f"{hand.name} hand, {hand.recording}: {note}"
+        for hand in scenario.hands
+        if isinstance(hand, RecordedHand)
+        for note in hand.motion.notes
+    )
 
 
 def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:

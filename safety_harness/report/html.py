@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from markupsafe import Markup
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
-    DecisionRow,
     DecisionTally,
     decision_rows,
     failed_checks,
@@ -25,8 +23,6 @@ from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.view import (
-    ClaimRow,
-    LimitRow,
     changes,
     claim_rows,
     coverage_rows,
@@ -39,31 +35,6 @@ from safety_harness.report.view import (
 from safety_harness.report.words import count_words, share_words
 from safety_harness.scenario.write import write_scenario
 from safety_harness.whole_file import write_whole
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunSection:
-    """Everything that the page shows about one run."""
-
-    id: str
-    run: JudgedRun
-    claims: list[ClaimRow]
-    views: tuple[Markup, ...]  # from above, from the side, both again close to the TCP
-    timeline: Markup
-    moment_time: str
-    moment_claim: int | None  # counted from 1
-    thinned: int
-    file: str
-    tally: DecisionTally
-    decisions: list[DecisionRow]
-    failed_checks: list[tuple[str, str]]  # name, meaning
-    faults: list[str]
-    latency: str
-    limits: list[LimitRow]
-    modes: list[LimitRow]
-    notes: list[str]
-    changes: list[tuple[str, str, str]]
-    text: str
 
 
 def write_report(
@@ -121,33 +92,29 @@ def render(
     )
 
 
-def _section(run: JudgedRun, number: int) -> RunSection:
-    section = f"run-{number}"
-    drawn = len(run.trace.ticks) > 0
+def _section(run: JudgedRun, number: int) -> dict[str, object]:
+    """Everything that the page shows about one run."""
+    section, trace = f"run-{number}", run.trace
+    drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
-    return RunSection(
-        id=section,
-        run=run,
-        claims=claim_rows(run, section),
-        views=_views(run, f"{section}-") if drawn else (),
-        timeline=Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
-        moment_time=f"{moment.time_s:.3f} s" if moment else "",
-        moment_claim=moment.claim + 1 if moment and moment.claim is not None else None,
-        thinned=thinning(run.trace),
-        file=file_name(run),
-        tally=DecisionTally.of([run.trace]),
-        decisions=decision_rows(run.trace),
-        failed_checks=failed_checks(run.trace),
-        faults=fault_notes(run.trace),
-        latency=latency_words(run.trace),
-        limits=limit_rows(run.trace),
-        modes=mode_rows(run.trace),
-        notes=notes(run),
-        changes=changes(run),
-        text=write_scenario(run.trace.scenario),
-    )
-
-
-def _views(run: JudgedRun, prefix: str) -> tuple[Markup, ...]:
-    views = path_views(run, prefix=prefix)
-    return tuple(Markup(view) for view in (views.top, views.side, views.top_close, views.side_close))
+    return {
+        "id": section,
+        "run": run,
+        "claims": claim_rows(run, section),
+        "views": path_views(run, prefix=f"{section}-") if drawn else (),
+        "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
+        "moment_time": f"{moment.time_s:.3f} s" if moment else "",
+        "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1
+        "thinned": thinning(trace),
+        "file": file_name(run),
+        "tally": DecisionTally.of([trace]),
+        "decisions": decision_rows(trace),
+        "failed_checks": failed_checks(trace),  # name, meaning
+        "faults": fault_notes(trace),
+        "latency": latency_words(trace),
+        "limits": limit_rows(trace),
+        "modes": mode_rows(trace),
+        "notes": notes(run),
+        "changes": changes(run),
+        "text": write_scenario(trace.scenario),
+    }

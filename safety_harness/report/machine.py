@@ -33,11 +33,7 @@ SI_UNITS = {
 
 
 def write_json(
-    path: Path,
-    runs: Sequence[JudgedRun],
-    *,
-    interrupted: bool,
-    coverage: Sequence[ClaimTally] | None = None,
+    path: Path, runs: Sequence[JudgedRun], *, interrupted: bool, coverage: Sequence[ClaimTally] | None = None
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 

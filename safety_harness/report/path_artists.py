@@ -111,7 +111,7 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     if not np.all(np.isfinite(joints)):
         return
     transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints, transforms)
+    forward_kinematics(arm.chain[0], joints, transforms)
     points = transforms[:, :3, 3] * MM  # (8, 3)
     axes.plot(
         points[:, 0],
@@ -241,12 +241,7 @@ def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
     chosen = decisions["chosen_position_in_base_m"] * MM
     ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
     axes.plot(
-        ways[:, 0],
-        ways[:, axis],
-        color=Ink.CHOSEN.sentinel,
-        linewidth=1.0,
-        linestyle=(0, (1, 2)),
-        zorder=3,
+        ways[:, 0], ways[:, axis], color=Ink.CHOSEN.sentinel, linewidth=1.0, linestyle=(0, (1, 2)), zorder=3
     )
     for points, marker, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
         axes.plot(

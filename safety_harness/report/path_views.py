@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from markupsafe import Markup
 
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.palette import Ink
@@ -53,26 +53,15 @@ def shown_moment(run: JudgedRun) -> Moment | None:
     return Moment(tick, float(run.trace.time_s[tick]), None)
 
 
-@dataclass(frozen=True)
-class Views:
-    """Four drawings of the same paths, as SVG."""
-
-    top: str
-    side: str
-    top_close: str
-    side_close: str
-
-
-def path_views(run: JudgedRun, *, prefix: str) -> Views:
-    """Draw the paths; needs at least one tick."""
+def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
+    """The paths as SVG from above and from the side, both again close to the TCP; needs at least one tick."""
     moment = shown_moment(run)
     with drawing():
-        top, side, top_close, side_close = (
-            _view(run, moment, axis, close_up=close_up, prefix=prefix)
+        return tuple(
+            Markup(_view(run, moment, axis, close_up=close_up, prefix=prefix))
             for close_up in (False, True)
             for axis in (1, 2)
         )
-    return Views(top, side, top_close, side_close)
 
 
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -14,7 +13,6 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
-from safety_harness.report.path_artists import Moment
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_progress import progress_figure
 from safety_harness.report.words import margin_words, share_words, with_minus
@@ -26,7 +24,6 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.trace.trace import Trace
 
 MOST_GROUPS = 100  # rows of violations that were found
-MOST_DRAWN = 8  # disagreements of the worlds of which both runs are shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,34 +97,6 @@ class PartLine:
     sentence: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class CounterexampleSection:
-    """What the page shows about one counterexample."""
-
-    id: str
-    shown: ShownCounterexample
-    margin: str
-    found_margin: str
-    parts: list[PartLine]
-    run: Trace | None
-    views: tuple[Markup, ...]
-    moment_time: str
-    moment_of: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class Told:
-    """What one of two worlds says of a finding: in words, and drawn from above and from the side."""
-
-    sentence: str
-    words: str
-    verdict: str
-    run: Trace | None
-    views: tuple[Markup, ...]
-    moment_time: str
-    moment_of: str
-
-
 def render(evidence: SearchEvidence) -> str:
     """The page as text; the same evidence gives the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline
@@ -177,14 +146,16 @@ def render(evidence: SearchEvidence) -> str:
     )
 
 
-def _claim_line(findings: Findings, claim: int) -> ClaimLine:
+def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
+    """A claim in one search: how often and how soon it was violated, and the least margin."""
     first, near = int(findings.first_violation[claim]), findings.nearest[claim]
     goal = findings.goals[claim]
-    return ClaimLine(
-        f"{findings.violated[claim]:,} of {findings.evidence[claim]:,}",
-        f"{first:,}" if first else "\u2013",
-        "\u2013" if near is None else with_minus(goal.margin_text(float(near.margins[claim]))),
-    )
+    least = "\u2013" if near is None else with_minus(goal.margin_text(float(near.margins[claim])))
+    return {
+        "violated": f"{findings.violated[claim]:,} of {findings.evidence[claim]:,}",
+        "first": f"{first:,}" if first else "\u2013",
+        "least": least,
+    }
 
 
 def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, int]:
@@ -196,79 +167,64 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: ShownCounterexample, number: int) -> CounterexampleSection:
-    one = shown.one
-    evaluation = one.evaluation
-    margin = "\u2013" if evaluation is None else margin_words(evaluation)
+def _section(shown: ShownCounterexample, number: int) -> dict[str, object]:
+    """What the page shows about one counterexample."""
+    one, evaluation = shown.one, shown.one.evaluation
     found = "\u2013"
     if evaluation is not None and one.found_margin is not None:
         found = with_minus(evaluation.unit.margin_text(one.found_margin))
     run = one.run if isinstance(one.run, Trace) else None
-    views: tuple[Markup, ...] = ()
-    moment: Moment | None = None
-    if run is not None and len(run.ticks) and len(one.evaluations) == len(run.scenario.claims):
-        judged = JudgedRun(run, one.evaluations, "").under(one.complaint.sentence)
-        views, moment = _pictures(judged, f"counterexample-{number}-")
-    return CounterexampleSection(
-        id=f"counterexample-{number}",
-        shown=shown,
-        margin=margin,
-        found_margin=found,
-        parts=[line for each in one.evaluations for line in _part_lines(each, 0)],
-        run=run,
-        views=views,
-        moment_time=_seconds(moment),
-        moment_of=_moment_of(moment, one.evaluations),
-    )
+    drawn = run if run is not None and len(one.evaluations) == len(run.scenario.claims) else None
+    name = f"counterexample-{number}"
+    return {
+        "id": name,
+        "shown": shown,
+        "margin": "\u2013" if evaluation is None else margin_words(evaluation),
+        "found_margin": found,
+        "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
+        "run": run,
+        **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
+    }
 
 
-def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> Told:
+def _told(complaint: Complaint, world: InOneWorld | None, prefix: str) -> dict[str, object]:
+    """What one of two worlds says of a finding: in words, and drawn from above and from the side."""
     run = None if world is None else world.run
+    evaluations: tuple[Evaluation, ...] = ()
+    verdict, drawn = "inconclusive", None
     if world is None or not isinstance(run, Trace):
-        return Told(
-            sentence=complaint.sentence,
-            words=f"no run: {described(run)}" if isinstance(run, Exception) else "not run",
-            verdict="inconclusive",
-            run=None,
-            views=(),
-            moment_time="",
-            moment_of="",
-        )
-    if complaint.claim is None:
-        verdict, words = "inconclusive", "it does not happen"
+        words = f"no run: {described(run)}" if isinstance(run, Exception) else "not run"
     else:
-        verdict, words = world.evaluations[0].verdict.value, margin_words(world.evaluations[0])
-    judged = JudgedRun(run, world.evaluations, "").under(complaint.sentence)
-    views, moment = _pictures(judged, prefix) if len(run.ticks) else ((), None)
-    return Told(
-        sentence=complaint.sentence,
-        words=words,
-        verdict=verdict,
-        run=run,
-        views=views[:2],
-        moment_time=_seconds(moment),
-        moment_of=_moment_of(moment, world.evaluations),
-    )
+        drawn, evaluations, words = run, world.evaluations, "it does not happen"
+        if complaint.claim is not None:
+            verdict, words = evaluations[0].verdict.value, margin_words(evaluations[0])
+    pictures = _pictures(drawn, evaluations, complaint, prefix, most=2)
+    return {"sentence": complaint.sentence, "words": words, "verdict": verdict, "run": drawn, **pictures}
 
 
-def _pictures(run: JudgedRun, prefix: str) -> tuple[tuple[Markup, ...], Moment | None]:
-    views = path_views(run, prefix=prefix)
-    drawn = (views.top, views.side, views.top_close, views.side_close)
-    return tuple(Markup(view) for view in drawn), shown_moment(run)
+def _pictures(
+    run: Trace | None, evaluations: tuple[Evaluation, ...], complaint: Complaint, prefix: str, most: int = 4
+) -> dict[str, object]:
+    """The first ``most`` drawings of a run, and the moment that they show; none of what was not run."""
+    if run is None or len(run.ticks) == 0:
+        return {"views": (), "moment_time": "", "moment_of": ""}
+    judged = JudgedRun(run, evaluations, "").under(complaint.sentence)
+    views, moment = path_views(judged, prefix=prefix)[:most], shown_moment(judged)
+    if moment is None:
+        return {"views": views, "moment_time": "", "moment_of": ""}
+    of = "when a hand was nearest"
+    if moment.claim is not None:
+        of = f"the worst moment of {evaluations[moment.claim].sentence}"
+    return {"views": views, "moment_time": f"{moment.time_s:.3f} s", "moment_of": of}
 
 
-def _seconds(moment: Moment | None) -> str:
-    return "" if moment is None else f"{moment.time_s:.3f} s"
-
-
-def _moment_of(moment: Moment | None, evaluations: Sequence[Evaluation]) -> str:
-    """What happens at it."""
-    if moment is None or moment.claim is None:
-        return "" if moment is None else "when a hand was nearest"
-    return f"the worst moment of {evaluations[moment.claim].sentence}"
-
-
-def _part_lines(evaluation: Evaluation, depth: int) -> Sequence[PartLine]:
-    when = "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
-    own = PartLine(depth, evaluation.verdict.value, margin_words(evaluation), when, evaluation.sentence)
+def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
+    """An evaluation and its conjuncts, ``depth`` steps below the claim."""
+    own: dict[str, object] = {
+        "depth": depth,
+        "verdict": evaluation.verdict.value,
+        "margin": margin_words(evaluation),
+        "when": "" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s",
+        "sentence": evaluation.sentence,
+    }
     return [own, *(line for part in evaluation.parts for line in _part_lines(part, depth + 1))]

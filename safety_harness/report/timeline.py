@@ -109,12 +109,7 @@ def _description(run: JudgedRun) -> str:
 
 def _add_axes(figure: Figure, height: float, top: float, panel_height: float, end_s: float) -> Axes:
     axes = figure.add_axes(
-        (
-            LEFT_PX / WIDTH_PX,
-            1.0 - (top + panel_height) / height,
-            PANEL_PX / WIDTH_PX,
-            panel_height / height,
-        )
+        (LEFT_PX / WIDTH_PX, 1.0 - (top + panel_height) / height, PANEL_PX / WIDTH_PX, panel_height / height)
     )
     axes.set_xlim(0.0, end_s)
     return axes
@@ -130,12 +125,7 @@ def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
         )
     if not trace.complete and ticks_end_s < end_s:
         backdrop.axvspan(
-            ticks_end_s,
-            end_s,
-            facecolor="none",
-            edgecolor=Ink.MISSING.sentinel,
-            hatch="///",
-            linewidth=0.0,
+            ticks_end_s, end_s, facecolor="none", edgecolor=Ink.MISSING.sentinel, hatch="///", linewidth=0.0
         )
         backdrop.axvline(ticks_end_s, color=Ink.TEXT.sentinel, linewidth=1.2)
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import DecisionTally, avoiders
@@ -26,84 +25,46 @@ from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
-
-@dataclass(frozen=True, kw_only=True)
-class ClaimRow:
-    """One row of the table of verdicts."""
-
-    section: str  # id of the scenario's section
-    scenario: str
-    file: str
-    tally: DecisionTally
-    again: bool  # another claim of the same scenario stands above
-    number: int
-    sentence: str
-    read_as: str  # the catalogue's own wording, when it differs
-    verdict: str
-    expected: str
-    as_expected: bool
-    margin: str
-    margin_sort: str
-    worst: str
-    worst_sort: str
-    reason: str
+Row = dict[str, object]
 
 
-@dataclass(frozen=True, kw_only=True)
-class CoverageRow:
-    """One claim over all runs of the page."""
-
-    tally: ClaimTally
-    worst: str
-    worst_run: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class LimitRow:
-    """One limit that acted, or one mode that occurred."""
-
-    name: str
-    ticks: int
-    share: str
-    first: str
-
-
-def claim_rows(run: JudgedRun, section: str) -> list[ClaimRow]:
-    """A row for each claim of ``run``."""
+def claim_rows(run: JudgedRun, section: str) -> list[Row]:
+    """A row of the table of verdicts for each claim of ``run``, whose section has the id ``section``."""
     tally = DecisionTally.of([run.trace])
+    judged = zip(run.judged_claims(), run.as_expected, strict=True)
     return [
-        ClaimRow(
-            section=section,
-            scenario=run.trace.scenario.title,
-            file=file_name(run),
-            tally=tally,
-            again=number > 1,
-            number=number,
-            sentence=claim.sentence,
-            read_as=evaluation.sentence if evaluation.sentence != claim.sentence else "",
-            verdict=evaluation.verdict.value,
-            expected=claim.expected.value,
-            as_expected=expected,
-            margin=margin_words(evaluation),
-            margin_sort=_margin_sort(evaluation),
-            worst=_seconds(evaluation.worst_time_s),
-            worst_sort="" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s!r}",
-            reason=evaluation.reason,
-        )
-        for number, ((claim, evaluation), expected) in enumerate(
-            zip(run.judged_claims(), run.as_expected, strict=True), start=1
-        )
+        {
+            "section": section,
+            "scenario": run.trace.scenario.title,
+            "file": file_name(run),
+            "tally": tally,
+            "again": number > 1,  # another claim of the same scenario stands above
+            "number": number,
+            "sentence": claim.sentence,
+            "read_as": found.sentence
+            if found.sentence != claim.sentence
+            else "",  # the catalogue's own wording
+            "verdict": found.verdict.value,
+            "expected": claim.expected.value,
+            "as_expected": expected,
+            "margin": margin_words(found),
+            "margin_sort": "" if found.margin is None else f"{float(found.margin)!r}",
+            "worst": "\u2013" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s",
+            "worst_sort": "" if found.worst_time_s is None else f"{found.worst_time_s!r}",
+            "reason": found.reason,
+        }
+        for number, ((claim, found), expected) in enumerate(judged, start=1)
     ]
 
 
-def coverage_rows(tallies: Sequence[ClaimTally]) -> list[CoverageRow]:
-    """A row for each claim: how often it was put to the test, and its least margin."""
+def coverage_rows(tallies: Sequence[ClaimTally]) -> list[Row]:
+    """A row for each claim over all runs: how often it was put to the test, and its least margin."""
     return [
-        CoverageRow(
-            tally=tally,
-            worst=margin_words(tally.worst.evaluation) if tally.worst else "\u2013",
-            worst_run=tally.worst.run if tally.worst else "",
-        )
+        {
+            "tally": tally,
+            "worst": margin_words(tally.worst.evaluation) if tally.worst else "\u2013",
+            "worst_run": tally.worst.run if tally.worst else "",
+        }
         for tally in tallies
     ]
 
@@ -117,31 +78,23 @@ def file_name(run: JudgedRun) -> str:
     return scenario.file.name + (f" {label}" if label.startswith("[") else "")
 
 
-def _margin_sort(evaluation: Evaluation) -> str:
-    return "" if evaluation.margin is None else f"{float(evaluation.margin)!r}"
-
-
-def _seconds(time_s: float | None) -> str:
-    return "\u2013" if time_s is None else f"{time_s:.3f} s"
-
-
-def limit_rows(trace: Trace) -> list[LimitRow]:
+def limit_rows(trace: Trace) -> list[Row]:
     """Each limit that acted on at least one tick."""
     acted = trace.ticks["limits"]
     rows = [_ticks_row(flag_words(flag), trace, (acted & flag.value) != 0) for flag in Limit if flag]
-    return [row for row in rows if row.ticks]
+    return [row for row in rows if row["ticks"]]
 
 
-def mode_rows(trace: Trace) -> list[LimitRow]:
+def mode_rows(trace: Trace) -> list[Row]:
     """Each controller mode that occurred."""
     rows = [_ticks_row(words, trace, trace.ticks["mode"] == mode) for mode, words in MODE_WORDS.items()]
-    return [row for row in rows if row.ticks]
+    return [row for row in rows if row["ticks"]]
 
 
-def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> LimitRow:
+def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> Row:
     ticks = int(mask.sum())
     first = f"{trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else ""
-    return LimitRow(name=name, ticks=ticks, share=share_words(ticks, len(mask)), first=first)
+    return {"name": name, "ticks": ticks, "share": share_words(ticks, len(mask)), "first": first}
 
 
 def notes(run: JudgedRun) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.repulsive_pose import BEYOND_M, RepulsivePosesReachable
+from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import ArmModelError
-from safety_harness.robot.description import TCP_LINK, load_arm
+from safety_harness.robot.description import TCP_LINK, ArmModel, load_arm
+from safety_harness.robot.distance import CAPSULE, chain_lengths
 from safety_harness.robot.kinematics import FRAMES
 
 
@@ -47,6 +49,15 @@ class CapsuleSet:
             raise ArmModelError("capsules: ends must be finite and radii finite and positive")
         for array in (self.link_index, self.start_in_link, self.end_in_link, self.radius_m):
             array.setflags(write=False)
+
+    @cached_property
+    def records(self) -> NDArray[np.void]:
+        """(n,) CAPSULE: the same for compiled code, read-only."""
+        records = np.zeros(len(self.names), CAPSULE)
+        for name in CAPSULE.names or ():
+            records[name] = getattr(self, name)
+        records.setflags(write=False)
+        return records
 
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
@@ -84,3 +95,20 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
         end_in_link=np.array([entry["end_in_link_m"] for entry in entries], dtype=np.float64),
         radius_m=np.array([entry["radius_m"] for entry in entries], dtype=np.float64),
     )
+
+
+class Arm(NamedTuple):
+    """An arm with everything on it, for a kernel that is called once for a whole trace or way.
+
+    A kernel that is called at every tick takes the records apart: a tuple costs a microsecond a call.
+    """
+
+    chain: NDArray[np.void]  # (1,) CHAIN
+    capsules: NDArray[np.void]  # (n,) CAPSULE
+    reach_m: NDArray[np.float64]  # (6,) of ``chain_lengths``
+
+
+@lru_cache(maxsize=16)
+def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
+    """``arm`` and the capsules on it."""
+    return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))

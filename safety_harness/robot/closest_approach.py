@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.segments import ROUNDING_M, segment_segment_vector
-from safety_harness.robot.distance import chain_lengths, hand_distance, place_capsules, segment_length
+from safety_harness.robot.capsules import Arm
+from safety_harness.robot.distance import hand_distance, place_capsules, segment_length
 from safety_harness.robot.kinematics import forward_kinematics
 
 MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that float64 can serve
@@ -20,89 +22,39 @@ MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that flo
 
 @compiled
 def closest_approach_between(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    q0: NDArray[np.float64],
-    q1: NDArray[np.float64],
-    hand0: NDArray[np.float64],
-    hand1: NDArray[np.float64],
-    elbow0: NDArray[np.float64],
-    elbow1: NDArray[np.float64],
-    hand_radius_m: float,
-    forearm_radius_m: float,
-    tolerance_m: float,
-    not_below_m: float = np.inf,
-) -> tuple[float, float]:
-    """Certified lower bound [m] of ``hand_distance`` while joints and hand move linearly.
-
-    Joints go from ``q0`` to ``q1`` (6,) and the hand's two points from state 0 to state 1, in
-    the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was
-    sampled).  The bound is never above the true minimum and at most ``tolerance_m`` > 0 below
-    it; where it exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the
-    distance at either end is NaN.
-
-    Branch and bound, from left to right: an interval is halved until its bound is good enough.
-    """
-    bound, t_best, _ = approach_between(
-        joint_origins,
-        joint_axes,
-        flange,
-        link_index,
-        start_in_link,
-        end_in_link,
-        radius_m,
-        chain_lengths(joint_origins, flange, link_index, start_in_link, end_in_link),
-        np.empty((MAX_BISECTIONS + 1, radius_m.shape[0], 2, 3)),
-        q0,
-        q1,
-        hand0,
-        hand1,
-        elbow0,
-        elbow1,
-        hand_radius_m,
-        forearm_radius_m,
-        tolerance_m,
-        not_below_m,
-    )
-    return bound, t_best
-
-
-@compiled
-def approach_between(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
-    room: NDArray[np.float64],  # (DEEPEST + 1, n, 2, 3), overwritten
-    q0: NDArray[np.float64],
-    q1: NDArray[np.float64],
-    hand0: NDArray[np.float64],
-    hand1: NDArray[np.float64],
-    elbow0: NDArray[np.float64],
-    elbow1: NDArray[np.float64],
+    arm: Arm,
+    room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, n, 2, 3), overwritten
+    q0: NDArray[np.float64],  # (6,)
+    q1: NDArray[np.float64],  # (6,)
+    hand0: NDArray[np.float64],  # (3,)
+    hand1: NDArray[np.float64],  # (3,)
+    elbow0: NDArray[np.float64],  # (3,)
+    elbow1: NDArray[np.float64],  # (3,)
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
     not_below_m: float,
 ) -> tuple[float, float, float]:
-    """``closest_approach_between`` for many intervals of one arm; also the distance [m] at t = 1."""
+    """Certified lower bound [m] of ``hand_distance`` while joints and hand move linearly.
+
+    Joints go from ``q0`` to ``q1`` [rad] and the hand's two points from state 0 to state 1 [m, base frame],
+    in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, distance
+    at t = 1).  The bound is never above the true minimum and at most ``tolerance_m`` > 0 below it; where it
+    exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance at either end is.
+
+    Branch and bound, from left to right: an interval [a, b] is halved until its bound is good enough,
+
+        min d >= min d_linear - B (b - a)^2 / 8,
+
+    d_linear the distance if all axis ends moved linearly from a to b (``_linear_bound``) and B of ``_bend``:
+    what a curve with |p''| <= B leaves of its chord.
+    """
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
-    bend = _bend(reach_m, q0, q1)
+    bend = _bend(arm.reach_m, q0, q1)
     transforms = np.empty((8, 4, 4))
-    left_placed, placed = (
-        room[MAX_BISECTIONS],
-        room[:MAX_BISECTIONS],
-    )  # capsules at the right ends still to be reached
+    # capsules at the left end, and at the right ends still to be reached
+    left_m, right_m = room[MAX_BISECTIONS], room[:MAX_BISECTIONS]
     at = np.empty(MAX_BISECTIONS)
     joints = np.empty(6)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
@@ -113,12 +65,12 @@ def approach_between(
         # Sample at t_next: first 0, then 1, then the middles of intervals that must be halved.
         for i in range(6):
             joints[i] = q0[i] + t_next * (q1[i] - q0[i])
-        forward_kinematics(joint_origins, joint_axes, flange, joints, transforms)
-        sample = left_placed if t_next == 0.0 else placed[depth]
-        place_capsules(transforms, link_index, start_in_link, end_in_link, sample)
+        forward_kinematics(arm.chain[0], joints, transforms)
+        sample = left_m if t_next == 0.0 else right_m[depth]
+        place_capsules(arm.capsules, transforms, sample)
         _hand_at(t_next, hand0, hand1, elbow0, elbow1, hands[2])
         distance, _ = hand_distance(
-            sample, radius_m, hands[2, 0], hands[2, 1], hand_radius_m, forearm_radius_m
+            arm.capsules, sample, hands[2, 0], hands[2, 1], hand_radius_m, forearm_radius_m
         )
         if not isfinite(distance):
             return nan, t_next, nan
@@ -130,7 +82,7 @@ def approach_between(
         if t_next == 1.0:
             last = distance
             # From either end to anywhere in between nothing moves farther than its chord and its bend.
-            chord = _longest_chord(left_placed, sample)
+            chord = _longest_chord(left_m, sample)
             chord += max(segment_length(hand0, hand1), segment_length(elbow0, elbow1))
             coarse = 0.5 * (first + last - chord) - bend / 8.0
             if coarse > not_below_m:
@@ -143,14 +95,15 @@ def approach_between(
             _hand_at(left, hand0, hand1, elbow0, elbow1, hands[0])
             _hand_at(right, hand0, hand1, elbow0, elbow1, hands[1])
             bound = _linear_bound(
-                left_placed, placed[depth - 1], radius_m, hands, hand_radius_m, forearm_radius_m
+                arm.capsules, left_m, right_m[depth - 1], hands, hand_radius_m, forearm_radius_m
             )
             bound -= bend * (right - left) ** 2 / 8.0
             if bound < min(best - tolerance_m, not_below_m) and depth < MAX_BISECTIONS:
                 break
             lower = min(lower, bound)
             left = right
-            left_placed[:] = placed[depth - 1]
+            for capsule in range(left_m.shape[0]):
+                copy_matrix(right_m[depth - 1, capsule], left_m[capsule])
             depth -= 1
         if depth == 0:
             return min(lower, best), t_best, last
@@ -173,12 +126,13 @@ def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> flo
 @njit_no_nrt
 def _hand_at(
     t: float,
-    hand0: NDArray[np.float64],
-    hand1: NDArray[np.float64],
-    elbow0: NDArray[np.float64],
-    elbow1: NDArray[np.float64],
-    hand_out: NDArray[np.float64],
+    hand0: NDArray[np.float64],  # (3,)
+    hand1: NDArray[np.float64],  # (3,)
+    elbow0: NDArray[np.float64],  # (3,)
+    elbow1: NDArray[np.float64],  # (3,)
+    hand_out: NDArray[np.float64],  # (2, 3)
 ) -> None:
+    """Fill hand and elbow (2, 3) at the part t of the way from state 0 to state 1."""
     for i in range(3):
         hand_out[0, i] = hand0[i] + t * (hand1[i] - hand0[i])
         hand_out[1, i] = elbow0[i] + t * (elbow1[i] - elbow0[i])
@@ -188,9 +142,12 @@ def _hand_at(
 def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.float64]) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
-    For i <= j, d^2 p / dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|, which no joint
-    position can make longer than the chain of links from joint j to p.  A point that bends by
-    no more than b leaves the chord of an interval of length h by at most b h^2 / 8.
+    B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``.  For i <= j, d^2 p /
+    dq_i dq_j = a_i x (a_j x (p - p_j)) is at most |p - p_j|, which no joint position can make longer than the
+    chain of links from joint j to p.  A point that bends by no more than b leaves the chord of an interval of
+    length h by at most b h^2 / 8.
+
+    ``reach_m``, ``q0`` and ``q1`` (6,).
     """
     bend = 0.0
     for i in range(6):
@@ -201,15 +158,16 @@ def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.
 
 @compiled
 def _linear_bound(
+    capsules: NDArray[np.void],  # (n,) CAPSULE
     left: NDArray[np.float64],
     right: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
     hands: NDArray[np.float64],
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> float:
     """Lower bound [m] of the hand distance if all axis ends moved linearly from left to right.
 
+    min over capsules and both bodies of ``_linear_pair_bound`` less the two radii.
     ``left`` and ``right`` (n, 2, 3): the capsules; ``hands`` (3, 2, 3): hand and elbow at the left
     end, at the right end, and room for the middle.
     """
@@ -220,8 +178,8 @@ def _linear_bound(
     bound = np.inf
     forearm = segment_length(hands[2, 0], hands[2, 1])
     thickest = max(hand_radius_m, forearm_radius_m)
-    for capsule in range(radius_m.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
-        squared, displacement = 0.0, 0.0
+    for capsule in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+        squared, displacement, radius_m = 0.0, 0.0, capsules[capsule].radius_m
         for i in range(2):
             for j in range(3):
                 middle[i, j] = 0.5 * (left[capsule, i, j] + right[capsule, i, j])
@@ -238,10 +196,10 @@ def _linear_bound(
         # What ``_linear_pair_bound`` gives of this capsule is no less: no point is farther from a middle
         # than half the length.
         halves = 0.5 * (forearm + segment_length(middle[0], middle[1]) + sqrt(displacement))
-        if sqrt(squared) - halves - thickest - radius_m[capsule] - ROUNDING_M > bound:  # never of a NaN
+        if sqrt(squared) - halves - thickest - radius_m - ROUNDING_M > bound:  # never of a NaN
             continue
         for points in range(1, 3):  # 1: the hand's sphere, 2: the forearm
-            radius = radius_m[capsule] + (hand_radius_m if points == 1 else forearm_radius_m)
+            radius = radius_m + (hand_radius_m if points == 1 else forearm_radius_m)
             axes = _linear_pair_bound(left[capsule], right[capsule], middle, hands, points)
             bound = min(bound, axes - radius)
     return bound
@@ -249,14 +207,16 @@ def _linear_bound(
 
 @njit_no_nrt
 def _linear_pair_bound(
-    left: NDArray[np.float64],
-    right: NDArray[np.float64],
-    middle: NDArray[np.float64],
-    hands: NDArray[np.float64],
+    left: NDArray[np.float64],  # (2, 3)
+    right: NDArray[np.float64],  # (2, 3)
+    middle: NDArray[np.float64],  # (2, 3)
+    hands: NDArray[np.float64],  # (3, 2, 3)
     points: int,
 ) -> float:
     """Lower bound [m] of the distance of two segments whose ends move linearly, over the interval.
 
+    max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) . m/|m|), with u_ij
+    from an end of the hand's to one of the capsule's and m the shortest vector at half-way.
     The larger of two bounds, and of 0.  (1) Half-way's distance, less half of the longest
     relative displacement of two ends.  (2) The gap between the segments along one fixed
     direction, that of the half-way's nearest points: a least one of functions that are linear

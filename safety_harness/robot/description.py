@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import metadata
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,23 @@ DATA_PACKAGE = "example-robot-data"
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
 JOINTS = 6
+
+CHAIN = np.dtype(
+    [
+        ("joint_origins", np.float64, (JOINTS, 4, 4)),
+        ("joint_axes", np.float64, (JOINTS, 3)),
+        ("flange", np.float64, (4, 4)),
+    ],
+    align=True,
+)
+
+
+class Chain(Protocol):
+    """One record of CHAIN, as compiled code reads it; the arrays are those of ``ArmModel``."""
+
+    joint_origins: NDArray[np.float64]  # (6, 4, 4)
+    joint_axes: NDArray[np.float64]  # (6, 3)
+    flange: NDArray[np.float64]  # (4, 4)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,6 +68,15 @@ class ArmModel:
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+
+    @cached_property
+    def chain(self) -> NDArray[np.void]:
+        """(1,) CHAIN: joint frames, axes and flange for compiled code, read-only."""
+        chain = np.zeros(1, CHAIN)
+        for name in CHAIN.names or ():
+            chain[name] = getattr(self, name)
+        chain.setflags(write=False)
+        return chain
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,46 +12,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
-from safety_harness.geometry.segments import (
-    point_segment_distance,
-    segment_segment_distance,
+from safety_harness.geometry.segments import point_segment_distance, segment_segment_distance
+
+CAPSULE = np.dtype(
+    [
+        ("link_index", np.int64),
+        ("start_in_link", np.float64, (3,)),
+        ("end_in_link", np.float64, (3,)),
+        ("radius_m", np.float64),
+    ],
+    align=True,
 )
 
 
 @inlined
 def place_capsules(
+    capsules: NDArray[np.void],
     transforms: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-    placed_out: NDArray[np.float64],
+    capsule_endpoints_in_base_m_out: NDArray[np.float64],
 ) -> None:
-    """Fill ``placed_out`` (n, 2, 3) with both axis ends of every capsule in the base frame [m].
+    """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of ``capsules`` (n,) CAPSULE.
 
-    ``transforms`` (8, 4, 4) are those of ``forward_kinematics``.
+    p_base = T_link p_link for start and end, with ``transforms`` T (8, 4, 4) of ``forward_kinematics``.
     """
-    for capsule in range(link_index.shape[0]):
-        link = link_index[capsule]
+    for k in range(capsules.shape[0]):
+        capsule = capsules[k]
+        start, end, link = capsule.start_in_link, capsule.end_in_link, capsule.link_index
         for i in range(3):
             x, y, z = transforms[link, i, 0], transforms[link, i, 1], transforms[link, i, 2]
-            placed_out[capsule, 0, i] = (
-                x * start_in_link[capsule, 0]
-                + y * start_in_link[capsule, 1]
-                + z * start_in_link[capsule, 2]
-                + transforms[link, i, 3]
-            )
-            placed_out[capsule, 1, i] = (
-                x * end_in_link[capsule, 0]
-                + y * end_in_link[capsule, 1]
-                + z * end_in_link[capsule, 2]
-                + transforms[link, i, 3]
-            )
+            origin = transforms[link, i, 3]
+            capsule_endpoints_in_base_m_out[k, 0, i] = x * start[0] + y * start[1] + z * start[2] + origin
+            capsule_endpoints_in_base_m_out[k, 1, i] = x * end[0] + y * end[1] + z * end[2] + origin
 
 
 @njit_no_nrt
 def hand_distance(
-    placed: NDArray[np.float64],
-    radius_m: NDArray[np.float64],
+    capsules: NDArray[np.void],
+    capsule_endpoints_in_base_m: NDArray[np.float64],
     hand: NDArray[np.float64],
     elbow: NDArray[np.float64],
     hand_radius_m: float,
@@ -59,27 +56,31 @@ def hand_distance(
 ) -> tuple[float, int]:
     """Least distance [m] of a hand and its forearm from all capsules, and the nearest capsule's index.
 
-    ``placed`` (n, 2, 3) as ``place_capsules`` fills it, ``radius_m`` (n,), ``hand`` and ``elbow``
-    (3,) in the base frame.  NaN (with the capsule that gave it) if anything read is NaN.
+    min over capsules c of min(|h, c| - r_h, |h e, c| - r_f) - r_c, with |., .| the distance of a point or
+    segment from an axis.  ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3) as
+    ``place_capsules`` fills it, ``hand`` h and ``elbow`` e (3,) [m] in the base frame.  NaN (with the
+    capsule that gave it) if anything read is NaN.
     """
     best = np.inf
     nearest = -1
     thickest = max(hand_radius_m, forearm_radius_m)
     forearm_half = 0.5 * segment_length(hand, elbow)
-    for capsule in range(radius_m.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+    for capsule in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
         # No point of a segment is farther from its middle than half its length.
         between, squared = 0.0, 0.0
         for i in range(3):
-            start_i, end_i = placed[capsule, 0, i], placed[capsule, 1, i]
+            start_i = capsule_endpoints_in_base_m[capsule, 0, i]
+            end_i = capsule_endpoints_in_base_m[capsule, 1, i]
             between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start_i + end_i)) ** 2
             squared += (end_i - start_i) * (end_i - start_i)
-        spread = forearm_half + 0.5 * sqrt(squared) + thickest + radius_m[capsule]
+        radius_m = capsules[capsule].radius_m
+        spread = forearm_half + 0.5 * sqrt(squared) + thickest + radius_m
         if sqrt(between) - spread >= best:  # never true of a NaN
             continue
-        start, end = placed[capsule, 0], placed[capsule, 1]
+        start, end = capsule_endpoints_in_base_m[capsule, 0], capsule_endpoints_in_base_m[capsule, 1]
         to_hand = point_segment_distance(hand, start, end) - hand_radius_m
         to_forearm = segment_segment_distance(hand, elbow, start, end) - forearm_radius_m
-        distance = min(to_hand, to_forearm) - radius_m[capsule]
+        distance = min(to_hand, to_forearm) - radius_m
         if isnan(to_hand + to_forearm + distance):
             return nan, capsule
         if distance < best:
@@ -96,26 +97,26 @@ def segment_length(start: NDArray[np.float64], end: NDArray[np.float64]) -> floa
 
 
 @compiled
-def chain_lengths(
-    joint_origins: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    link_index: NDArray[np.int64],
-    start_in_link: NDArray[np.float64],
-    end_in_link: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves."""
+def chain_lengths(chains: NDArray[np.void], capsules: NDArray[np.void]) -> NDArray[np.float64]:
+    """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves.
+
+    l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link,
+    with o_i the step from joint i - 1 to i: no joint position takes p farther from joint j.  ``chains`` (1,)
+    CHAIN, ``capsules`` (n,) CAPSULE.
+    """
+    origins, flange = chains[0].joint_origins, chains[0].flange
     longest = np.zeros(6)  # from joint j to any point that it moves
-    for capsule in range(link_index.shape[0]):
-        link = link_index[capsule]
-        start = end = chain = 0.0
+    for k in range(capsules.shape[0]):
+        capsule = capsules[k]
+        start = end = length = 0.0
         for i in range(3):
-            start += start_in_link[capsule, i] ** 2
-            end += end_in_link[capsule, i] ** 2
-        chain = sqrt(max(start, end))
-        if link == 7:
-            chain += sqrt(flange[0, 3] ** 2 + flange[1, 3] ** 2 + flange[2, 3] ** 2)
-        for joint in range(min(link, 6) - 1, -1, -1):
-            longest[joint] = max(longest[joint], chain)
-            x, y, z = joint_origins[joint, 0, 3], joint_origins[joint, 1, 3], joint_origins[joint, 2, 3]
-            chain += sqrt(x * x + y * y + z * z)
+            start += capsule.start_in_link[i] ** 2
+            end += capsule.end_in_link[i] ** 2
+        length = sqrt(max(start, end))
+        if capsule.link_index == 7:
+            length += sqrt(flange[0, 3] ** 2 + flange[1, 3] ** 2 + flange[2, 3] ** 2)
+        for joint in range(min(capsule.link_index, 6) - 1, -1, -1):
+            longest[joint] = max(longest[joint], length)
+            x, y, z = origins[joint, 0, 3], origins[joint, 1, 3], origins[joint, 2, 3]
+            length += sqrt(x * x + y * y + z * z)
     return longest

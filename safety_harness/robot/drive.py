@@ -52,8 +52,10 @@ def drive_tick(
 ) -> bool:
     """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
 
-    The set point of a braking tick is the ramp's value at the middle of the tick, so that the
-    distance covered is the integral of the ramp.
+    While braking q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s), with q'_b [rad/s] the set point when braking
+    began at t_b = t_requested + T_r, and T_s = base + slope v of the TCP's speed v then.  The set point of a
+    braking tick is the ramp's value at the middle of the tick, so that the distance covered is the integral
+    of the ramp.
     """
     d = drives[0]
     if protective_stop and not d.stopping:

@@ -84,7 +84,10 @@ def link_surface(link: LinkMeshes, longest_m: float) -> Surface:
 
 @compiled
 def farthest(points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-    """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all."""
+    """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all.
+
+    ``start`` and ``end`` (3,).
+    """
     largest = 0.0
     for i in range(points.shape[0]):
         largest = max(largest, point_segment_distance(points[i], start, end))
@@ -95,7 +98,7 @@ def farthest(points: NDArray[np.float64], start: NDArray[np.float64], end: NDArr
 def inside(
     points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64], radius: float
 ) -> NDArray[np.bool_]:
-    """Which of ``points`` (n, 3) lie in the capsule."""
+    """Which of ``points`` (n, 3) lie in the capsule.  ``start`` and ``end`` (3,)."""
     result = np.empty(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
         result[i] = point_segment_distance(points[i], start, end) <= radius
@@ -104,12 +107,12 @@ def inside(
 
 @compiled
 def assign(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int64],
-    starts: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    owner_out: NDArray[np.int64],
+    vertices: NDArray[np.float64],  # (v, 3)
+    faces: NDArray[np.int64],  # (n, 3)
+    starts: NDArray[np.float64],  # (k, 3)
+    ends: NDArray[np.float64],  # (k, 3)
+    radii: NDArray[np.float64],  # (k,)
+    owner_out: NDArray[np.int64],  # (n,), written
 ) -> None:
     """Give every triangle (n, 3) to the capsule in which its outermost corner lies deepest."""
     for i in range(faces.shape[0]):

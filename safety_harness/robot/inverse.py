@@ -1,8 +1,8 @@
-"""Inverse kinematics: the branches of a pose, the nearest one, and how far a straight way leads."""
+"""Inverse kinematics: the branches of a pose, the nearest one, and the straight ways of the TCP."""
 
 from __future__ import annotations
 
-from math import pi
+from math import ceil, pi, sqrt
 
 import numpy as np
 from eaik.IK_HP import HPRobot
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import ArmModelError
-from safety_harness.geometry.linear import solve_in_place
+from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import (
@@ -25,6 +25,7 @@ from safety_harness.robot.wrist_singularity import AT_ONCE, wrist_branches
 EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
 REACH_RESOLUTION_M = 1e-4
 SAME_RAD = 1e-6  # of two ways to compute one branch near a singularity
+MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
@@ -56,6 +57,8 @@ class InverseKinematics:
         and what is returned are some of those positions.  Up to 1e-4 the branches of ``wrist_branches`` stand
         before the library's, which loses some below 1e-5.  Where shoulder and elbow are singular at once, to
         some 1e-8 of the reach, and the wrist is not, a few per cent of the poses have no branch here.
+
+        ``transform_tcp_to_base`` (4, 4).
         """
         pose = np.array(transform_tcp_to_base, dtype=np.float64)
         if not np.isfinite(pose).all():
@@ -71,8 +74,7 @@ class InverseKinematics:
 
     def _exact(self, answers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
         """Those of ``answers`` (k, 6), overwritten, that give ``pose``, wrapped."""
-        arm = self.arm
-        count = _keep_exact(arm.joint_origins, arm.joint_axes, arm.flange, pose, answers)
+        count = _keep_exact(self.arm.chain, pose, answers)
         return answers[:count]
 
     def nearest(
@@ -82,6 +84,8 @@ class InverseKinematics:
 
         Distance is Euclidean in joint angles; full turns of each joint are tried.  None when no
         solution is within the limits.
+
+        ``transform_tcp_to_base`` (4, 4), ``reference_joint_position`` (6,).
         """
         branches = self.branches(transform_tcp_to_base)
         reference = np.array(reference_joint_position, dtype=np.float64)
@@ -93,7 +97,7 @@ class InverseKinematics:
     def reach_along(
         self,
         joint_position_rad: NDArray[np.float64],
-        direction_in_base: ArrayLike,
+        direction_in_base: ArrayLike,  # (3,)
         length_m: float,
         *,
         step_m: float = 0.005,
@@ -115,9 +119,7 @@ class InverseKinematics:
         arm = self.arm
         return float(
             _straight_reach(
-                arm.joint_origins,
-                arm.joint_axes,
-                arm.flange,
+                arm.chain,
                 arm.position_lower_rad,
                 arm.position_upper_rad,
                 np.array(joint_position_rad, dtype=np.float64),
@@ -129,28 +131,26 @@ class InverseKinematics:
         )
 
     def _forward(self, joint_position_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-        arm = self.arm
-        forward_kinematics(
-            arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, self._transforms
-        )
+        forward_kinematics(self.arm.chain[0], joint_position_rad, self._transforms)
         return self._transforms
 
 
 @compiled
 def _keep_exact(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
+    chains: NDArray[np.void],  # (1,) CHAIN
     pose: NDArray[np.float64],  # (4, 4)
     answers: NDArray[np.float64],  # (k, 6), overwritten
 ) -> int:
-    """Wrap the answers, and move those that give ``pose`` to the front; returns how many they are."""
+    """Wrap the answers, and move those that give ``pose`` to the front; returns how many they are.
+
+    Those with max |T_7(q) - pose| <= EXACT_POSE over all entries, wrapped into (-pi, pi].
+    """
     transforms = np.empty((FRAMES, 4, 4))
     kept = 0
     for k in range(answers.shape[0]):
         for i in range(6):
             answers[kept, i] = pi - np.mod(pi - answers[k, i], 2.0 * pi)
-        forward_kinematics(joint_origins, joint_axes, flange, answers[kept], transforms)
+        forward_kinematics(chains[0], answers[kept], transforms)
         exact = True
         for i in range(4):
             for j in range(4):
@@ -170,11 +170,14 @@ def _distinct(answers: NDArray[np.float64]) -> NDArray[np.float64]:
 def _nearest(
     branches: NDArray[np.float64],  # (k, 6)
     reference: NDArray[np.float64],  # (6,)
-    lower_rad: NDArray[np.float64],
-    upper_rad: NDArray[np.float64],
+    lower_rad: NDArray[np.float64],  # (6,)
+    upper_rad: NDArray[np.float64],  # (6,)
     solution_out: NDArray[np.float64],  # (6,)
 ) -> bool:
-    """Fill the nearest of the branches and their full turns within the limits; False if there is none."""
+    """Fill the nearest of the branches and their full turns within the limits; False if there is none.
+
+    argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
+    """
     candidate = np.empty(6)
     best = np.inf
     for k in range(branches.shape[0]):
@@ -190,28 +193,29 @@ def _nearest(
         distance = np.sqrt(total)
         if distance < best:
             best = distance
-            solution_out[:] = candidate
+            copy_vector(candidate, solution_out)
     return bool(best < np.inf)
 
 
 @compiled
 def _straight_reach(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    lower_rad: NDArray[np.float64],
-    upper_rad: NDArray[np.float64],
-    start_rad: NDArray[np.float64],
-    direction: NDArray[np.float64],
+    chains: NDArray[np.void],  # (1,) CHAIN
+    lower_rad: NDArray[np.float64],  # (6,)
+    upper_rad: NDArray[np.float64],  # (6,)
+    start_rad: NDArray[np.float64],  # (6,)
+    direction: NDArray[np.float64],  # (3,), of length 1
     length_m: float,
     step_m: float,
     min_singular_value: float,
 ) -> float:
-    """Follow the straight line in steps; halve the step at each failure, double it at each success."""
+    """How far [m] the TCP follows p + s d, its orientation kept, from the joints ``start_rad``.
+
+    In steps of s: halved at each failure of ``follow_pose`` or ``_acceptable``, doubled at each success.
+    """
     transforms = np.empty((8, 4, 4))
     jacobian = np.empty((6, 6))
-    forward_kinematics(joint_origins, joint_axes, flange, start_rad, transforms)
-    geometric_jacobian(joint_axes, transforms, jacobian)
+    forward_kinematics(chains[0], start_rad, transforms)
+    geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     if not _acceptable(start_rad, lower_rad, upper_rad, jacobian, min_singular_value):
         return 0.0
     start_pose = transforms[7].copy()
@@ -224,10 +228,10 @@ def _straight_reach(
         forward = min(step, length_m - reached)
         for i in range(3):
             target[i, 3] = start_pose[i, 3] + (reached + forward) * direction[i]
-        trial[:] = joints
-        follows = follow_pose(joint_origins, joint_axes, flange, target, trial, transforms, jacobian)
+        copy_vector(joints, trial)
+        follows = follow_pose(chains, target, trial, transforms, jacobian)
         if follows and _acceptable(trial, lower_rad, upper_rad, jacobian, min_singular_value):
-            joints[:] = trial
+            copy_vector(trial, joints)
             reached += forward
             step = min(2.0 * step, step_m)
         elif forward <= REACH_RESOLUTION_M:
@@ -239,12 +243,13 @@ def _straight_reach(
 
 @compiled
 def _acceptable(
-    joints: NDArray[np.float64],
-    lower_rad: NDArray[np.float64],
-    upper_rad: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
+    joints: NDArray[np.float64],  # (6,)
+    lower_rad: NDArray[np.float64],  # (6,)
+    upper_rad: NDArray[np.float64],  # (6,)
+    jacobian: NDArray[np.float64],  # (6, 6)
     min_singular_value: float,
 ) -> bool:
+    """Are joints (6,) within their limits, and all singular values of their Jacobian large enough?"""
     for i in range(6):
         if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
             return False
@@ -253,19 +258,19 @@ def _acceptable(
 
 @compiled
 def follow_pose(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    target: NDArray[np.float64],
+    chains: NDArray[np.void],  # (1,) CHAIN
+    target: NDArray[np.float64],  # (4, 4)
     joints: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
+    transforms: NDArray[np.float64],  # (8, 4, 4), written
+    jacobian: NDArray[np.float64],  # (6, 6), written
 ) -> bool:
     """Newton's method from ``joints`` (overwritten) to the pose ``target`` on the same branch.
 
-    The first Newton step predicts; the later ones together may only correct it by half of its
-    own size, else the prediction was no good and the solution may be another branch's.  On
-    success ``transforms`` and ``jacobian`` are those of the solution.
+    J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and (R*, p*) wanted, both in the base
+    frame [m], and log a rotation's vector [rad].  (Lynch and Park, Modern Robotics, 2017, 6.2.)  The first
+    Newton step predicts; the later ones together may only correct it by half of its own size, else the
+    prediction was no good and the solution may be another branch's.  On success ``transforms`` and
+    ``jacobian`` are those of the solution.
     """
     step = np.empty(6)
     error_rotation = np.empty((3, 3))
@@ -273,8 +278,8 @@ def follow_pose(
     predicted = 0.0
     corrected = 0.0
     for iteration in range(8):
-        forward_kinematics(joint_origins, joint_axes, flange, joints, transforms)
-        geometric_jacobian(joint_axes, transforms, jacobian)
+        forward_kinematics(chains[0], joints, transforms)
+        geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
         reached = transforms[7]
         for i in range(3):
             step[i] = target[i, 3] - reached[i, 3]
@@ -282,13 +287,13 @@ def follow_pose(
                 error_rotation[i, j] = (
                     target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
                 )
-        step[3:] = vector_from_rotation(error_rotation)
+        copy_vector(vector_from_rotation(error_rotation), step[3:])
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))
         if iteration > 0 and largest < 1e-10:
             return True
-        matrix[:] = jacobian
+        copy_matrix(jacobian, matrix)
         if not solve_in_place(matrix, step):
             return False
         size = 0.0
@@ -302,3 +307,50 @@ def follow_pose(
             if not corrected <= 0.5 * predicted:
                 return False
     return False
+
+
+def straight_way(
+    arm: ArmModel,
+    joint_position_rad: NDArray[np.float64],
+    position_in_base_m: NDArray[np.float64],
+    *,
+    step_m: float,
+) -> NDArray[np.float64]:
+    """(k, 6) joints from ``joint_position_rad`` (6,) straight to ``position_in_base_m`` (3,), k >= 1.
+
+    Neighbouring rows are at most ``step_m`` of way apart (more on a way of over 4000 steps).  The rows
+    end where the arm cannot follow continuously; position limits and singularities are not looked at.
+    """
+    return _straight_way(
+        arm.chain,
+        np.array(joint_position_rad, dtype=np.float64),
+        np.array(position_in_base_m, dtype=np.float64),
+        step_m,
+    )
+
+
+@compiled
+def _straight_way(
+    chains: NDArray[np.void],  # (1,) CHAIN
+    start_rad: NDArray[np.float64],  # (6,)
+    end_in_base_m: NDArray[np.float64],  # (3,)
+    step_m: float,
+) -> NDArray[np.float64]:
+    """(k, 6) joints at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
+    transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
+    forward_kinematics(chains[0], start_rad, transforms)
+    start_pose = transforms[7].copy()
+    target, joints = start_pose.copy(), start_rad.copy()
+    squared = 0.0
+    for i in range(3):
+        squared += (end_in_base_m[i] - start_pose[i, 3]) ** 2
+    steps = int(min(ceil(sqrt(squared) / step_m), MOST_STEPS))
+    rows = np.empty((steps + 1, 6))
+    copy_vector(start_rad, rows[0])
+    for k in range(1, steps + 1):
+        for i in range(3):
+            target[i, 3] = start_pose[i, 3] + k / steps * (end_in_base_m[i] - start_pose[i, 3])
+        if not follow_pose(chains, target, joints, transforms, jacobian):
+            return rows[:k].copy()
+        copy_vector(joints, rows[k])
+    return rows

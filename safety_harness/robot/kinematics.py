@@ -1,4 +1,4 @@
-"""Forward kinematics, geometric Jacobian and distance to singularity, compiled.
+"""Forward kinematics, geometric Jacobian, distance to singularity and joint velocities, compiled.
 
 Frames are counted as 0 = base_link, 1 to 6 = the moving links, 7 = tcp throughout.
 """
@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.geometry.linear import invert
 from safety_harness.geometry.rotations import rotation_entries
+from safety_harness.robot.description import Chain
 
 FRAMES = 8
 TCP = 7
@@ -19,23 +21,20 @@ TCP = 7
 
 @njit_no_nrt
 def forward_kinematics(
-    joint_origins: NDArray[np.float64],
-    joint_axes: NDArray[np.float64],
-    flange: NDArray[np.float64],
-    joint_position_rad: NDArray[np.float64],
-    transforms_out: NDArray[np.float64],
+    chain: Chain, joint_position_rad: NDArray[np.float64], transforms_out: NDArray[np.float64]
 ) -> None:
     """Fill ``transforms_out`` (8, 4, 4) with link-to-base transforms: base_link, six links, tcp.
 
-    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_7 = T_6 F, with ``joint_origins`` O (6, 4, 4),
-    ``joint_axes`` a (6, 3), ``flange`` F (4, 4) and ``joint_position_rad`` q (6,).
+    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_7 = T_6 F, with ``chain.joint_origins`` O (6, 4, 4) [m],
+    ``chain.joint_axes`` a (6, 3), ``chain.flange`` F (4, 4) and ``joint_position_rad`` q (6,): the product
+    of transforms along the chain of a URDF.  (Lynch and Park, Modern Robotics, 2017, 4.2.)
     """
     for i in range(4):
         for j in range(4):
             transforms_out[0, i, j] = 1.0 if i == j else 0.0
     for joint in range(6):
-        _compose(transforms_out, joint, joint_origins[joint])
-        x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
+        _compose(transforms_out, joint, chain.joint_origins[joint])
+        x, y, z = chain.joint_axes[joint, 0], chain.joint_axes[joint, 1], chain.joint_axes[joint, 2]
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_entries(x, y, z, joint_position_rad[joint])
         for i in range(3):
             x, y, z = (
@@ -46,12 +45,15 @@ def forward_kinematics(
             transforms_out[joint + 1, i, 0] = x * r00 + y * r10 + z * r20
             transforms_out[joint + 1, i, 1] = x * r01 + y * r11 + z * r21
             transforms_out[joint + 1, i, 2] = x * r02 + y * r12 + z * r22
-    _compose(transforms_out, 6, flange)
+    _compose(transforms_out, 6, chain.flange)
 
 
 @inlined
 def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]) -> None:
-    """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time."""
+    """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time.
+
+    ``transforms`` (8, 4, 4).
+    """
     for i in range(3):
         x, y, z = transforms[k, i, 0], transforms[k, i, 1], transforms[k, i, 2]
         for j in range(4):
@@ -69,6 +71,8 @@ def geometric_jacobian(
 
     Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in
     the base frame; ``transforms`` (8, 4, 4) are those of ``forward_kinematics``.
+
+    ``joint_axes`` (6, 3).
     """
     for joint in range(6):
         ax, ay, az, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
@@ -82,9 +86,9 @@ def geometric_jacobian(
 
 @inlined
 def tcp_velocity(
-    joint_axes: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    joint_velocity_radps: NDArray[np.float64],
+    joint_axes: NDArray[np.float64],  # (6, 3)
+    transforms: NDArray[np.float64],  # (8, 4, 4)
+    joint_velocity_radps: NDArray[np.float64],  # (6,)
 ) -> tuple[float, float, float]:
     """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (6,)."""
     x = y = z = 0.0
@@ -100,7 +104,10 @@ def tcp_velocity(
 def _joint_twist(
     joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], joint: int
 ) -> tuple[float, float, float, float, float, float]:
-    """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame."""
+    """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame.
+
+    ``joint_axes`` (6, 3), ``transforms`` (8, 4, 4).
+    """
     link = transforms[joint + 1]
     x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
     ax = link[0, 0] * x + link[0, 1] * y + link[0, 2] * z
@@ -183,3 +190,32 @@ def is_well_conditioned(jacobian: NDArray[np.float64], min_singular_value: float
             else:
                 return False
     return True
+
+
+@compiled
+def joint_velocity(
+    jacobian: NDArray[np.float64],  # (6, 6)
+    twist: NDArray[np.float64],  # (6,) v, w in the Jacobian's frame
+    min_singular_value: float,
+    joint_velocity_out: NDArray[np.float64],  # (6,)
+) -> bool:
+    """Solve J q' = (v, w); False (and zeros) nearer to a singularity than ``min_singular_value``.
+
+    J of ``geometric_jacobian``, q' [rad/s], v [m/s] and w [rad/s] in its frame.  1/|J^-1|_F is never above
+    the least singular value and costs nothing; only where it is below the bound is the singular value itself
+    computed.
+    """
+    inverse = np.empty((6, 6))
+    regular = invert(jacobian, inverse)
+    norm2 = 0.0
+    for i in range(6):
+        for j in range(6):
+            norm2 += inverse[i, j] * inverse[i, j]
+    if regular and not norm2 * min_singular_value * min_singular_value <= 1.0:
+        regular = np.isfinite(norm2) and smallest_singular_value(jacobian) > min_singular_value
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            total += inverse[i, j] * twist[j]
+        joint_velocity_out[i] = total if regular else 0.0
+    return regular

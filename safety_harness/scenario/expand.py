@@ -14,8 +14,8 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.only_in_spaces import is_space
 from safety_harness.scenario.read import scenario_of_variant
+from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 
-SUITE_KEYS = (SUITE, "about", "scenarios")
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
@@ -105,13 +105,8 @@ class _Gatherer:
         if len(suites) >= DEEPEST_SUITE:
             expected = f"suites of at most {DEEPEST_SUITE} levels"
             raise ScenarioError(place=place or root.place, expected=expected, got="a deeper one")
-        given = root.fields(SUITE_KEYS)
-        title = given.required(SUITE)
-        if not title.prose("a title on one line").strip():
-            raise title.error("a title on one line")
-        about = given.optional("about")
-        if about is not None:
-            about.prose("why one would run this", lines=True)
+        given = root.fields(SUITE_TABLE.names)
+        SUITE_TABLE.values(given)
         for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
             path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
             self._add(path, item.place, (*suites, resolved(file)))

@@ -5,119 +5,57 @@ One table serves reading, writing and reports; docs/scenario-language.md has it 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from math import inf
 from typing import Any
 
+from safety_harness.scenario.codec import Key, KeyTable, Several, Tree, Word, only_key, table_of
 from safety_harness.scenario.faults import (
+    EVERY_FAULT,
     MOST_FALSE_HANDS,
     MOST_FAULTS,
-    AvoiderLate,
-    AvoiderNaN,
-    AvoiderSilent,
-    CameraBlind,
-    CameraFrozen,
-    CameraHidden,
-    CameraKnocked,
-    CameraLate,
     FalseHand,
     Fault,
-    HandSensorBlind,
-    HandSensorFrozen,
-    HandSensorLate,
-    HandSensorOff,
-    Joint,
     JointStuck,
+    Timed,
 )
-from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
-from safety_harness.scenario.settings_keys import write_vector
-from safety_harness.scenario.units import ANGLE, LENGTH, TIME, Dimension, format_quantity, near_miss, shown
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.units import TIME, near_miss
 
-TIMES = ("from", "for", "until")
-LATEST_S = 10.0
-FARTHEST_OFF_M = 1.0
+_TIMES = table_of(Timed, "the time of a fault")
+TIMES = _TIMES.names
 
 
-@dataclass(frozen=True)
-class FaultKey:
-    """One further key of a fault: its word, its attribute, and the least and most of its number(s).
-
-    ``dimension`` None is the word of a joint.
-    """
-
-    word: str
-    name: str
-    dimension: Dimension | None
-    most: float = 0.0
-    several: bool = False
-
-    def read(self, field: Field) -> Any:
-        """The value of the attribute."""
-        if self.dimension is None:
-            return field.choice(Joint)
-        if self.several:
-            return field.vector(self.dimension, largest=self.most)
-        return field.quantity(self.dimension, above=0.0, most=self.most)
-
-    def write(self, value: Any) -> str:
-        """The text from which ``read`` gives ``value`` again."""
-        if self.dimension is None:
-            return str(value.value)
-        if self.several:
-            return write_vector(value, self.dimension)
-        return format_quantity(value, self.dimension)
+def _own(kind: type[Any]) -> KeyTable:
+    """The keys of one fault without those of its time; one of them has to be there."""
+    table = table_of(kind, kind.said.predicate)
+    return replace(table, keys=table.keys[len(TIMES) :], told_by=kind.said.subject)
 
 
-@dataclass(frozen=True)
-class Phrase:
-    """A fault in words: ``subject: predicate``, then its keys; ``optional`` ones may be left out, not all."""
-
-    subject: str
-    predicate: str
-    kind: type[Any]
-    keys: tuple[FaultKey, ...] = ()
-    optional: bool = False
+OWN_KEYS = {kind: _own(kind) for kind in EVERY_FAULT}
+SUBJECTS = {
+    subject: {table.name: table for table in OWN_KEYS.values() if table.told_by == subject}
+    for subject in dict.fromkeys(table.told_by for table in OWN_KEYS.values())
+}
 
 
-_DELAY = FaultKey("delay", "delay_s", TIME, LATEST_S)
-PHRASES: tuple[Phrase, ...] = (
-    Phrase("hand sensor", "sees nothing", HandSensorBlind),
-    Phrase("hand sensor", "freezes", HandSensorFrozen),
-    Phrase("hand sensor", "is late", HandSensorLate, (_DELAY,)),
-    Phrase(
-        "hand sensor",
-        "is off",
-        HandSensorOff,
-        (FaultKey("offset", "offset_in_base_m", LENGTH, FARTHEST_OFF_M, True),),
-    ),
-    Phrase(
-        "hand sensor",
-        "sees a false hand",
-        FalseHand,
-        (FaultKey("at", "position_in_base_m", LENGTH, LARGEST_COORDINATE_M, True),),
-    ),
-    Phrase("camera", "sees nothing", CameraBlind),
-    Phrase("camera", "freezes", CameraFrozen),
-    Phrase("camera", "is late", CameraLate, (_DELAY,)),
-    Phrase(
-        "camera",
-        "is knocked",
-        CameraKnocked,
-        (
-            FaultKey("turned", "turned_in_camera_rad", ANGLE, LARGEST_ANGLE_RAD, True),
-            FaultKey("shifted", "shifted_in_tcp_m", LENGTH, FARTHEST_OFF_M, True),
-        ),
-        optional=True,
-    ),
-    Phrase("camera", "is hidden by hands", CameraHidden),
-    Phrase("joint", "is stuck", JointStuck, (FaultKey("which", "joint", None),)),
-    Phrase("avoider", "is late", AvoiderLate, (_DELAY,)),
-    Phrase("avoider", "never answers", AvoiderSilent),
-    Phrase("avoider", "answers NaN", AvoiderNaN),
-)
-SUBJECTS = tuple(dict.fromkeys(phrase.subject for phrase in PHRASES))
-_BY_KIND: Mapping[type[Any], Phrase] = {phrase.kind: phrase for phrase in PHRASES}
+def fault_tables() -> tuple[KeyTable, ...]:
+    """A table for each thing that can fail."""
+    tables = []
+    for subject, own in SUBJECTS.items():
+        first, *_ = own
+        example = f"faults:\n  - {subject}: {first}\n    from: 500 ms\n    for: 200 ms"
+        meaning = f"what the {subject} does wrongly"
+        predicate = Key(subject, Word(tuple(own)), meaning, example)
+        further = {key.name: key for table in own.values() for key in table.keys}
+        keys = (
+            predicate,
+            *(replace(key, or_else="required where it belongs") for key in further.values()),
+            *_TIMES.keys,
+        )
+        where = f"a fault of the {subject}"
+        tables.append(KeyTable(name=where, where=where, keys=keys, path=f"faults.{subject}"))
+    return tuple(tables)
 
 
 def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
@@ -133,29 +71,20 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
-    subjects = ", ".join(SUBJECTS)
-    given = [key for key, _ in field.entries(f"a fault: a mapping with one of the keys {subjects}")]
-    found = [key for key in given if key in SUBJECTS]
-    if len(found) != 1:
-        hint = near_miss(given[0], SUBJECTS) if given and not found else ""
-        got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
-        raise field.error(f"one fault: one of the keys {subjects}", got=got, hint=hint)
-    predicates = {phrase.predicate: phrase for phrase in PHRASES if phrase.subject == found[0]}
-    said = dict(field.entries("a fault"))[found[0]]
-    expected = f"what the {found[0]} does: one of {', '.join(predicates)}"
+    subject = only_key(field, "fault", SUBJECTS)
+    predicates = SUBJECTS[subject]
+    said = dict(field.entries("a fault"))[subject]
+    expected = f"what the {subject} does: one of {', '.join(predicates)}"
     words = said.scalar(expected).strip()
     if words not in predicates:
-        raise said.error(expected, hint=near_miss(words, tuple(predicates)))
-    phrase = predicates[words]
-    fields = field.fields((phrase.subject, *(key.word for key in phrase.keys), *TIMES))
-    values: dict[str, Any] = {}
-    for key in phrase.keys:
-        value = fields.optional(key.word) if phrase.optional else fields.required(key.word)
-        if value is not None:
-            values[key.name] = key.read(value)
-    if phrase.keys and not values:
-        raise field.error(f"one of the keys {', '.join(key.word for key in phrase.keys)}", got="none")
-    fault: Fault = phrase.kind(**values, **_times(fields, duration_s))
+        raise said.error(expected, hint=near_miss(words, predicates))
+    table = predicates[words]
+    fields = field.fields((subject, *table.names, *TIMES))
+    values = table.values(fields)
+    if table.keys and not any(name in fields for name in table.names):
+        raise field.error(f"one of the keys {', '.join(table.names)}", got="none")
+    assert table.kind is not None
+    fault: Fault = table.kind(**values, **_times(fields, duration_s))
     return fault
 
 
@@ -174,28 +103,24 @@ def _times(fields: Fields, duration_s: float) -> dict[str, float]:
     return times
 
 
-def write_fault(fault: Fault) -> dict[str, str]:
+def write_fault(fault: Fault) -> dict[str, Tree]:
     """The keys and values of one fault, from which ``read_faults`` gives it again."""
-    phrase = _BY_KIND[type(fault)]
-    tree = {phrase.subject: phrase.predicate}
-    tree.update({key.word: key.write(getattr(fault, key.name)) for key in phrase.keys})
-    tree["from"] = format_quantity(fault.from_s, TIME)
-    if fault.for_s is not None:
-        tree["for"] = format_quantity(fault.for_s, TIME)
-    if fault.until_s is not None:
-        tree["until"] = format_quantity(fault.until_s, TIME)
-    return tree
+    own = OWN_KEYS[type(fault)]
+    return {own.told_by: own.name, **own.write(fault), **_TIMES.write(fault)}
 
 
 def fault_words(fault: Fault) -> str:
     """A fault as a sentence for people: "hand sensor is late (delay 0.2 s), from 1 s until 3 s"."""
-    phrase = _BY_KIND[type(fault)]
-    words = f"{phrase.subject} {phrase.predicate}"
+    own = OWN_KEYS[type(fault)]
+    words = f"{own.told_by} {own.name}"
     if isinstance(fault, JointStuck):
-        words = f"{fault.joint.value} joint {phrase.predicate}"
-    values = [(key, getattr(fault, key.name)) for key in phrase.keys if key.dimension is not None]
+        words = f"{fault.joint.value} joint {own.name}"
+    values = [(key, getattr(fault, key.attribute)) for key in own.keys if not isinstance(key.value, Word)]
     if values:
-        told = (f"{key.word} {key.write(value) if key.several else f'{value:g} s'}" for key, value in values)
+        told = (
+            f"{key.name} {key.value.write(value) if isinstance(key.value, Several) else f'{value:g} s'}"
+            for key, value in values
+        )
         words += f" ({', '.join(told)})"
     if fault.end_s == inf:
         return words + (f", from {fault.from_s:g} s" if fault.from_s else ", all the time")

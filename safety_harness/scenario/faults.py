@@ -1,19 +1,43 @@
 """Faults with their times: what a sensor, a joint or the avoider does wrongly, and when.
 
-Each is a frozen dataclass; ``fault_phrases`` says how it is written.  A fault acts from ``from_s``
+Each is a frozen dataclass; ``fault_phrases`` says in which words it is written.  A fault acts from ``from_s``
 until ``end_s``, which is one of three: so long after the beginning, a moment of the run, or its end.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntEnum
 from math import inf
+from typing import Any, ClassVar, get_args
 
+from safety_harness.scenario.codec import (
+    POINT,
+    ROTATION,
+    Key,
+    QuantityValue,
+    Word,
+    declared,
+    key,
+    keyed,
+    vector_of,
+)
+from safety_harness.scenario.units import LENGTH, TIME
 from safety_harness.settings import Vector3
 
 MOST_FAULTS = 16  # a trace has a bit for each
 MOST_FALSE_HANDS = 2  # beside two true hands: a frame holds four
+LATEST_S = 10.0
+FARTHEST_OFF_M = 1.0
+
+_MOMENT = QuantityValue(TIME, least=0.0)
+_SHIFT = vector_of(LENGTH, "point", FARTHEST_OFF_M)
+_DELAY = Key(
+    "delay",
+    QuantityValue(TIME, above=0.0, most=LATEST_S),
+    "how much later everything comes that is late",
+    "200 ms",
+)
 
 
 class Joint(Enum):
@@ -27,13 +51,56 @@ class Joint(Enum):
     WRIST_3 = "wrist 3"
 
 
-@dataclass(frozen=True, kw_only=True)
+class FaultKind(IntEnum):
+    """What a record does."""
+
+    HAND_SENSOR_BLIND = 0
+    HAND_SENSOR_FROZEN = 1
+    HAND_SENSOR_LATE = 2
+    HAND_SENSOR_OFF = 3
+    FALSE_HAND = 4
+    CAMERA_BLIND = 5
+    CAMERA_FROZEN = 6
+    CAMERA_LATE = 7
+    CAMERA_KNOCKED = 8
+    CAMERA_HIDDEN = 9
+    JOINT_STUCK = 10
+    AVOIDER_LATE = 11
+    AVOIDER_SILENT = 12
+    AVOIDER_NAN = 13
+
+
+@dataclass(frozen=True)
+class Phrase:
+    """A fault in words, ``subject: predicate``, and in compiled code."""
+
+    subject: str
+    predicate: str
+    kind: FaultKind
+
+
+@declared
 class Timed:
     """When a fault acts; at most one of ``for_s`` and ``until_s`` is given."""
 
-    from_s: float = 0.0
-    for_s: float | None = None
-    until_s: float | None = None
+    said: ClassVar[Phrase]
+    from_s: float = key("from", _MOMENT, "when the fault begins", "500 ms", default=0.0)
+    for_s: float | None = key(
+        "for",
+        QuantityValue(TIME, above=0.0),
+        "how long it lasts",
+        "200 ms",
+        "to the end of the run",
+        default=None,
+    )
+    until_s: float | None = key(
+        "until",
+        _MOMENT,
+        "in place of `for`: when it ends; that moment is not in it",
+        "2 s",
+        "the end of the run",
+        default=None,
+    )
 
     @property
     def end_s(self) -> float:
@@ -43,55 +110,71 @@ class Timed:
         return inf if self.until_s is None else self.until_s
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class HandSensorBlind(Timed):
     """Its pictures show no hand."""
 
+    said = Phrase("hand sensor", "sees nothing", FaultKind.HAND_SENSOR_BLIND)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class HandSensorFrozen(Timed):
     """Its pictures are the last one before, with times of their own; none before: no hand."""
 
+    said = Phrase("hand sensor", "freezes", FaultKind.HAND_SENSOR_FROZEN)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class HandSensorLate(Timed):
     """Its pictures arrive later by ``delay_s``, in their order."""
 
-    delay_s: float
+    said = Phrase("hand sensor", "is late", FaultKind.HAND_SENSOR_LATE)
+    delay_s: float = keyed(_DELAY)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class HandSensorOff(Timed):
     """It measures every hand at a place that is off by ``offset_in_base_m``."""
 
-    offset_in_base_m: Vector3
+    said = Phrase("hand sensor", "is off", FaultKind.HAND_SENSOR_OFF)
+    offset_in_base_m: Vector3 = key(
+        "offset", _SHIFT, "by how much every hand is measured off, in base", "[50 mm, 0 mm, 0 mm]"
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class FalseHand(Timed):
     """It sees one hand more, with its centre at ``position_in_base_m``; nothing is there."""
 
-    position_in_base_m: Vector3
+    said = Phrase("hand sensor", "sees a false hand", FaultKind.FALSE_HAND)
+    position_in_base_m: Vector3 = key(
+        "at", POINT, "where the hand is that is none, in base", "[800 mm, -350 mm, 250 mm]"
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class CameraBlind(Timed):
     """The servoing camera's pictures do not show the object."""
 
+    said = Phrase("camera", "sees nothing", FaultKind.CAMERA_BLIND)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class CameraFrozen(Timed):
     """Its pictures are the last one before, with times of their own; none before: no object."""
 
+    said = Phrase("camera", "freezes", FaultKind.CAMERA_FROZEN)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class CameraLate(Timed):
     """Its pictures arrive later by ``delay_s``, in their order."""
 
-    delay_s: float
+    said = Phrase("camera", "is late", FaultKind.CAMERA_LATE)
+    delay_s: float = keyed(_DELAY)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class CameraKnocked(Timed):
     """It sits otherwise than it was calibrated, and than when the desired picture was taken.
 
@@ -99,40 +182,67 @@ class CameraKnocked(Timed):
     the turns follow one another and the shifts add up.
     """
 
-    turned_in_camera_rad: Vector3 = (0.0, 0.0, 0.0)
-    shifted_in_tcp_m: Vector3 = (0.0, 0.0, 0.0)
+    said = Phrase("camera", "is knocked", FaultKind.CAMERA_KNOCKED)
+    turned_in_camera_rad: Vector3 = key(
+        "turned",
+        ROTATION,
+        "rotation of the camera, in its frame",
+        "[2 deg, 0 deg, 0 deg]",
+        default=(0.0, 0.0, 0.0),
+    )
+    shifted_in_tcp_m: Vector3 = key(
+        "shifted",
+        _SHIFT,
+        "shift of the camera, in the TCP frame",
+        "[5 mm, 0 mm, 0 mm]",
+        default=(0.0, 0.0, 0.0),
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class CameraHidden(Timed):
     """A hand or forearm between the camera and any part of the object hides the object."""
 
+    said = Phrase("camera", "is hidden by hands", FaultKind.CAMERA_HIDDEN)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class JointStuck(Timed):
     """A joint stands still whatever is commanded."""
 
-    joint: Joint
+    said = Phrase("joint", "is stuck", FaultKind.JOINT_STUCK)
+    joint: Joint = key("which", Word(Joint), "the joint", "elbow")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class AvoiderLate(Timed):
     """An answer to what is asked now counts ``delay_s`` later; at the decision deadline there is none."""
 
-    delay_s: float
+    said = Phrase("avoider", "is late", FaultKind.AVOIDER_LATE)
+    delay_s: float = keyed(_DELAY)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class AvoiderSilent(Timed):
     """What is asked now is never answered."""
 
+    said = Phrase("avoider", "never answers", FaultKind.AVOIDER_SILENT)
 
-@dataclass(frozen=True, kw_only=True)
+
+@declared
 class AvoiderNaN(Timed):
     """What is asked now is answered with a position that is no number."""
+
+    said = Phrase("avoider", "answers NaN", FaultKind.AVOIDER_NAN)
 
 
 HandSensorFault = HandSensorBlind | HandSensorFrozen | HandSensorLate | HandSensorOff | FalseHand
 CameraFault = CameraBlind | CameraFrozen | CameraLate | CameraKnocked | CameraHidden
 AvoiderFault = AvoiderLate | AvoiderSilent | AvoiderNaN
 Fault = HandSensorFault | CameraFault | JointStuck | AvoiderFault
+EVERY_FAULT: tuple[type[Any], ...] = (
+    *get_args(HandSensorFault),
+    *get_args(CameraFault),
+    JointStuck,
+    *get_args(AvoiderFault),
+)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections import abc
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import pi
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -19,13 +20,12 @@ from typing import NamedTuple, TypeVar
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
 from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
-from safety_harness.settings import Vector3
 
 LARGEST_COORDINATE_M = 10.0  # beyond it: a slip of the unit, not a workplace
 LARGEST_ANGLE_RAD = 2.0 * pi
 
 E = TypeVar("E", bound=Enum)
-D = TypeVar("D", float, None)
+V = TypeVar("V")
 
 _INTEGER = re.compile(r"[+-]?[0-9]{1,20}")
 _LONGEST_SENTENCE = 200  # characters, since YAML allows a key 1,024 of them and escapes take room
@@ -106,22 +106,18 @@ class Field(NamedTuple):
             raise self.error(expected)
         return int(text)
 
-    def vector(self, dimension: Dimension, *, largest: float | None = None) -> Vector3:
-        """Three quantities; none larger than ``largest`` either way."""
-        x, y, z = (
-            item.quantity(dimension, least=None if largest is None else -largest, most=largest)
-            for item in self.items(f"a list of three, each {dimension.expected}", count=3)
-        )
-        return x, y, z
-
     def choice(self, choices: type[E]) -> E:
         """One of the values of an enumeration."""
-        names = [str(member.value) for member in choices]
+        return self.one_of({str(member.value): member for member in choices})
+
+    def one_of(self, choices: dict[str, V]) -> V:
+        """What one of the names stands for."""
+        names = list(choices)
         expected = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
         text = self.scalar(expected)
         if text not in names:
             raise self.error(expected, hint=near_miss(text, names))
-        return choices(text)
+        return choices[text]
 
     def sentence(self, expected: str) -> str:
         """A text that is looked up elsewhere, or a name: one line of printable characters."""
@@ -208,11 +204,6 @@ class Fields:
         """The value of ``key``, or None."""
         return self.by_key.get(key)
 
-    def quantity(self, key: str, dimension: Dimension, default: D, **bounds: float) -> float | D:
-        """The quantity of ``key`` within bounds (as for ``Field.quantity``), or ``default``."""
-        field = self.optional(key)
-        return default if field is None else field.quantity(dimension, **bounds)
-
 
 def places(field: Field) -> dict[str, Place]:
     """The place of ``field`` and of everything below it, by path."""
@@ -225,3 +216,41 @@ def places(field: Field) -> dict[str, Place]:
     for child in below:
         found.update(places(child))
     return found
+
+
+@dataclass(frozen=True)
+class Places(abc.Mapping[str, Place]):
+    """``places`` of ``root``: few of the scenarios of a search are ever complained about."""
+
+    root: Field
+
+    @cached_property
+    def _found(self) -> dict[str, Place]:
+        return places(self.root)
+
+    def __getitem__(self, path: str) -> Place:
+        return self._found[path]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+
+@dataclass(frozen=True)
+class Replaced(abc.Mapping[str, Place]):
+    """``places`` with another one of ``field``, found when it is first asked for as well."""
+
+    places: abc.Mapping[str, Place]
+    field: str
+    place: Place
+
+    def __getitem__(self, path: str) -> Place:
+        return self.place if path == self.field else self.places[path]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self.places, self.field: self.place})
+
+    def __len__(self) -> int:
+        return len(self.places) + (self.field not in self.places)

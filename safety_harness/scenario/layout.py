@@ -8,12 +8,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.scenario.codec import Below, FreeKeys, KeyTable, Several, Value, scalar_text
 from safety_harness.scenario.layout_tree import LayoutEntry, WrittenValue, written_tree
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY, is_space
-from safety_harness.scenario.reference import Below, FreeKeys, KeyTable, Several, Value
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
-from safety_harness.scenario.write import scalar_text
 
 PROSE_WIDTH, FLOW_WIDTH = 120, 110
 _NUMBER = re.compile(r"[+-]?[.0-9][^,\[\]{}]*")

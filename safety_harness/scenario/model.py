@@ -6,21 +6,52 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place
+from safety_harness.scenario.codec import (
+    POINT,
+    ROTATION,
+    TURN,
+    Below,
+    Key,
+    QuantityValue,
+    Several,
+    Text,
+    declared,
+    key,
+    keyed,
+    table_of,
+)
 from safety_harness.scenario.faults import Fault
-from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, HandMove, Tremor
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.moves import (
+    LONGEST_S,
+    MOVE,
+    REACHING_MPS,
+    REACHING_MPS2,
+    SPEEDS,
+    TREMOR,
+    HandMove,
+    Tremor,
+)
+from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 MAX_HANDS = 2
+LARGEST_SEED = 2**63 - 1
+DEFAULT_AVOIDER = "mc-dropout"
+LARGEST_FACTOR = 10.0
+LONGEST_GAP_S = 10.0
+ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
 
 
 class Verdict(Enum):
@@ -44,7 +75,20 @@ class Robot(Enum):
         return self.value.lower()
 
 
-@dataclass(frozen=True, kw_only=True)
+_TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
+_TILT = Key(
+    "tilt",
+    ROTATION,
+    "of the tool, from looking straight down, in the desired TCP's own frame",
+    f"tcp start: {{offset: [0 mm, 0 mm, 0 mm], {_TILTED}}}",
+    "none",
+)
+_JOINTS = Several(
+    of=TURN, form="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
+)
+
+
+@declared
 class OffsetStart:
     """A TCP start relative to the desired pose.
 
@@ -52,29 +96,55 @@ class OffsetStart:
     in the desired TCP frame (zero: the camera looks straight down).
     """
 
-    offset_in_base_m: Vector3
-    tilt_in_tcp_rad: Vector3 = (0.0, 0.0, 0.0)
+    offset_in_base_m: Vector3 = key(
+        "offset",
+        POINT,
+        "from the desired TCP, along the axes of the base",
+        "tcp start: {offset: [40 mm, -120 mm, 60 mm]}",
+    )
+    tilt_in_tcp_rad: Vector3 = keyed(_TILT, default=(0.0, 0.0, 0.0))
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class JointStart:
     """A TCP start by its six joint angles."""
 
-    joint_position_rad: tuple[float, float, float, float, float, float]
+    joint_position_rad: tuple[float, float, float, float, float, float] = key(
+        "joints",
+        _JOINTS,
+        "pan, lift, elbow, wrist 1, 2, 3; in place of `offset` and `tilt`",
+        "tcp start: {joints: [-12 deg, -73 deg, 113 deg, -130 deg, -90 deg, -103 deg]}",
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class PoseStart:
     """A TCP start by its place in the base frame; ``tilt_in_tcp_rad`` as in OffsetStart."""
 
-    position_in_base_m: Vector3
-    tilt_in_tcp_rad: Vector3 = (0.0, 0.0, 0.0)
+    position_in_base_m: Vector3 = key(
+        "position",
+        POINT,
+        "of the TCP in the base frame, in place of `offset`",
+        "tcp start: {position: [680 mm, 60 mm, 410 mm]}",
+    )
+    tilt_in_tcp_rad: Vector3 = keyed(_TILT, default=(0.0, 0.0, 0.0))
 
 
 TcpStart = OffsetStart | PoseStart | JointStart
 
 
-@dataclass(frozen=True, kw_only=True)
+START = Below(tables=tuple(table_of(kind, "tcp start") for kind in get_args(TcpStart)))
+
+_HAND_NAME = Text(form="name", expected="a name for the hand")
+_STARTS_AT, _TOWARDS = "[1.2 m, -0.7 m, 100 mm]", "[1.6 m, -1.2 m, 300 mm]"
+_SHIFT, _LATER = "[0 mm, 50 mm, 0 mm]", "500 ms"
+_FASTER = "2.5 m/s"
+_ELBOW = Key("elbow towards", POINT, "where the forearm points, at every moment", _TOWARDS)
+_DELAY = QuantityValue(TIME, least=0.0, most=LONGEST_S)
+_ACCELERATION = QuantityValue(ACCELERATION, least=ACCELERATIONS_MPS2[0], most=ACCELERATIONS_MPS2[1])
+
+
+@declared
 class MovingHand:
     """A hand that does one move after another, then rests.
 
@@ -84,15 +154,48 @@ class MovingHand:
     tremor included, nor its moves ``max_acceleration_mps2``; the tremor's own comes on top.
     """
 
-    name: str
-    starts_at_in_base_m: Vector3
-    elbow_towards_in_base_m: Vector3
-    moves: tuple[HandMove, ...]
-    shift_in_base_m: Vector3 = (0.0, 0.0, 0.0)
-    delay_s: float = 0.0
-    max_speed_mps: float = REACHING_MPS
-    max_acceleration_mps2: float = REACHING_MPS2
-    tremor: Tremor | None = None
+    name: str = key(
+        "hand", _HAND_NAME, "for messages and reports; another one for each hand", "- hand: right"
+    )
+    starts_at_in_base_m: Vector3 = key(
+        "starts at", POINT, "the hand's centre at time 0, where it is at rest", _STARTS_AT
+    )
+    elbow_towards_in_base_m: Vector3 = keyed(_ELBOW)
+    shift_in_base_m: Vector3 = key(
+        "shifted by",
+        POINT,
+        "added to `starts at` and to every point of the moves",
+        _SHIFT,
+        default=(0.0, 0.0, 0.0),
+    )
+    delay_s: float = key("delayed by", _DELAY, "how long it waits before its first move", _LATER, default=0.0)
+    max_speed_mps: float = key(
+        "speed at most",
+        SPEEDS,
+        "no move may say more than this, less the tremor's own speed",
+        _FASTER,
+        default=REACHING_MPS,
+    )
+    max_acceleration_mps2: float = key(
+        "acceleration at most",
+        _ACCELERATION,
+        "how hard the hand speeds up, turns and brakes",
+        "20 m/s2",
+        default=REACHING_MPS2,
+    )
+    tremor: Tremor | None = key(
+        "tremor",
+        Below(tables=(TREMOR,)),
+        "a small motion on top, at rest too",
+        TREMOR.keys[0].example,
+        default=None,
+    )
+    moves: tuple[HandMove, ...] = key(
+        "moves",
+        Several(of=MOVE, form="list", expected="a list of moves"),
+        "what it does; an empty list for a hand that rests",
+        "moves:\n  - wait: 1 s\n  - withdraw: 1.6 m/s",
+    )
 
     @property
     def max_move_speed_mps(self) -> float:
@@ -137,7 +240,27 @@ class RecordedMotion:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+def _sha256(field: Field) -> str:
+    digest = field.scalar("a SHA-256")
+    if not re.fullmatch(r"[0-9a-f]{64}", digest):
+        raise field.error("a SHA-256: 64 digits and letters from a to f")
+    return digest
+
+
+_PATH = Text(form="path", reads=lambda field: Path(field.sentence("the path of a recording")))
+_DIGEST = Text(
+    form="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
+)
+# A track as the columns spell it: ``right hand`` is ``right_hand``.
+_TRACK = Text(form="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
+
+
+_FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
+_RECORDED_TIME = QuantityValue(TIME)
+_GAP = QuantityValue(TIME, above=0.0, most=LONGEST_GAP_S)
+
+
+@declared
 class RecordedHand:
     """A hand that repeats a recording.
 
@@ -149,35 +272,91 @@ class RecordedHand:
     REACHING_MPS if it is sped up.
     """
 
-    name: str
-    recording: Path
-    track: str  # the column group: "right_hand" or "left_hand", say
-    elbow_track: str | None
-    elbow_towards_in_base_m: Vector3 | None
-    starts_at_in_base_m: Vector3
-    turn_rad: float
-    speed_factor: float
-    from_s: float | None
-    to_s: float | None
-    longest_gap_s: float
-    fastest_jump_mps: float
-    motion: RecordedMotion
-    shift_in_base_m: Vector3 = (0.0, 0.0, 0.0)
-    delay_s: float = 0.0
-    max_speed_mps: float | None = None
+    recording: Path = key(
+        "recording",
+        _PATH,
+        "of the CSV file, relative to the scenario file",
+        "- recording: recordings/robothumanhandover-0.csv",
+    )
+    motion: RecordedMotion = key(
+        "sha256", _DIGEST, "refuse a file with other contents", f"sha256: {'0123456789abcdef' * 4}", "none"
+    )
+    name: str = key("hand", _HAND_NAME, "for messages and reports", "right", "the track")
+    track: str = key(
+        "track", _TRACK, "`right hand` means the columns `right_hand_x_m` and so on", "right hand"
+    )
+    elbow_track: str | None = key(
+        "elbow track",
+        _TRACK,
+        "the person's elbow",
+        "right elbow",
+        "the same side's elbow, if it was recorded",
+        default=None,
+    )
+    elbow_towards_in_base_m: Vector3 | None = keyed(
+        replace(_ELBOW, meaning=f"in place of an elbow track: {_ELBOW.meaning}", or_else="none"), default=None
+    )
+    starts_at_in_base_m: Vector3 = key(
+        "starts at", POINT, "where the first sample that is used is put", _STARTS_AT
+    )
+    turn_rad: float = key(
+        "turned", TURN, "about the vertical through that first sample", "20 deg", default=0.0
+    )
+    shift_in_base_m: Vector3 = key(
+        "shifted by", POINT, "added to `starts at`", _SHIFT, default=(0.0, 0.0, 0.0)
+    )
+    delay_s: float = key(
+        "delayed by", _DELAY, "how long the hand rests at its first sample", _LATER, default=0.0
+    )
+    speed_factor: float = key(
+        "speed factor", _FACTOR, "how many times as fast as it was recorded", "1.5", "1.0", default=1.0
+    )
+    max_speed_mps: float | None = key(
+        "speed at most",
+        SPEEDS,
+        "a recording that is faster, as it is used, is refused",
+        _FASTER,
+        "as recorded; 2 m/s with a `speed factor` above 1",
+        default=None,
+    )
+    from_s: float | None = key(
+        "from",
+        _RECORDED_TIME,
+        "where the part that is used begins, in the recording's own time",
+        "1.5 s",
+        "its beginning",
+        default=None,
+    )
+    to_s: float | None = key(
+        "to", _RECORDED_TIME, "where the part that is used ends", "13 s", "its end", default=None
+    )
+    longest_gap_s: float = key(
+        "longest gap", _GAP, "how long the track may be missing", "300 ms", default=0.2
+    )
+    fastest_jump_mps: float = key(
+        "fastest jump", SPEEDS, "what is faster is another marker, not this one", "4 m/s", default=5.0
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class JoinedHand:
     """A hand that holds the same part as another, earlier one: it stays ``apart_in_base_m`` from it."""
 
-    name: str
-    joined_to: str  # the name of the hand that leads
-    apart_in_base_m: Vector3
-    elbow_towards_in_base_m: Vector3
+    name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
+    joined_to: str = key(
+        "together with", Text(form="name", expected="the name of a hand"), "of the hand that leads", "right"
+    )
+    apart_in_base_m: Vector3 = key(
+        "apart", POINT, "from that hand's centre to this one's", "[0 mm, 300 mm, 0 mm]"
+    )
+    elbow_towards_in_base_m: Vector3 = keyed(_ELBOW)
 
 
 HandTrajectory = MovingHand | RecordedHand | JoinedHand
+MOVING_HAND = table_of(MovingHand, "a hand that moves", path="hands")
+JOINED_HAND = table_of(JoinedHand, "a hand that goes with another", path="hands", told_by="together with")
+RECORDED_HAND = table_of(RecordedHand, "a hand that repeats a recording", path="hands")
+HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""What a hand can do, one frozen object for each move.
+"""What a hand can do, one frozen object for each move, and how each is written.
 
 A hand is at rest before its first move.  Straight ways lead from rest to rest: the speed rises and
 falls at the hand's acceleration and is at most the move's.  A move that begins while the hand is
@@ -7,9 +7,24 @@ still under way first lets it stop.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import typing
+from dataclasses import replace
 from math import pi
+from typing import Any
 
+from safety_harness.scenario.codec import (
+    POINT,
+    Below,
+    KeyTable,
+    QuantityValue,
+    Several,
+    declared,
+    key,
+    keyed,
+    table_of,
+)
+from safety_harness.scenario.fields import LARGEST_COORDINATE_M
+from safety_harness.scenario.units import LENGTH, NUMBER, RATE, SPEED, TIME
 from safety_harness.settings import Vector3
 
 # ISO 13855 takes 2.0 m/s for a hand that reaches from close by (1.6 m/s for a person who walks up).
@@ -18,8 +33,29 @@ REACHING_MPS = 2.0
 # at 2.0 m/s has 1.642 v^2/d = 10 m/s^2 at most.
 REACHING_MPS2 = 10.0
 
+LONGEST_S = 3600.0  # of a run, and of anything in it
+FASTEST_MPS = 20.0
+MOST_TIMES = 1000
+# Of a tremor: what is slower or larger than these is a slip of the unit.
+TREMORS_M = (1e-5, 0.02)
+TREMORS_HZ = (0.1, 20.0)
 
-@dataclass(frozen=True, kw_only=True)
+SPEEDS = QuantityValue(SPEED, above=0.0, most=FASTEST_MPS)
+LASTING = QuantityValue(TIME, above=0.0, most=LONGEST_S)
+_DISTANCE = QuantityValue(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
+_BOX = Several(
+    of=POINT,
+    form="two opposite corners of a box",
+    expected="a box: a list of two opposite corners, each a list of three lengths",
+    count=2,
+)
+_AMPLITUDE = QuantityValue(LENGTH, least=TREMORS_M[0], most=TREMORS_M[1])
+_RATE = QuantityValue(RATE, least=TREMORS_HZ[0], most=TREMORS_HZ[1])
+_TIMES = QuantityValue(NUMBER, least=1, most=MOST_TIMES, whole=True)
+_TREMOR_OF_1_MM = "tremor: {amplitude: 1 mm, rate: 8 Hz}"
+
+
+@declared
 class Tremor:
     """A small involuntary motion on top of every move, and at rest: an ellipse of that size and rate.
 
@@ -27,8 +63,8 @@ class Tremor:
     with phases from the scenario's seed, and so never larger than the amplitude.
     """
 
-    amplitude_m: float
-    rate_hz: float
+    amplitude_m: float = key("amplitude", _AMPLITUDE, "the displacement is never larger", _TREMOR_OF_1_MM)
+    rate_hz: float = key("rate", _RATE, "of the ellipse that it goes along", _TREMOR_OF_1_MM)
 
     @property
     def max_speed_mps(self) -> float:
@@ -41,92 +77,141 @@ class Tremor:
         return self.amplitude_m * (2.0 * pi * self.rate_hz) ** 2
 
 
-@dataclass(frozen=True, kw_only=True)
+TREMOR = table_of(Tremor, "tremor", where="tremor of a hand")
+
+
+@declared
 class MoveTo:
     """Straight to a point."""
 
-    position_in_base_m: Vector3
-    speed_mps: float
+    position_in_base_m: Vector3 = key("move to", POINT, "straight there")
+    speed_mps: float = key("speed", SPEEDS, "how fast the hand moves")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class Wait:
     """Stop, and stay there; the time to stop counts."""
 
-    duration_s: float
+    duration_s: float = key("wait", LASTING, "stop, and stay there")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class Hesitation:
     """A reach stops ``distance_m`` before its goal for ``duration_s``, then goes on."""
 
-    distance_m: float
-    duration_s: float
+    distance_m: float = key("hesitating at", _DISTANCE, "the distance at which the hand stops on its way")
+    duration_s: float = key("for", LASTING, "how long it stops there")
 
 
-@dataclass(frozen=True, kw_only=True)
+HESITATION = table_of(Hesitation, "hesitation")
+
+
+@declared
 class ReachForTcp:
     """Head for the TCP, wherever it is just now, until ``until_distance_m`` from it.
 
     Ends after ``at_most_s`` if the TCP gives way for that long.
     """
 
-    speed_mps: float
-    until_distance_m: float
-    at_most_s: float
-    hesitation: Hesitation | None = None
+    speed_mps: float = key(
+        "reach for tcp",
+        SPEEDS,
+        "head for the TCP, wherever it is, until that near, or give up; on the way, if the last two "
+        "are there, stop that far from it for that long",
+    )
+    until_distance_m: float = key("until", _DISTANCE, "the distance to the TCP at which the reach ends")
+    at_most_s: float = key("at most", LASTING, "when the hand gives up, if the TCP gives way for that long")
+    hesitation: Hesitation | None = keyed(HESITATION, default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class ReachForObject:
     """Straight towards the object's own origin, until ``until_distance_m`` from it."""
 
-    speed_mps: float
-    until_distance_m: float
-    at_most_s: float
-    hesitation: Hesitation | None = None
+    speed_mps: float = key("reach for object", SPEEDS, "the same, straight to the object")
+    until_distance_m: float = key(
+        "until", _DISTANCE, "the distance to the object's origin at which the reach ends"
+    )
+    at_most_s: float = key("at most", LASTING, "when the hand gives up")
+    hesitation: Hesitation | None = keyed(HESITATION, default=None)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class FollowTcp:
     """Keep heading for the TCP for ``duration_s``, to stop ``distance_m`` from it."""
 
-    speed_mps: float
-    distance_m: float
-    duration_s: float
+    speed_mps: float = key(
+        "follow tcp", SPEEDS, "keep heading for the TCP for that long, to stop that far from it"
+    )
+    distance_m: float = key("keeping", _DISTANCE, "the distance to the TCP at which the hand stops")
+    duration_s: float = key("for", LASTING, "how long the hand follows")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class Wander:
     """From one point of a box to the next for ``duration_s``; points are uniform, from the seed.
 
     ``corners_in_base_m`` are two opposite corners of the box, in any order.
     """
 
-    speed_mps: float
-    corners_in_base_m: tuple[Vector3, Vector3]
-    duration_s: float
+    speed_mps: float = key(
+        "wander",
+        SPEEDS,
+        "straight from one point of the box to another for that long; the points are drawn from the seed",
+    )
+    corners_in_base_m: tuple[Vector3, Vector3] = key("within", _BOX, "the box that the hand does not leave")
+    duration_s: float = key("for", LASTING, "how long the hand wanders")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class Sweep:
     """To one point, then ``times`` times to the other and back."""
 
-    speed_mps: float
-    from_in_base_m: Vector3
-    to_in_base_m: Vector3
-    times: int
+    speed_mps: float = key("sweep", SPEEDS, "to the one point, then so many times to the other and back")
+    from_in_base_m: Vector3 = key("from", POINT, "where a sweep begins and ends")
+    to_in_base_m: Vector3 = key("to", POINT, "where it turns")
+    times: int = key("times", _TIMES, "how often it goes there and back")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declared
 class Withdraw:
     """Straight back to where the hand started."""
 
-    speed_mps: float
+    speed_mps: float = key("withdraw", SPEEDS, "straight back to where the hand started")
 
 
 HandMove = MoveTo | Wait | ReachForTcp | ReachForObject | FollowTcp | Wander | Sweep | Withdraw
 Reach = ReachForTcp | ReachForObject
+
+# Each move as a page shows it, with an example.
+_EXAMPLES: dict[type[Any], str] = {
+    Wait: "- wait: 1 s",
+    MoveTo: "- move to: [840 mm, -350 mm, 5 mm]\n  speed: 0.5 m/s",
+    ReachForTcp: "- reach for tcp: 2 m/s\n  until: 100 mm\n  at most: 3 s",
+    ReachForObject: "- reach for object: 2 m/s\n  until: 100 mm\n  at most: 3 s\n  hesitating at: 400 mm\n"
+    "  for: 300 ms",
+    FollowTcp: "- follow tcp: 0.3 m/s\n  keeping: 250 mm\n  for: 4 s",
+    Wander: "- wander: 0.6 m/s\n  within: [[1.0 m, -0.6 m, 0 mm], [1.2 m, -0.4 m, 200 mm]]\n  for: 2 s",
+    Sweep: "- sweep: 0.8 m/s\n  from: [0.9 m, -0.3 m, -100 mm]\n  to: [0.9 m, -0.6 m, -100 mm]\n  times: 3",
+    Withdraw: "- withdraw: 1.6 m/s",
+}
+
+
+def _table_of_move(kind: type[Any], example: str) -> KeyTable:
+    """Its first key is its name; all keys share one example."""
+    table = table_of(kind, "")
+    keys = tuple(replace(key, example=example) for key in table.keys)
+    name = keys[0].name
+    return replace(table, name=name, where=f"the move {name}", path=f"hands.moves.{name}", keys=keys)
+
+
+MOVES = tuple(_table_of_move(kind, example) for kind, example in _EXAMPLES.items())
+_KINDS = typing.get_args(HandMove)
+MOVE = Below(
+    tables=MOVES,
+    noun="move",
+    order=tuple(table.told_by for table in sorted(MOVES, key=lambda table: _KINDS.index(table.kind))),
+)
 
 
 def shifted(point: Vector3, by: Vector3) -> Vector3:

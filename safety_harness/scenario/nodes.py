@@ -36,7 +36,7 @@ _MOST_NODES = 20_000  # in one file; reading that many takes a second or two
 class Scalar:
     """A single value: its text, with quotes and folding undone.
 
-    ``drawn`` is the quantity (value, unit) that the text was made of, where it was made of one.
+    ``drawn`` is the number, with its unit, to be read in place of the text: a space's own.
     """
 
     text: str

@@ -24,6 +24,7 @@ from safety_harness.scenario.recording_table import (
     TIME_COLUMN,
     Recording,
     number_in,
+    recording_error,
 )
 from safety_harness.scenario.tracks import MendedTrack, Track, mend
 from safety_harness.scenario.units import near_miss, shown
@@ -167,7 +168,7 @@ def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
     time_s = time_s[(time_s >= begin_s) & (time_s <= end_s)]
     if len(time_s) < 2:
         names = " and ".join(one.track.name for one in mended)
-        raise _error(file, expected=f"at least two samples with {names}", got=str(len(time_s)))
+        raise recording_error(file, expected=f"at least two samples with {names}", got=str(len(time_s)))
     return time_s
 
 
@@ -196,10 +197,3 @@ def _elbows_towards(
         )
     elbows: NDArray[np.float64] = hand_in_base_m + length_m * forearm / distance_m
     return elbows
-
-
-def _error(
-    file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
-) -> RecordingError:
-    place = Place(file=file, line=line, field=column)
-    return RecordingError(place=place, expected=expected, got=got, hint=hint)

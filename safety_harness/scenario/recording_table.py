@@ -81,29 +81,31 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
                 continue
             if len(row) > MAX_COLUMNS:
                 expected, got = f"at most {MAX_COLUMNS:,} columns", f"{len(row):,}"
-                raise _error(file, reader.line_num, expected=expected, got=got)
+                raise recording_error(file, reader.line_num, expected=expected, got=got)
             if len(rows) > MAX_ROWS:  # the first is the header
-                raise _error(file, reader.line_num, expected=f"at most {MAX_ROWS:,} samples", got="more")
+                raise recording_error(
+                    file, reader.line_num, expected=f"at most {MAX_ROWS:,} samples", got="more"
+                )
             rows.append(tuple(cell.strip() for cell in row))
             lines.append(reader.line_num)
     except csv.Error as error:
-        raise _error(
+        raise recording_error(
             file, reader.line_num, expected="a table of cells with commas", got=str(error)
         ) from error
     if not rows:
-        raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
+        raise recording_error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
     if TIME_COLUMN not in header:
         ours = any(name.endswith("_x_m") for name in header)  # nothing is quoted of what may be anybody's
         got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
         hint = near_miss(TIME_COLUMN, header)
-        raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
+        raise recording_error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
     if len(set(header)) < len(header):
         name = next(name for at, name in enumerate(header) if name in header[:at])
-        raise _error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')
+        raise recording_error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')
     for cells, line in zip(rows, lines, strict=True):
         if len(cells) != len(header):
-            raise _error(
+            raise recording_error(
                 file, line, expected=f"{len(header)} cells, as in the first line", got=str(len(cells))
             )
     return header, rows[1:], lines[1:]
@@ -111,12 +113,12 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
 
 def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
     if len(time_s) < 2:
-        raise _error(file, expected="at least two samples", got=str(len(time_s)))
+        raise recording_error(file, expected="at least two samples", got=str(len(time_s)))
     for index in np.flatnonzero(~np.isfinite(time_s)):
-        raise _error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
+        raise recording_error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
     for index in np.flatnonzero(np.diff(time_s) < _SHORTEST_STEP_S):
         got = f"{time_s[index + 1]:.12g} s after {time_s[index]:.12g} s"
-        raise _error(
+        raise recording_error(
             file, lines[index + 1], TIME_COLUMN, expected="a time later than the one before", got=got
         )
 
@@ -131,12 +133,13 @@ def number_in(cell: str, file: Path, line: int, column: str, *, largest: float) 
     except ValueError:
         value = math.inf
     if not abs(value) <= largest or "_" in cell:
-        raise _error(file, line, column, expected=expected, got=shown(cell))
+        raise recording_error(file, line, column, expected=expected, got=shown(cell))
     return value
 
 
-def _error(
+def recording_error(
     file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
 ) -> RecordingError:
+    """The error for a place in a recording."""
     place = Place(file=file, line=line, field=column)
     return RecordingError(place=place, expected=expected, got=got, hint=hint)

@@ -2,70 +2,74 @@
 
 from __future__ import annotations
 
-from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
-from safety_harness.scenario.faults import MOST_FAULTS
-from safety_harness.scenario.model import MAX_HANDS, Robot, Verdict
-from safety_harness.scenario.read import DEFAULT_AVOIDER, LARGEST_SEED, SETTINGS_KEYS, TOP_GROUPS
-from safety_harness.scenario.read_moves import LONGEST_S
-from safety_harness.scenario.reference import (
-    POINT,
-    REQUIRED,
-    ROTATION,
-    TURN,
+from dataclasses import replace
+
+from safety_harness.scenario.codec import (
     Below,
     FreeKeys,
+    Key,
     KeyTable,
     QuantityValue,
     Several,
     Text,
+    Tree,
+    Value,
     Word,
     below,
-    key_of,
 )
-from safety_harness.scenario.reference_faults import fault_tables
-from safety_harness.scenario.reference_hands import JOINED_HAND, MOVING_HAND, RECORDED_HAND
-from safety_harness.scenario.reference_settings import group_table
-from safety_harness.scenario.units import NUMBER, TIME
+from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
+from safety_harness.scenario.fault_phrases import fault_tables
+from safety_harness.scenario.faults import MOST_FAULTS
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.model import (
+    DEFAULT_AVOIDER,
+    HAND,
+    LARGEST_SEED,
+    MAX_HANDS,
+    START,
+    Robot,
+    TcpStart,
+    Verdict,
+)
+from safety_harness.scenario.moves import LASTING, LONGEST_S
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
+from safety_harness.scenario.units import NUMBER
 
-_TIME = QuantityValue(dimension=TIME, above=0.0, most=LONGEST_S)
-_VERDICT = Word(options=tuple(verdict.value for verdict in Verdict))
+CLAIMS = FreeKeys(
+    of=Word(Verdict),
+    form="mapping, at least one",
+    expected="a mapping of claims, such as hand distance never below 50 mm: holds",
+    least=1,
+)
+
+_STARTS = {key.name: key for table in START.tables for key in table.keys}
+_WAYS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["joints"])), _STARTS["tilt"])
 
 
-_TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
-TCP_START = KeyTable(
+class _StartTable(KeyTable):
+    """One table of three ways to say a start."""
+
+    def read(self, field: Field) -> TcpStart:
+        """One of them, each with its own keys."""
+        given = field.fields(self.names)
+        ways = [key for key in self.names if key in given and key != "tilt"]
+        if len(ways) > 1 or ("joints" in given and "tilt" in given):
+            wrong = given.required(ways[1] if len(ways) > 1 else "tilt")
+            expected = "one of offset, position (each with a tilt, if you want) and joints"
+            raise wrong.error(expected, got="both")
+        start: TcpStart = START.by_key[ways[0] if ways else "offset"].made_of(given)
+        return start
+
+    def write(self, value: object) -> dict[str, Tree]:
+        """By the keys of the way that it is."""
+        return START.write(value)
+
+
+TCP_START = _StartTable(
     name="tcp start",
     where="tcp start",
     path="tcp start",
-    keys=(
-        key_of(
-            "offset",
-            POINT,
-            "one of these three",
-            "from the desired TCP, along the axes of the base",
-            "tcp start: {offset: [40 mm, -120 mm, 60 mm]}",
-        ),
-        key_of(
-            "position",
-            POINT,
-            "",
-            "of the TCP in the base frame, in place of `offset`",
-            "tcp start: {position: [680 mm, 60 mm, 410 mm]}",
-        ),
-        key_of(
-            "joints",
-            Several(of=TURN, form="list of six angles", count=6),
-            "",
-            "pan, lift, elbow, wrist 1, 2, 3; in place of `offset` and `tilt`",
-            "tcp start: {joints: [-12 deg, -73 deg, 113 deg, -130 deg, -90 deg, -103 deg]}",
-        ),
-        key_of(
-            "tilt",
-            ROTATION,
-            "none",
-            "of the tool, from looking straight down, in the desired TCP's own frame",
-            f"tcp start: {{offset: [0 mm, 0 mm, 0 mm], {_TILTED}}}",
-        ),
-    ),
+    keys=(replace(_STARTS["offset"], or_else="one of these three"), *_WAYS),
 )
 GROUPS = {
     **{key: group_table(key, key) for key in TOP_GROUPS},
@@ -76,117 +80,138 @@ SETTINGS = KeyTable(
     where="settings",
     path="settings",
     keys=tuple(
-        key_of(
+        Key(
             key,
             Below(tables=(GROUPS[key],)),
-            "the defaults",
             "a group of settings",
-            GROUPS[key].keys[0].example,
+            GROUPS[key].keys[0].lines,
+            "the defaults",
         )
         for key in SETTINGS_KEYS
     ),
 )
-_HANDS = (MOVING_HAND, JOINED_HAND, RECORDED_HAND)
-_LINE = Text(form="text, one line")
-_PROSE = Text(form="text")
+
+
+def _title(field: Field) -> str:
+    title = field.prose("a title on one line")
+    if not title.strip():
+        raise field.error("a title on one line")
+    return title
+
+
+def _prose(expected: str) -> Text:
+    return Text(form="text", reads=lambda field: field.prose(expected, lines=True))
+
+
+_LINE = Text(form="text, one line", reads=_title)
 TOP = KeyTable(
     name="a scenario",
     where="a scenario",
     keys=(
-        key_of(
+        Key(
             "scenario",
             _LINE,
-            REQUIRED,
             "what is tried, as a title",
-            "scenario: a hand reaches for the tool and withdraws",
+            "a hand reaches for the tool and withdraws",
+            attribute="title",
         ),
-        key_of("about", _PROSE, "empty", "why one would try it", "about: The reach is fast."),
-        key_of(
+        Key(
+            "about",
+            _prose("why one would try this"),
+            "why one would try it",
+            "The reach is fast.",
+            "empty",
+            attribute="about",
+            fallback="",
+        ),
+        Key(
             "duration",
-            _TIME,
-            REQUIRED,
+            LASTING,
             "how long the run lasts; from one to 1,000,000 control periods. It is not rounded: the run ends "
             "with the first control tick at or after it",
-            "duration: 12 s",
+            "12 s",
+            attribute="duration_s",
             said=f"time, at most {LONGEST_S:g} s",
         ),
-        key_of(
+        Key(
             "seed",
-            QuantityValue(dimension=NUMBER, least=0, most=LARGEST_SEED, whole=True),
-            "0",
+            QuantityValue(NUMBER, least=0, most=LARGEST_SEED, whole=True),
             "every random number of the run descends from it",
-            "seed: 7",
+            "7",
             said="whole number from 0 to 2^63 - 1",
+            attribute="seed",
+            fallback=0,
         ),
-        key_of(
+        Key(
             "robot",
-            Word(options=tuple(robot.value for robot in Robot)),
-            Robot.UR10.value,
+            Word(Robot),
             "the arm in the cell ([robots](#robot))",
-            "robot: UR5",
+            "UR5",
+            attribute="robot",
+            fallback=Robot.UR10,
         ),
-        key_of(
+        Key(
             "tcp start",
             Below(tables=(TCP_START,)),
-            REQUIRED,
             "where the tool is at the beginning",
-            "tcp start: {offset: [40 mm, -120 mm, 60 mm]}",
+            "{offset: [40 mm, -120 mm, 60 mm]}",
+            attribute="start",
         ),
-        key_of(
+        Key(
             "avoider",
-            Text(form="name or file"),
-            DEFAULT_AVOIDER,
+            Text(form="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
             "([avoiders](avoiders.md))",
-            "avoider: opposite pose",
+            "opposite pose",
+            attribute="avoider",
+            fallback=DEFAULT_AVOIDER,
         ),
-        key_of(
+        Key(
             "object",
             Below(tables=(GROUPS["object"],)),
-            "the default object",
             "what is servoed on, and where it lies",
-            "object: {position: [720 mm, 60 mm, -300 mm], yaw: 40 deg}",
+            "{position: [720 mm, 60 mm, -300 mm], yaw: 40 deg}",
+            "the default object",
         ),
-        key_of(
+        Key(
             "hands",
-            Several(of=Below(tables=_HANDS), form="list of at most two", most=MAX_HANDS),
-            "none",
+            Several(of=HAND, form="list of at most two", most=MAX_HANDS),
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
             "    elbow towards: [1.6 m, -1.2 m, 300 mm]\n    moves:\n      - wait: 1 s",
+            "none",
         ),
-        key_of(
+        Key(
             "faults",
             Several(of=Below(tables=fault_tables()), form=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS),
-            "none",
             "what goes wrong, and when",
             "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
+            "none",
         ),
-        key_of(
+        Key(
             "hand sensor",
             Below(tables=(GROUPS["hand sensor"],)),
-            "an ideal sensor",
             "the camera that watches the hands, and how it errs",
-            "hand sensor: {kind: overhead, rate: 30 Hz}",
+            "{kind: overhead, rate: 30 Hz}",
+            "an ideal sensor",
         ),
-        key_of(
+        Key(
             "camera",
             Below(tables=(GROUPS["camera"],)),
-            "exact images",
             "the eye-in-hand camera, and how it errs",
-            "camera: {source: raster, rate: 30 Hz}",
+            "{source: raster, rate: 30 Hz}",
+            "exact images",
         ),
-        key_of(
+        Key(
             "settings",
             Below(tables=(SETTINGS,)),
-            "the defaults",
             "every other value of the system",
-            "settings: {avoidance: {critical distance: 350 mm}}",
+            "{avoidance: {critical distance: 350 mm}}",
+            "the defaults",
         ),
-        key_of(
+        Key(
             "claims",
-            FreeKeys(of=_VERDICT, form="mapping, at least one", least=1),
-            REQUIRED,
+            CLAIMS,
             "sentences of the catalogue and formulas, each with the verdict that you expect",
             "claims:\n  hand distance never below 50 mm: holds",
         ),
@@ -197,28 +222,28 @@ COMPOSED = KeyTable(
     name="files made of others",
     where="a scenario that is made of others",
     keys=(
-        key_of(
+        Key(
             "extends",
             Text(form="path"),
-            "none",
             f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
-            "extends: bases/overhead.yaml",
+            "bases/overhead.yaml",
+            "none",
         ),
-        key_of(
+        Key(
             "without",
             Several(of=Text(form="key or claim"), form="list of keys and claims", least=1),
-            "none",
             "what of the extended file does not hold: keys at its top, or claims",
-            "without: [hands, hand distance never below 50 mm]",
+            "[hands, hand distance never below 50 mm]",
+            "none",
         ),
-        key_of(
+        Key(
             "matrix",
             _PLAIN_MAPPING,
-            "none",
             "axes, each with labels and what they change: one scenario for each combination, at most "
             f"{MOST_COMBINATIONS:,}",
             "matrix:\n  sensor:\n    ideal: {hand sensor: {kind: ideal}}\n"
             "    late: {hand sensor: {kind: overhead, latency: 50 ms}}",
+            "none",
             said="mapping of mappings",
         ),
     ),
@@ -227,14 +252,19 @@ SUITE = KeyTable(
     name="a suite",
     where="a suite",
     keys=(
-        key_of("suite", _LINE, REQUIRED, "what these scenarios are for", "suite: before a release"),
-        key_of("about", _PROSE, "empty", "why one would run it", "about: All of it takes a minute."),
-        key_of(
+        Key("suite", _LINE, "what these scenarios are for", "before a release", attribute="title"),
+        Key(
+            "about",
+            _prose("why one would run this"),
+            "why one would run it",
+            "All of it takes a minute.",
+            "empty",
+        ),
+        Key(
             "scenarios",
             Several(of=Text(form="path"), form="list of paths", least=1),
-            REQUIRED,
             "files, folders and other suites, relative to this file",
-            "scenarios: [fast-reach.yaml, recorded]",
+            "[fast-reach.yaml, recorded]",
         ),
     ),
 )
@@ -246,3 +276,35 @@ def every_table() -> tuple[KeyTable, ...]:
     for key in TOP.keys:
         found += [table for table in below(key.value) if not any(table is other for other in found)]
     return tuple(found)
+
+
+def markdown(table: KeyTable) -> str:
+    """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
+    rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
+    for key in table.keys:
+        rows.append(f"| `{key.name}` | {key.words} | {key.default} | {key.meaning} |")
+        for inner in (
+            key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
+        ):
+            rows += [
+                f"| `{key.name}`: `{one.name}` | {one.words} | {one.default} | {one.meaning} |"
+                for one in inner.keys
+            ]
+    return _joined(rows)
+
+
+def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
+    """The moves as a page shows them, one row for each with its further keys."""
+    rows = ["| move | further keys | meaning |", "|---|---|---|"]
+    for table in moves:
+        named, *further = (f"`{key.name}` ({_kind(key.value)})" for key in table.keys)
+        rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
+    return _joined(rows)
+
+
+def _joined(rows: list[str]) -> str:
+    return "\n".join(rows).replace("|  |", "| |") + "\n"
+
+
+def _kind(value: Value) -> str:
+    return value.dimension.name if isinstance(value, QuantityValue) else value.words

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from safety_harness.scenario.reference import (
+from safety_harness.scenario.codec import (
     Below,
     FreeKeys,
     Key,

@@ -1,102 +1,74 @@
 """How the settings are written in a scenario file, derived from the dataclasses themselves.
 
-A field's key is its name without the unit and the frame, in plain words: the settings field
-``Avoidance.critical_distance_m`` is ``avoidance: {critical distance: 400 mm}``.  Its dimension
-follows from the unit at the end of its name, the form of its value from its type.
+What they mean and their own bounds stand beside the fields, in ``settings``.  A field's key is its
+name without the unit and the frame, in plain words: the settings field ``Avoidance.critical_distance_m``
+is ``avoidance: {critical distance: 400 mm}``.  Its dimension follows from the unit at the end of its
+name, the form of its value from the type of its default.
 """
 
 from __future__ import annotations
 
-import typing
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from safety_harness.scenario.bounds import Bounds, bounds_of
-from safety_harness.scenario.decision_times import read_decision_time, write_decision_time
-from safety_harness.scenario.fields import Field
-from safety_harness.scenario.units import (
-    ACCELERATION,
-    ANGLE,
-    ANGULAR_ACCELERATION,
-    ANGULAR_SPEED,
-    FRACTION,
-    LENGTH,
-    NUMBER,
-    PER_LENGTH,
-    PIXEL_ACCELERATION,
-    PIXEL_AREA,
-    PIXEL_AREA_RATE,
-    PIXEL_SPEED,
-    PIXELS,
-    RATE,
-    SPEED,
-    TIME,
-    TIME_PER_SPEED,
-    Dimension,
-    format_quantity,
+from safety_harness.scenario.codec import (
+    Below,
+    Key,
+    KeyTable,
+    QuantityValue,
+    Several,
+    Text,
+    Tree,
+    Value,
+    Word,
 )
-from safety_harness.settings import (
-    Avoidance,
-    Braking,
-    Camera,
-    Cell,
-    Clock,
-    DecisionCost,
-    DecisionTimes,
-    Hand,
-    HandFilter,
-    HandSensor,
-    Motion,
-    Object,
-    Servo,
-    Vector3,
-)
+from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
+from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
+from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
+from safety_harness.settings import DEFAULTS, DecisionCost, Described, Settings
 
-Group = (
-    Clock | Cell | Object | Camera | Hand | HandSensor | HandFilter | Servo | Motion | Avoidance | Braking
-)  # one dataclass of settings
-G = TypeVar("G", bound=Group)
-Written = str | dict[str, str]  # a value, or a mapping of values, ready for a file
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+G = TypeVar("G", bound="DataclassInstance")  # one dataclass of settings
 
 EVERY_TICK = "every tick"  # how a rate of None is written
-_Polygon = tuple[tuple[float, float], ...]
 
 # The longer suffix first: "_per_m" also ends in "_m".
-_DIMENSIONS: tuple[tuple[str, Dimension], ...] = (
-    ("_probability", FRACTION),
-    ("_radps2", ANGULAR_ACCELERATION),
-    ("_px2ps", PIXEL_AREA_RATE),
-    ("_pxps2", PIXEL_ACCELERATION),
-    ("_per_m", PER_LENGTH),
-    ("_radps", ANGULAR_SPEED),
-    ("_mps2", ACCELERATION),
-    ("_s2pm", TIME_PER_SPEED),
-    ("_pxps", PIXEL_SPEED),
-    ("_px2", PIXEL_AREA),
-    ("_mps", SPEED),
-    ("_rad", ANGLE),
-    ("_px", PIXELS),
-    ("_hz", RATE),
-    ("_m", LENGTH),
-    ("_s", TIME),
-)
-_FRAMES = ("_in_base", "_in_tcp")
+_BY_SUFFIX = sorted(DIMENSIONS, key=lambda dimension: -len(dimension.suffix))
+# The three groups of settings that have a key of their own at the top.
+TOP_GROUPS = {"object": "object", "hand sensor": "hand_sensor", "camera": "camera"}
+SETTINGS_KEYS = {
+    field.name.replace("_", " "): field.name
+    for field in fields(Settings)
+    if field.name not in TOP_GROUPS.values()
+}
+_FRAMES = (" in base", " in tcp")
 _OF_THE_OBJECT = ("polygon", "position", "yaw")  # keys that stood in the settings of the cell
 _MOVED = {f"object {key}": f"object: {{{key}: ...}} at the top of the file" for key in _OF_THE_OBJECT}
-_MAPPINGS = ("calibration error",)  # keys that share these first words stand in a mapping of their own
+# Keys that share these first words stand in a mapping of their own: what it means, and an example.
+_MAPPINGS = {
+    "calibration error": (
+        "what the controller believes wrongly about the mount",
+        "camera: {calibration error: {rotation: [0 deg, 0 deg, 2 deg]}}",
+    )
+}
 
 
 @dataclass(frozen=True, kw_only=True)
-class SettingKey:
-    """One field of a settings dataclass and how it is written."""
+class SettingKey(Key):
+    """One field of a settings dataclass, ``attribute``, and how it is written."""
 
-    name: str  # of the dataclass field
-    words: tuple[str, ...]  # ("critical distance",), or ("calibration error", "offset")
-    dimension: Dimension
-    kind: object  # the field's type
-    bounds: Bounds  # of the value, or of each of its numbers
+    above: str = ""  # the key of the mapping in which it stands: "calibration error"; mostly none
+    number: QuantityValue  # its value, or each of its numbers; of a word without a meaning
+    own_bounds: bool  # narrower than those of every setting of that dimension
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        """The keys that lead to it: ("critical distance",), or ("calibration error", "offset")."""
+        return (self.above, self.name) if self.above else (self.name,)
 
 
 def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
@@ -106,125 +78,107 @@ def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
 
 @lru_cache
 def _setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
-    kinds = typing.get_type_hints(group)
-    return tuple(_setting_key(group.__name__, field.name, kinds[field.name]) for field in fields(group))
+    return tuple(_setting_key(one.name, one.default, one.metadata["described"]) for one in fields(group))
 
 
-def _setting_key(group: str, name: str, kind: object) -> SettingKey:
-    stem, dimension = name, NUMBER
-    for suffix, candidate in _DIMENSIONS:
-        if name.endswith(suffix):
-            stem, dimension = name.removesuffix(suffix), candidate
-            break
+def _setting_key(attribute: str, default: Any, described: Described) -> SettingKey:
+    dimension = next(one for one in _BY_SUFFIX if attribute.endswith(one.suffix))
+    name = attribute.removesuffix(dimension.suffix).replace("_", " ")
     for frame in _FRAMES:
-        stem = stem.removesuffix(frame)
-    key = stem.replace("_", " ")
-    words: tuple[str, ...] = (key,)
-    for first in _MAPPINGS:
-        if key.startswith(first + " "):
-            words = (first, key[len(first) + 1 :])
-    several = typing.get_origin(kind) is tuple
-    bounds = bounds_of(group, name, dimension, several=several)
-    return SettingKey(name=name, words=words, dimension=dimension, kind=kind, bounds=bounds)
+        name = name.removesuffix(frame)
+    above = next((first for first in _MAPPINGS if name.startswith(first + " ")), "")
+    least, most = dimension.least, dimension.most
+    if described.least is not None and described.most is not None:
+        least, most = described.least, described.most
+    elif isinstance(default, tuple):  # of coordinates or angles, which may have either sign
+        most = LARGEST_ANGLE_RAD if dimension is ANGLE else LARGEST_COORDINATE_M
+        least = -most
+    number = QuantityValue(
+        dimension,
+        least=least,
+        most=most,
+        whole=isinstance(default, int),
+        or_word=EVERY_TICK if default is None else None,
+    )
+    value = _value(default, number)
+    said = described.takes
+    if not said and described.least is None and not isinstance(value, Word):
+        # Without the bounds that its dimension gives to every setting.
+        said = value.name if isinstance(value, QuantityValue) else value.words.partition(", each")[0]
+    return SettingKey(
+        name=name.removeprefix(f"{above} "),
+        value=value,
+        meaning=described.meaning,
+        example=described.example or (dimension.example if default is None else ""),
+        said=said,
+        attribute=attribute,
+        fallback=default,
+        above=above,
+        number=number,
+        own_bounds=described.least is not None,
+    )
+
+
+def _value(default: Any, number: QuantityValue) -> Value:
+    if isinstance(default, DecisionCost):
+        return Text(form=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
+    if isinstance(default, Enum):
+        return Word(type(default))
+    if not isinstance(default, tuple):
+        return number
+    each = f", each {number.range_words}"
+    if isinstance(default[0], tuple):
+        expected = "a list of three to 100 corners, each a list of two lengths such as [40 mm, -30 mm]"
+        corner = Several(of=number, form="a corner", expected="a corner such as [40 mm, -30 mm]", count=2)
+        form = f"list of three to 100 corners{each}"
+        return Several(of=corner, form=form, expected=expected, least=3, most=100)
+    dimension, count = number.dimension, len(default)
+    form = {LENGTH: "point", ANGLE: "rotation"}[dimension] if count == 3 else "list of six angles"
+    expected = f"a list of {count}, each {dimension.expected}"
+    return Several(of=number, form=form + each, expected=expected, count=count)
 
 
 def read_group(field: Field, default: G) -> G:
     """``default`` with the values that the mapping ``field`` changes."""
     keys = setting_keys(type(default))
-    given = field.fields(tuple(dict.fromkeys(key.words[0] for key in keys)), hints=_MOVED)
+    given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
     changes: dict[str, Any] = {}
-    for first in _MAPPINGS:
-        inner = given.optional(first)
+    for above in _MAPPINGS:
+        inner = given.optional(above)
         if inner is not None:
-            names = {key.words[1]: key for key in keys if key.words[0] == first}
+            names = {key.name: key for key in keys if key.above == above}
             within = inner.fields(tuple(names))
-            for word in within:
-                key = names[word]
-                changes[key.name] = _read(within.required(word), key, getattr(default, key.name))
+            for name in within:
+                changes[names[name].attribute] = names[name].value.read(within.required(name))
     for key in keys:
-        value = given.optional(key.words[0])
-        if value is not None and len(key.words) == 1:
-            changes[key.name] = _read(value, key, getattr(default, key.name))
+        value = given.optional(key.name)
+        if value is not None and not key.above:
+            changes[key.attribute] = key.value.read(value)
     return replace(default, **changes)
 
 
-def write_group(group: Group, default: Group | None) -> dict[str, Written]:
+def write_group(group: DataclassInstance, default: DataclassInstance | None) -> dict[str, Tree]:
     """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
-    written: dict[str, Written] = {}
+    written: dict[str, Any] = {}
     for key in setting_keys(type(group)):
-        value = getattr(group, key.name)
+        value = getattr(group, key.attribute)
         # repr, because a negative zero equals a positive one and is another number all the same.
-        if default is not None and repr(getattr(default, key.name)) == repr(value):
-            continue
-        if isinstance(value, DecisionCost | DecisionTimes):
-            written |= {key.words[0]: write_decision_time(value)}
-            continue
-        text = _write(value, key.dimension)
-        if len(key.words) == 1:
-            written[key.words[0]] = text
-        else:
-            inner = written.setdefault(key.words[0], {})
-            assert isinstance(inner, dict)
-            inner[key.words[1]] = text
+        if default is None or repr(getattr(default, key.attribute)) != repr(value):
+            inner = written.setdefault(key.above, {}) if key.above else written
+            inner[key.name] = key.value.write(value)
     return written
 
 
-def write_vector(values: tuple[float, ...], dimension: Dimension) -> str:
-    """A flow list of quantities: ``[0.1 m, 0.0 m, -0.2 m]``."""
-    return "[" + ", ".join(format_quantity(value, dimension) for value in values) + "]"
-
-
-def _read(field: Field, key: SettingKey, default: Any) -> Any:
-    kind = key.kind
-    if kind == DecisionCost | DecisionTimes:
-        return read_decision_time(field)
-    if isinstance(kind, type) and issubclass(kind, Enum):
-        return field.choice(kind)
-    if kind == _Polygon:
-        return _read_polygon(field, key)
-    if kind in (Vector3, tuple[float, ...]):
-        expected = f"a list of {len(default)}, each {key.dimension.expected}"
-        return tuple(_read_number(item, key) for item in field.items(expected, count=len(default)))
-    if kind is int:
-        return _read_count(field, key)
-    if kind == float | None and field.scalar(key.dimension.expected).strip() == EVERY_TICK:
-        return None
-    if kind in (float, float | None):
-        return _read_number(field, key)
-    raise TypeError(f"settings field {key.name} has a type that a scenario file cannot give: {kind}")
-
-
-def _read_number(field: Field, key: SettingKey) -> float:
-    return field.quantity(key.dimension, least=key.bounds.least, most=key.bounds.most)
-
-
-def _read_count(field: Field, key: SettingKey) -> int:
-    if key.dimension is NUMBER:
-        return field.integer(least=int(key.bounds.least), most=int(key.bounds.most))
-    value = _read_number(field, key)
-    if value != int(value):
-        raise field.error(f"a whole {key.dimension.name}")
-    return int(value)
-
-
-def _read_polygon(field: Field, key: SettingKey) -> _Polygon:
-    expected = "a list of three to 100 corners, each a list of two lengths such as [40 mm, -30 mm]"
-    corners = []
-    for corner in field.items(expected, least=3, most=100):
-        x, y = corner.items("a corner such as [40 mm, -30 mm]", count=2)
-        corners.append((_read_number(x, key), _read_number(y, key)))
-    return tuple(corners)
-
-
-def _write(value: Any, dimension: Dimension) -> str:
-    if value is None:
-        return EVERY_TICK
-    if isinstance(value, Enum):
-        return str(value.value)
-    if isinstance(value, int):
-        return f"{value} {dimension.si}".rstrip()
-    if isinstance(value, tuple) and isinstance(value[0], tuple):
-        return "[" + ", ".join(write_vector(corner, dimension) for corner in value) + "]"
-    if isinstance(value, tuple):
-        return write_vector(value, dimension)
-    return format_quantity(value, dimension)
+def group_table(group: str, path: str) -> KeyTable:
+    """The table of one group of settings; ``path`` leads to it from the top of a file."""
+    keys: dict[str, Key] = {}
+    inner: dict[str, list[Key]] = {}
+    for one in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
+        key = replace(one, within=(*path.split("."), *one.path[:-1]))
+        keys[one.path[0]] = key  # of a mapping only its place, filled below
+        if one.above:
+            inner.setdefault(one.above, []).append(key)
+    for name, members in inner.items():
+        table = KeyTable(name=name, where=f"{name} of {group}", keys=tuple(members))
+        keys[name] = Key(name, Below(tables=(table,)), *_MAPPINGS[name], or_else="none")
+    return KeyTable(name=group, where=group, keys=tuple(keys.values()), path=path)

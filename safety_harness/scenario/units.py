@@ -21,20 +21,27 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
 
+_RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
+
 _Factor = Fraction | None  # None: degrees, by math.radians
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Dimension:
     """A kind of quantity: its name and an example for messages, its SI unit, its units' factors to SI.
 
-    ``bare`` says that a number without a unit is understood (numbers, and fractions beside ``%``).
+    The name of a settings field of that kind ends in ``suffix``, and its value lies from ``least`` to
+    ``most``, in SI, unless it has bounds of its own.  ``bare`` says that a number without a unit is
+    understood (numbers, and fractions beside ``%``).
     """
 
     name: str
     example: str
     si: str
     units: Mapping[str, _Factor]
+    suffix: str
+    least: float
+    most: float
     bare: bool = False
 
     @property
@@ -48,67 +55,39 @@ def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor
     return {unit + suffix: factor for unit, factor in scale.items()}
 
 
-_METRES: dict[str, _Factor] = {
-    "m": Fraction(1),
-    "cm": Fraction(1, 100),
-    "mm": Fraction(1, 1000),
-}
+_METRES: dict[str, _Factor] = {"m": Fraction(1), "cm": Fraction(1, 100), "mm": Fraction(1, 1000)}
 _RADIANS: dict[str, _Factor] = {"rad": Fraction(1), "mrad": Fraction(1, 1000), "deg": None}
 _SECONDS: dict[str, _Factor] = {"s": Fraction(1), "ms": Fraction(1, 1000), "min": Fraction(60)}
 _PIXELS: dict[str, _Factor] = {"px": Fraction(1)}
 
-NUMBER = Dimension(name="number", example="0.4", si="", units={}, bare=True)
-FRACTION = Dimension(name="fraction", example="5 % or 0.05", si="", units={"%": Fraction(1, 100)}, bare=True)
-LENGTH = Dimension(name="length", example="80 mm", si="m", units=_METRES)
-TIME = Dimension(name="time", example="0.5 s", si="s", units=_SECONDS)
-ANGLE = Dimension(name="angle", example="30 deg", si="rad", units=_RADIANS)
-RATE = Dimension(name="rate", example="30 Hz", si="Hz", units={"Hz": Fraction(1), "kHz": Fraction(1000)})
-SPEED = Dimension(
-    name="speed", example="0.5 m/s", si="m/s", units={**_powers(_METRES, "/s"), "km/h": Fraction(5, 18)}
+NUMBER = Dimension("number", "0.4", "", {}, "", 1e-6, 10.0, bare=True)
+FRACTION = Dimension(
+    "fraction", "5 % or 0.05", "", {"%": Fraction(1, 100)}, "_probability", 0.0, 1.0, bare=True
 )
-ACCELERATION = Dimension(name="acceleration", example="1 m/s2", si="m/s2", units=_powers(_METRES, "/s2"))
-ANGULAR_SPEED = Dimension(name="angular speed", example="30 deg/s", si="rad/s", units=_powers(_RADIANS, "/s"))
+LENGTH = Dimension("length", "80 mm", "m", _METRES, "_m", 1e-5, 10.0)
+TIME = Dimension("time", "0.5 s", "s", _SECONDS, "_s", 1e-3, 60.0)
+ANGLE = Dimension("angle", "30 deg", "rad", _RADIANS, "_rad", math.radians(1.0), math.tau)
+RATE = Dimension("rate", "30 Hz", "Hz", {"Hz": Fraction(1), "kHz": Fraction(1000)}, "_hz", 0.1, 1000.0)
+_SPEEDS = {**_powers(_METRES, "/s"), "km/h": Fraction(5, 18)}
+SPEED = Dimension("speed", "0.5 m/s", "m/s", _SPEEDS, "_mps", 1e-3, 10.0)
+ACCELERATION = Dimension("acceleration", "1 m/s2", "m/s2", _powers(_METRES, "/s2"), "_mps2", 1e-3, 100.0)
+ANGULAR_SPEED = Dimension("angular speed", "30 deg/s", "rad/s", _powers(_RADIANS, "/s"), "_radps", 1e-3, 10.0)
 ANGULAR_ACCELERATION = Dimension(
-    name="angular acceleration", example="90 deg/s2", si="rad/s2", units=_powers(_RADIANS, "/s2")
+    "angular acceleration", "90 deg/s2", "rad/s2", _powers(_RADIANS, "/s2"), "_radps2", 1e-3, 100.0
 )
-PIXELS = Dimension(name="number of pixels", example="2 px", si="px", units=_PIXELS)
-PIXEL_AREA = Dimension(name="area in the image", example="400 px2", si="px2", units=_powers(_PIXELS, "2"))
-PIXEL_SPEED = Dimension(
-    name="speed in the image", example="900 px/s", si="px/s", units=_powers(_PIXELS, "/s")
-)
+PIXELS = Dimension("number of pixels", "2 px", "px", _PIXELS, "_px", 1e-3, 1e4)
+PIXEL_AREA = Dimension("area in the image", "400 px2", "px2", _powers(_PIXELS, "2"), "_px2", 1e-3, 1e6)
+PIXEL_SPEED = Dimension("speed in the image", "900 px/s", "px/s", _powers(_PIXELS, "/s"), "_pxps", 1e-3, 1e5)
 PIXEL_ACCELERATION = Dimension(
-    name="acceleration in the image", example="3000 px/s2", si="px/s2", units=_powers(_PIXELS, "/s2")
+    "acceleration in the image", "3000 px/s2", "px/s2", _powers(_PIXELS, "/s2"), "_pxps2", 1e-3, 1e6
 )
 PIXEL_AREA_RATE = Dimension(
-    name="rate of an area in the image", example="20000 px2/s", si="px2/s", units=_powers(_PIXELS, "2/s")
+    "rate of an area in the image", "20000 px2/s", "px2/s", _powers(_PIXELS, "2/s"), "_px2ps", 1e-3, 1e7
 )
-PER_LENGTH = Dimension(
-    name="number per length",
-    example="0.0025 /m",
-    si="/m",
-    units={"/m": Fraction(1), "/cm": Fraction(100), "/mm": Fraction(1000)},
-)
-TIME_PER_SPEED = Dimension(name="time per speed", example="0.1 s2/m", si="s2/m", units={"s2/m": Fraction(1)})
-
-DIMENSIONS = (
-    NUMBER,
-    FRACTION,
-    LENGTH,
-    TIME,
-    ANGLE,
-    RATE,
-    SPEED,
-    ACCELERATION,
-    ANGULAR_SPEED,
-    ANGULAR_ACCELERATION,
-    PIXELS,
-    PIXEL_AREA,
-    PIXEL_SPEED,
-    PIXEL_ACCELERATION,
-    PIXEL_AREA_RATE,
-    PER_LENGTH,
-    TIME_PER_SPEED,
-)
+_PER_LENGTHS: dict[str, _Factor] = {"/m": Fraction(1), "/cm": Fraction(100), "/mm": Fraction(1000)}
+PER_LENGTH = Dimension("number per length", "0.0025 /m", "/m", _PER_LENGTHS, "_per_m", 1e-5, 1.0)
+TIME_PER_SPEED = Dimension("time per speed", "0.1 s2/m", "s2/m", {"s2/m": Fraction(1)}, "_s2pm", 1e-3, 10.0)
+DIMENSIONS = tuple(one for one in tuple(globals().values()) if isinstance(one, Dimension))
 
 
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
@@ -151,6 +130,28 @@ def format_quantity(value: float, dimension: Dimension) -> str:
     """``value`` in its SI unit, so that ``parse_quantity`` gives the same float again."""
     number = repr(float(value))
     return f"{number} {dimension.si}" if dimension.si else number
+
+
+def nice(value: float, dimension: Dimension) -> str:
+    """``value`` in the unit that people would take; it reads back to the same float."""
+    if not dimension.units:
+        return _digits(value)
+    units = [unit for unit in dimension.units if not unit.startswith(_RARE)]
+    units.sort(key=lambda unit: unit != "deg")
+    written = [f"{_digits(_in_unit(value, dimension.units[unit]))} {unit}" for unit in units]
+    exact = [text for text in written if parse_quantity(text, dimension, Place()) == value]
+    size = {text: abs(float(text.split()[0])) for text in exact}
+    handy = [text for text in exact if 1.0 <= size[text] < 1000.0]
+    short = [text for text in exact if size[text] >= 0.01]
+    return next(iter(handy + short + exact), f"{value!r} {dimension.si}")
+
+
+def _in_unit(value: float, factor: Fraction | None) -> float:
+    return math.degrees(value) if factor is None else float(Fraction(value) / factor)
+
+
+def _digits(value: float) -> str:
+    return f"{value:.12g}".replace("e-0", "e-")
 
 
 def normal_unit(unit: str) -> str:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import described
+from safety_harness.avoidance.around import AvoiderAround
+from safety_harness.avoidance.avoider import Proposal, Vector, described
 from safety_harness.exceptions import InputError
 from safety_harness.properties.answered import fault_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.search.draws import OtherDraws
 from safety_harness.search.outcomes import RUN_FAILED
 from safety_harness.search.trials import ScenarioRunner
+from safety_harness.seeds import Branch
+from safety_harness.seeds import seed as leaf
 from safety_harness.trace.trace import Trace
 
 
@@ -76,9 +78,22 @@ class Confirm:
     def share_of_draws(self, scenario: Scenario, draws: int) -> int:
         """In how many of ``draws`` of the avoider's own randomness it is violated, all else the same."""
         admitted = admit(scenario)
-        others = [_with_draws(admitted, k) for k in range(draws)]
+        others = (replace(admitted, avoider=OtherDraws(admitted.avoider, k)) for k in range(draws))
         return sum(self.complaint.is_in(self.world([one])[0]) for one in others)
 
 
-def _with_draws(admitted: Admitted, stream: int) -> Admitted:
-    return replace(admitted, avoider=OtherDraws(admitted.avoider, stream))
+@dataclass(frozen=True, eq=False)
+class OtherDraws(AvoiderAround):
+    """An avoider with other seeds: the k-th stream of its own randomness."""
+
+    stream: int
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """What the avoider says with another seed."""
+        return self.avoider.propose(
+            hand_position_in_base_m=hand_position_in_base_m,
+            tcp_position_in_base_m=tcp_position_in_base_m,
+            seed=leaf(seed, Branch.SEARCH, 5, self.stream),
+        )

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.space.boxes import InRegion
-from safety_harness.space.cube import used_by
 from safety_harness.space.distributions import Choice
 from safety_harness.space.space import ScenarioSpace
 
@@ -74,7 +73,7 @@ class Cube:
         def used(points: Points) -> NDArray[np.bool_]:
             mask = np.zeros(points.shape, bool)
             values = space.values_at(points)
-            for parameter, uses in zip(space.parameters, used_by(space.parameters, values), strict=True):
+            for parameter, uses in zip(space.parameters, space.used_by(values), strict=True):
                 mask[:, parameter.columns] = uses[:, None]
             return mask
 

@@ -14,9 +14,8 @@ from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.knobs import FINER, ShrinkTarget, knobs
-from safety_harness.search.paths import value_at, with_value, words
-from safety_harness.search.simpler import simpler
+from safety_harness.search.simpler import FINER, ShrinkTarget, shrink_targets, simpler
+from safety_harness.space.paths import value_at, with_value, words
 
 Violates = Callable[[Scenario], bool]
 
@@ -73,7 +72,7 @@ class _Shrinking:
         while number < len(candidates := list(simpler(self.scenario))):
             if not self._accept(*candidates[number]):
                 number += 1
-        for knob in list(knobs(self.scenario)):
+        for knob in list(shrink_targets(self.scenario)):
             self._turn(knob)
         return len(self.steps) > before
 

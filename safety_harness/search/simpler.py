@@ -1,10 +1,11 @@
-"""Scenarios with one thing less: a fault, a hand, a move, a tremor, a setting that is not the default."""
+"""What can be simpler about a scenario: one thing less; slower, shorter, nearer or rounder numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import fields, replace
-from typing import TypeVar
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
 
 from safety_harness.scenario.model import (
     JoinedHand,
@@ -14,11 +15,37 @@ from safety_harness.scenario.model import (
     RecordedHand,
     Scenario,
 )
-from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, Reach
-from safety_harness.search.paths import Path, value_at, with_value
+from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
 from safety_harness.settings import DEFAULTS
+from safety_harness.space.paths import Path, leaves, value_at, with_value
 
-NOWHERE = (0.0, 0.0, 0.0)
+FINER = 3  # how many times a step is divided by ten before a number is left as it is
+LEAST_S, LEAST_MPS = 0.1, 0.1
+
+_NOWHERE = (0.0, 0.0, 0.0)
+_DEGREE = math.radians(1.0)
+_STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
+# What a scenario need not have, and what stands there without it.
+_PLAIN: Mapping[type[Any], Mapping[str, object]] = {
+    MovingHand: {
+        "shift_in_base_m": _NOWHERE,
+        "delay_s": 0.0,
+        "tremor": None,
+        "max_speed_mps": REACHING_MPS,
+        "max_acceleration_mps2": REACHING_MPS2,
+    },
+    RecordedHand: {
+        "shift_in_base_m": _NOWHERE,
+        "delay_s": 0.0,
+        "turn_rad": 0.0,
+        "speed_factor": 1.0,
+        "max_speed_mps": None,
+    },
+    ReachForTcp: {"hesitation": None},
+    ReachForObject: {"hesitation": None},
+    OffsetStart: {"offset_in_base_m": _NOWHERE, "tilt_in_tcp_rad": _NOWHERE},
+    PoseStart: {"tilt_in_tcp_rad": _NOWHERE},
+}
 T = TypeVar("T")
 
 
@@ -35,9 +62,12 @@ def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     for k, hand in enumerate(scenario.hands):
         if isinstance(hand, MovingHand):
             yield from _fewer_moves(scenario, k, hand)
-    for path, plain in _plain(scenario):
-        if value_at(scenario, path) != plain:
-            yield f"without {_words(scenario, path)}", with_value(scenario, path, plain)
+    for at in (*_hands_and_moves(scenario), ("start",)):
+        part = value_at(scenario, at)
+        for name, plain in _PLAIN.get(type(part), {}).items():
+            if getattr(part, name) != plain:
+                path = (*at, name)
+                yield f"without {_words(scenario, path)}", with_value(scenario, path, plain)
     if scenario.seed != 0:
         yield "with seed 0", replace(scenario, seed=0)
 
@@ -53,30 +83,6 @@ def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple
         yield f"the {hand.name} without its move {j + 1}", with_value(scenario, path, moves)
 
 
-def _plain(scenario: Scenario) -> Iterator[tuple[Path, object]]:
-    """Paths to what a scenario need not have, and what stands there without it."""
-    for k, hand in enumerate(scenario.hands):
-        at: Path = ("hands", k)
-        if not isinstance(hand, JoinedHand):
-            yield (*at, "shift_in_base_m"), NOWHERE
-            yield (*at, "delay_s"), 0.0
-        if isinstance(hand, MovingHand):
-            yield (*at, "tremor"), None
-            yield (*at, "max_speed_mps"), REACHING_MPS
-            yield (*at, "max_acceleration_mps2"), REACHING_MPS2
-            for j, move in enumerate(hand.moves):
-                if isinstance(move, Reach):
-                    yield (*at, "moves", j, "hesitation"), None
-        if isinstance(hand, RecordedHand):
-            yield (*at, "turn_rad"), 0.0
-            yield (*at, "speed_factor"), 1.0
-            yield (*at, "max_speed_mps"), None
-    if isinstance(scenario.start, OffsetStart):
-        yield ("start", "offset_in_base_m"), NOWHERE
-    if isinstance(scenario.start, OffsetStart | PoseStart):
-        yield ("start", "tilt_in_tcp_rad"), NOWHERE
-
-
 def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     """All settings as by default, then group by group, then one by one."""
     if scenario.settings == DEFAULTS:
@@ -86,7 +92,7 @@ def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         default, own = getattr(DEFAULTS, group.name), getattr(scenario.settings, group.name)
         if own == default:
             continue
-        path: Path = ("settings", group.name)
+        path = ("settings", group.name)
         name = group.name.replace("_", " ")
         yield f"with the default {name}", with_value(scenario, path, default)
         for one in fields(default):
@@ -96,6 +102,12 @@ def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
                     f"with the default {name}, {one.name}",
                     with_value(scenario, (*path, one.name), value),
                 )
+
+
+def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
+    for k, hand in enumerate(scenario.hands):
+        yield "hands", k
+        yield from (("hands", k, "moves", j) for j in range(len(getattr(hand, "moves", ()))))
 
 
 def _words(scenario: Scenario, path: Path) -> str:
@@ -114,3 +126,78 @@ def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
 
 def _joined(hand: object, name: str) -> bool:
     return isinstance(hand, JoinedHand) and hand.joined_to == name
+
+
+@dataclass(frozen=True)
+class ShrinkTarget:
+    """One number: where it is, what is simplest, and the distance of round numbers.
+
+    Without a ``target`` the number is only rounded.
+    """
+
+    path: Path
+    target: float | None
+    step: float
+
+    def on(self, level: int) -> Callable[[int], float]:
+        """The round numbers of a level: k steps, each a tenth of the level's before."""
+        parts = 10**level
+        if self.step == _DEGREE:
+            return lambda k: math.radians(k / parts)
+        whole = round(1.0 / self.step) * parts
+        return lambda k: k / whole
+
+    def place_of(self, value: float, level: int) -> float:
+        """Where among the round numbers of a level ``value`` lies."""
+        return value / self.step * int(10**level)
+
+    def level_of(self, value: float) -> int:
+        """The coarsest level on which ``value`` is a round number; FINER for none."""
+        for level in range(FINER):
+            if self.on(level)(round(self.place_of(value, level))) == value:
+                return level
+        return FINER
+
+
+def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
+    """Every number that is made simpler, those that shorten a run first."""
+    cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
+    yield from _below(scenario, (), {"duration_s": LEAST_S})
+    start = {
+        "offset_in_base_m": _NOWHERE,
+        "position_in_base_m": cell.desired_tcp_position_in_base_m,
+        "tilt_in_tcp_rad": _NOWHERE,
+    }
+    yield from _below(scenario, ("start",), start)
+    move = {
+        "position_in_base_m": avoidance.nominal_hand_position_in_base_m,
+        "speed_mps": LEAST_MPS,
+        "until_distance_m": None,
+        "at_most_s": LEAST_S,
+        "hesitation": None,
+        "distance_m": None,
+        "from_in_base_m": None,
+        "to_in_base_m": None,
+        "duration_s": LEAST_S,
+    }
+    for k, hand in enumerate(scenario.hands):
+        if not isinstance(hand, JoinedHand):
+            at = ("hands", k)
+            yield from _below(scenario, at, {"delay_s": 0.0, "speed_factor": 1.0, "turn_rad": 0.0})
+            for j in range(len(getattr(hand, "moves", ()))):
+                yield from _below(scenario, (*at, "moves", j), move)
+            yield from _below(scenario, at, {"starts_at_in_base_m": None})
+    for k in range(len(scenario.faults)):
+        times = {"from_s": 0.0, "for_s": None, "until_s": None, "delay_s": 0.0}
+        yield from _below(scenario, ("faults", k), times)
+
+
+def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator[ShrinkTarget]:
+    """The numbers of what stands at a path, by their names and with their targets."""
+    for name, target in targets.items():
+        for path, value in leaves(getattr(value_at(scenario, at), name, None), (*at, name)):
+            if isinstance(value, float):
+                axis = path[-1]
+                own = target[axis] if isinstance(target, tuple) and isinstance(axis, int) else target
+                words = next(str(step) for step in reversed(path) if isinstance(step, str))
+                yield ShrinkTarget(path, own, next(_STEPS[end] for end in _STEPS if words.endswith(end)))

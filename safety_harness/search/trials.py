@@ -15,9 +15,8 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_kinematic, run_many
 from safety_harness.admission.spaces import why_refused
-from safety_harness.admission.trial import run_trial
+from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import decision_time_of, described
 from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.properties.answered import (
@@ -35,6 +34,7 @@ from safety_harness.search.outcomes import RUN_FAILED, Goal, Outcomes
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
@@ -47,39 +47,31 @@ class ScenarioRunner(Protocol):
         ...
 
 
-def in_pybullet(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-    """One after another, in the reference world.  Ctrl-C raises KeyboardInterrupt."""
-    found: list[Trace | Exception] = []
-    for one in admitted:
-        try:
-            trace = run_trial(one)
-        except Exception as error:  # one run's failure is a finding
-            found.append(error)
-            continue
-        if trace.ended == INTERRUPTED:
-            raise KeyboardInterrupt
-        found.append(trace)
-    return found
+@dataclass(frozen=True)
+class InWorld:
+    """A ScenarioRunner: in ``world``, but rendered images that it has not in the one that confirms it.
+
+    Ctrl-C raises KeyboardInterrupt.
+    """
+
+    world: WorldEntry
+
+    def __call__(self, admitted: Sequence[Admitted]) -> list[Trace | Exception]:
+        """All together where the world takes many."""
+        found: list[Trace | Exception] = []
+        for one, run in zip(admitted, run_all(admitted, self.world), strict=True):
+            if isinstance(run, InadmissibleError) and self.world.confirmed_by is not None:
+                run = next(run_all([one], self.world.confirmed_by))
+            if isinstance(run, Trace) and run.ended == INTERRUPTED:
+                raise KeyboardInterrupt
+            found.append(run)
+        return found
 
 
-def in_kinematic(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
-    """All together in the kinematic world; one by one if any breaks; rendered images in PyBullet."""
-    try:
-        return list(run_many(admitted))
-    except Exception:
-        return [_alone(one) for one in admitted]
-
-
-def _alone(admitted: Admitted) -> Trace | Exception:
-    try:
-        trace = run_kinematic(admitted)
-    except InadmissibleError:
-        return in_pybullet([admitted])[0]
-    except Exception as error:
-        return error
-    if trace.ended == INTERRUPTED:
-        raise KeyboardInterrupt
-    return trace
+in_pybullet = InWorld(PYBULLET)
+"""The runner of the reference world."""
+in_kinematic = InWorld(KINEMATIC)
+"""The runner of the kinematic world."""
 
 
 @dataclass(eq=False)

@@ -10,12 +10,5 @@ from safety_harness.selftest.perception_faults import PERCEPTION_FAULTS
 from safety_harness.selftest.servoing_faults import SERVOING_FAULTS
 from safety_harness.selftest.timing_faults import TIMING_FAULTS
 
-FAULTS = (
-    *AVOIDER_FAULTS,
-    *GATE_FAULTS,
-    *PERCEPTION_FAULTS,
-    *SERVOING_FAULTS,
-    *MOTION_FAULTS,
-    *TIMING_FAULTS,
-)
+FAULTS = (*AVOIDER_FAULTS, *GATE_FAULTS, *PERCEPTION_FAULTS, *SERVOING_FAULTS, *MOTION_FAULTS, *TIMING_FAULTS)
 EVERY = (*FAULTS, *HARMLESS)

@@ -62,8 +62,7 @@ def _nan(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
 
 
 NO_NUMBER = Precondition(
-    "with an avoider that answers NaN",
-    lambda s: s.with_avoider(lambda avoider: FaultyAvoider(avoider, _nan)),
+    "with an avoider that answers NaN", lambda s: s.with_avoider(lambda avoider: FaultyAvoider(avoider, _nan))
 )
 
 

@@ -4,22 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 
+from safety_harness.certification.tools import FaultState
 from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.trial import Alarm, Rung
-
-
-class FaultState(Enum):
-    """What the trial of a fault says."""
-
-    CAUGHT = "caught"
-    SURVIVES = "survives"
-    LIMIT = "a stated limit"
-    UNTOUCHED = "does not apply"
-    QUIET = "quiet"  # a harmless one, as it should be
-    FALSE_ALARM = "false alarm"
-    TRUE_ALARM = "true alarm"  # about a change that was declared harmless: geometry confirms it
 
 
 @dataclass(frozen=True, kw_only=True)

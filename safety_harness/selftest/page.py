@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from safety_harness.certification.tools import FaultState
 from safety_harness.report.page_parts import render_page
 from safety_harness.selftest.document import SelfTestRun
-from safety_harness.selftest.outcome import FaultOutcome, FaultState, tally_of
+from safety_harness.selftest.outcome import FaultOutcome, tally_of
 from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
 from safety_harness.whole_file import write_whole
 

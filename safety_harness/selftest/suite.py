@@ -14,7 +14,7 @@ from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.seeds import Branch, seed
-from safety_harness.simulation.kinematic_world import refuse_rendered
+from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.space.read import read_space
 
 LONG_S = 30.0  # such scenarios come last: they cost as much as several others
@@ -78,7 +78,7 @@ def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Ad
     """Those that the kinematic world can run."""
     for scenario in scenarios:
         try:
-            refuse_rendered(scenario)
+            KINEMATIC.refuse(scenario)
         except InputError:
             continue
         yield admit(scenario if avoider is None else with_avoider(scenario, avoider))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -21,10 +20,9 @@ from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.simulation.kinematic_world import KinematicWorld
-from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.simulate import INTERRUPTED, simulate
 from safety_harness.simulation.world import World
+from safety_harness.simulation.worlds import KINEMATIC, WorldEntry
 from safety_harness.trace.trace import Trace
 
 Records = NDArray[np.void]
@@ -79,7 +77,7 @@ class ChangedSystem:
         """With the arm at other joints (6,) at the start."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
-    def run(self, *, in_pybullet: bool = False) -> Trace:
+    def run(self, world: WorldEntry = KINEMATIC) -> Trace:
         """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
         admitted = self.admitted
         scenario = admitted.scenario
@@ -87,18 +85,11 @@ class ChangedSystem:
         for edit in self.edits:
             edit(pilot)
         controller: Controller = pilot if self.pilot is None else self.pilot(pilot)
-        with ExitStack() as stack:
-            world: World
-            if in_pybullet:
-                world = stack.enter_context(
-                    PyBulletWorld(scenario, admitted.arm, admitted.joint_position_rad)
-                )
-            else:
-                world = KinematicWorld(scenario, admitted.arm, admitted.joint_position_rad)
+        with world.open(scenario, admitted.arm, admitted.joint_position_rad) as episode:
             for wrap in self.worlds:
-                world = wrap(world)
+                episode = wrap(episode)
             with np.errstate(all="ignore"):  # a fault may divide by zero; what comes of it is in the trace
-                trace = simulate(world, controller, scenario)
+                trace = simulate(episode, controller, scenario)
         if trace.ended == INTERRUPTED:
             raise KeyboardInterrupt
         return trace

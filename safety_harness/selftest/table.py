@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from safety_harness.certification.tools import FaultState
 from safety_harness.report.words import count_words
-from safety_harness.selftest.outcome import FaultOutcome, FaultState, SelfTestTally
+from safety_harness.selftest.outcome import FaultOutcome, SelfTestTally
 from safety_harness.selftest.trial import Geometry
 
 HEAD = ("part", "fault", "caught by", "in", "episodes", "slightest caught", "survives", "PyBullet")

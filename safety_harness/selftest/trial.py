@@ -17,6 +17,7 @@ from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.geometry import Kept, hand_distance_kept
 from safety_harness.selftest.suite import Suite, claims_of
 from safety_harness.selftest.system import ChangedSystem
+from safety_harness.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.trace.trace import Trace
 
 SAME_TWICE = "the same question has the same answer"
@@ -107,7 +108,7 @@ class FaultTrials:
     """Tries faults on a suite, and remembers what the sound system does there."""
 
     suite: Suite
-    _sound: dict[tuple[int, str, bool], Words] = field(default_factory=dict)
+    _sound: dict[tuple[int, str, str], Words] = field(default_factory=dict)
 
     def applies(self, fault: SeededFault) -> bool:
         """A fault of the spread needs an avoider that states one."""
@@ -125,10 +126,10 @@ class FaultTrials:
         return Rung(magnitude=magnitude, words=words, episodes=number + 1, alarms=alarms)
 
     def alarms(
-        self, fault: SeededFault, magnitude: float, number: int, *, in_pybullet: bool = False
+        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Alarm, ...]:
         """What is violated in an episode of the suite with the fault, and holds there without it."""
-        sound, found, _ = self._with_and_without(fault, magnitude, number, in_pybullet=in_pybullet)
+        sound, found, _ = self._with_and_without(fault, magnitude, number, world)
         return alarms_between(sound, found, self.suite.episodes[number].scenario.name)
 
     def everywhere(self, fault: SeededFault) -> Rung:
@@ -152,21 +153,21 @@ class FaultTrials:
         )
 
     def confirmed(self, fault: SeededFault, rung: Rung) -> bool:
-        """Is one of the claims that caught it violated in PyBullet as well?"""
-        there = self.alarms(fault, rung.magnitude, rung.episodes - 1, in_pybullet=True)
+        """Is one of the claims that caught it violated in the reference world as well?"""
+        there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)
         return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
 
     def _with_and_without(
-        self, fault: SeededFault, magnitude: float, number: int, *, in_pybullet: bool = False
+        self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Words, Words, Trace | None]:
         """The words on an episode without the fault and with it, and the run with it unless it failed."""
         system = fault.circumstance.bring_about(ChangedSystem(self.suite.episodes[number]))
-        key = (number, fault.circumstance.name, in_pybullet)
+        key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
-            self._sound[key] = words_on(system.admitted, system.run(in_pybullet=in_pybullet))
+            self._sound[key] = words_on(system.admitted, system.run(world))
         faulty = fault.seed_into(system, magnitude)
         try:
-            trace = faulty.run(in_pybullet=in_pybullet)
+            trace = faulty.run(world)
         except Exception as error:  # what a faulty system raises is what it is tried for; our judging is not
             return self._sound[key], {RUN_FAILED: check(RUN_FAILED, described(error))}, None
         return self._sound[key], words_on(faulty.admitted, trace), trace

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from safety_harness.admission.kinematic import slower_because
+from safety_harness.admission.trial import slower_because
 from safety_harness.campaign.pool import pool
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
@@ -32,11 +32,7 @@ class SelfTestPlan:
         """Read and admitted; InputError for what cannot be."""
         profile = self.profile
         return Suite.read(
-            self.folder,
-            first=profile.first,
-            others=profile.others,
-            avoider=self.avoider,
-            draws=profile.draws,
+            self.folder, first=profile.first, others=profile.others, avoider=self.avoider, draws=profile.draws
         )
 
 

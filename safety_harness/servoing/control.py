@@ -112,7 +112,7 @@ def desired_view(
 
 
 def _refuse_threefold_symmetry(moments: NDArray[np.float64], place: Place) -> None:
-    """Raise SettingsError if In3 is nothing but rounding, so that gamma and delta are 0/0 or x/0."""
+    """Raise SettingsError if In3 of ``moments`` (31,) is only rounding: gamma and delta are 0/0 or x/0."""
     pairs = np.empty((3, 2))
     brackets(moments, pairs)
     sizes = np.hypot(pairs[:, 0], pairs[:, 1])
@@ -141,10 +141,13 @@ def camera_twist(
 ) -> bool:
     """(v, w) of the camera in its own frame [m/s, rad/s] by eq. 1; False if it is not finite.
 
-    The current matrix is eq. 2: the object's plane is taken to be parallel to the image, at the
-    depth a_n, since the camera does not know better.  "Mean" inverts the mean of L and L*.  Where a
-    square matrix has full rank its pseudoinverse is its inverse, so these two solve L v = -lambda e;
-    an exactly singular one gives False.
+        (v, w) = -lambda L^+ e,   L = L* (desired), L_f (current) or (L* + L_f)/2 (mean)
+
+    with lambda the ``gain`` and e the ``error``; three choices of Chaumette and Hutchinson (2006).  The
+    current matrix is eq. 2: the object's plane is taken to be parallel to the image, at the depth a_n, since
+    the camera does not know better.  "Mean" inverts the mean of L and L*.  Where a square matrix has full
+    rank its pseudoinverse is its inverse, so these two solve L v = -lambda e; an exactly singular one gives
+    False.
     """
     if choice == DESIRED:
         for row in range(6):

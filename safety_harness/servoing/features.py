@@ -15,7 +15,7 @@ X_N, Y_N, A_N, GAMMA, DELTA, ALPHA = range(6)
 
 @compiled
 def area(moments: NDArray[np.float64], dense: bool) -> float:
-    """The a of eq. 3: m00 of a dense object, mu20 + mu02 (eq. 5) of a discrete one."""
+    """The a of eq. 3 from ``moments`` (31,): m00 of a dense object, mu20 + mu02 (eq. 5) of a discrete one."""
     return float(moments[M00] if dense else moments[mu_index(2, 0)] + moments[mu_index(0, 2)])
 
 

@@ -29,7 +29,7 @@ VX, VY, VZ, WX, WY, WZ = range(6)
 
 @compiled
 def _mu(moments: NDArray[np.float64], i: int, j: int) -> float:
-    """mu_ij, or 0 for a negative index, whose term has the factor 0."""
+    """mu_ij of ``moments`` (31,), or 0 for a negative index, whose term has the factor 0."""
     if i < 0 or j < 0:
         return 0.0
     return float(moments[mu_index(i, j)])
@@ -163,19 +163,19 @@ def interaction_matrix(
 
 @compiled
 def _position_rows(
-    moments: NDArray[np.float64],
-    plane: NDArray[np.float64],
+    moments: NDArray[np.float64],  # (31,)
+    plane: NDArray[np.float64],  # (3,)
     desired_area: float,
     desired_depth_m: float,
     dense: bool,
-    mu20_row: NDArray[np.float64],
-    mu02_row: NDArray[np.float64],
-    out: NDArray[np.float64],
+    mu20_row: NDArray[np.float64],  # (6,)
+    mu02_row: NDArray[np.float64],  # (6,)
+    out: NDArray[np.float64],  # (6, 6)
 ) -> None:
-    """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out`` (6, 6).
+    """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out``.
 
     a_n' = -(a_n/2) a'/a and x_n' = a_n' x_g + a_n x_g'; a is m00 (dense) or mu20 + mu02 (discrete).
-    ``mu20_row`` and ``mu02_row`` are (6,), the rest as in ``interaction_matrix``.
+    ``mu20_row`` and ``mu02_row`` are those of ``centred_moment_interaction``.
     """
     a = area(moments, dense)
     a_n = desired_depth_m * np.sqrt(desired_area / a)
@@ -196,9 +196,12 @@ def _position_rows(
 
 @compiled
 def _invariant_rows(
-    moments: NDArray[np.float64], plane: NDArray[np.float64], dense: bool, out: NDArray[np.float64]
+    moments: NDArray[np.float64],  # (31,)
+    plane: NDArray[np.float64],  # (3,)
+    dense: bool,
+    out: NDArray[np.float64],  # (6, 6)
 ) -> None:
-    """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out`` (6, 6).
+    """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out``.
 
     gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3, and delta' with c_2, s_2; the pairs
     (c_k, s_k) are linear in the moments of order five (``brackets``), so theirs are the same sums of rows.

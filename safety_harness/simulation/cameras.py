@@ -9,12 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, SettingsError
-from safety_harness.perception.camera import (
-    transform_camera_to_tcp,
-)
-from safety_harness.perception.hand_boxes import (
-    sensor_principal_point_px,
-)
+from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.seeds import Branch, generator
@@ -87,7 +83,7 @@ class Sensors:
     hand_frames: NDArray[np.void]  # (RING,)
     polygon_in_base_m: NDArray[np.float64]  # (n, 3)
     normals: NDArray[np.float64]  # (frames, MAX_DETECTIONS, 3): u, v, depth
-    uniforms: NDArray[np.float64]  # (frames, MAX_DETECTIONS): dropout
+    uniforms: NDArray[np.float64]  # (frames, MAX_DETECTIONS): missed detections
 
 
 def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
@@ -106,16 +102,19 @@ def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
 def sensors(
     settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]
 ) -> Sensors:
-    """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection."""
+    """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection.
+
+    ``transform_sensor_to_base`` (4, 4).
+    """
     hand = settings.hand_sensor
     state = camera_state(settings).copy()
     state["transform_sensor_to_base"] = transform_sensor_to_base
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     normals, uniforms = np.zeros((1, MAX_DETECTIONS, 3)), np.zeros((1, MAX_DETECTIONS))
     if noisy:
-        noise, dropout = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
+        noise, misses = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
         normals = noise.standard_normal((ticks + 1, MAX_DETECTIONS, 3))
-        uniforms = dropout.random((ticks + 1, MAX_DETECTIONS))
+        uniforms = misses.random((ticks + 1, MAX_DETECTIONS))
     return Sensors(
         state,
         np.zeros(RING, OBJECT_FRAME),

@@ -1,4 +1,4 @@
-"""The PyBullet side of the cell: robot, table, object and hands as bodies of one client."""
+"""The PyBullet side of the cell: robot, table, object and hands as bodies of one client, and its images."""
 
 from __future__ import annotations
 
@@ -8,21 +8,26 @@ import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
 from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
-from safety_harness.perception.threshold import OBJECT_RGB, TABLE_RGB
+from safety_harness.perception.hand_boxes import rendered_principal_point_px
+from safety_harness.perception.moments import MOMENT_COUNT
+from safety_harness.perception.raster import mask_moments
+from safety_harness.perception.threshold import OBJECT_RGB, TABLE_RGB, object_mask
 from safety_harness.robot.description import ArmModel, resolved_urdf
 from safety_harness.scenario.model import MAX_HANDS
-from safety_harness.settings import Settings
+from safety_harness.settings import Settings, Vector3
 from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.simulation.engine import pybullet
 
 TABLE_HALF_M = (1.5, 1.5, 0.02)
 OBJECT_THICKNESS_M = 0.0005
+OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # where hands are until they are placed
 OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
 TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
 
@@ -50,7 +55,10 @@ def _urdf_file(name: str, visuals: bool) -> Path:
 def build_cell(
     client: int, settings: Settings, arm: ArmModel, joint_position_rad: NDArray[np.float64], *, rendered: bool
 ) -> Bodies:
-    """Load everything into ``client``; visual meshes only when images are ``rendered``."""
+    """Load everything into ``client``; visual meshes only when images are ``rendered``.
+
+    ``joint_position_rad`` (6,).
+    """
     pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
     pybullet.setTimeStep(
         settings.clock.control_period_s / settings.clock.physics_substeps, physicsClientId=client
@@ -104,11 +112,7 @@ def _table(client: int, settings: Settings, *, rendered: bool) -> None:
             physicsClientId=client,
         )
     pybullet.createMultiBody(
-        0.0,
-        collision,
-        visual,
-        basePosition=(1.0, 0.0, height_m - TABLE_HALF_M[2]),
-        physicsClientId=client,
+        0.0, collision, visual, basePosition=(1.0, 0.0, height_m - TABLE_HALF_M[2]), physicsClientId=client
     )
 
 
@@ -121,30 +125,32 @@ def _paint_object(client: int, settings: Settings) -> None:
     vertices = np.concatenate([top, top])
     vertices[n:, 2] -= OBJECT_THICKNESS_M
     faces = [i for k in range(1, n - 1) for i in (0, k, k + 1)]
-    shape = pybullet.createVisualShape(
-        pybullet.GEOM_MESH,
+    normals = [(0.0, 0.0, 1.0)] * len(vertices)
+    _painted(
+        client,
+        OBJECT_COLOUR_RGBA,
+        (0.0, 0.0, 0.0),
         vertices=vertices.tolist(),
         indices=faces,
-        normals=[(0.0, 0.0, 1.0)] * len(vertices),
-        rgbaColor=OBJECT_COLOUR_RGBA,
-        physicsClientId=client,
+        normals=normals,
     )
-    pybullet.createMultiBody(0.0, -1, shape, physicsClientId=client)
+
+
+def _painted(
+    client: int,
+    colour: tuple[float, ...],
+    at: Vector3 = OUT_OF_VIEW_M,
+    kind: int = pybullet.GEOM_MESH,
+    **shape: Any,
+) -> int:
+    """A body that is only seen."""
+    visual = pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **shape)
+    return int(pybullet.createMultiBody(0.0, -1, visual, basePosition=at, physicsClientId=client))
 
 
 def _hand(client: int, settings: Settings) -> int:
     vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere is up to 9 px off
-    shape = pybullet.createVisualShape(
-        pybullet.GEOM_MESH,
-        vertices=vertices,
-        indices=faces,
-        normals=vertices,
-        rgbaColor=HAND_COLOUR_RGBA,
-        physicsClientId=client,
-    )
-    return int(
-        pybullet.createMultiBody(0.0, -1, shape, basePosition=(0.0, 0.0, -9.0), physicsClientId=client)
-    )
+    return _painted(client, HAND_COLOUR_RGBA, vertices=vertices, indices=faces, normals=vertices)
 
 
 def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], list[int]]:
@@ -165,20 +171,17 @@ def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], li
 
 
 def _forearm(client: int, settings: Settings) -> int:
-    shape = pybullet.createVisualShape(
-        pybullet.GEOM_CAPSULE,
-        radius=settings.hand.forearm_radius_m,
-        length=settings.hand.forearm_length_m,
-        rgbaColor=SLEEVE_COLOUR_RGBA,
-        physicsClientId=client,
-    )
-    return int(
-        pybullet.createMultiBody(0.0, -1, shape, basePosition=(0.0, 0.0, -9.0), physicsClientId=client)
+    hand, kind = settings.hand, pybullet.GEOM_CAPSULE
+    return _painted(
+        client, SLEEVE_COLOUR_RGBA, kind=kind, radius=hand.forearm_radius_m, length=hand.forearm_length_m
     )
 
 
 def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
-    """Put the painted hands where they are; a forearm lies between hand and elbow."""
+    """Put the painted hands where they are; a forearm lies between hand and elbow.
+
+    ``hands`` (MAX_HANDS,) HAND.
+    """
     for hand, sphere, forearm in zip(hands, bodies.hands, bodies.forearms, strict=True):
         if not hand["present"]:
             continue
@@ -199,3 +202,56 @@ def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, flo
     quaternion = np.array([-unit[1], unit[0], 0.0, 1.0 + unit[2]])
     quaternion /= np.linalg.norm(quaternion)
     return (quaternion[0], quaternion[1], quaternion[2], quaternion[3])
+
+
+NEAR_M, FAR_M = 0.02, 5.0
+
+
+def render(
+    client: int,
+    transform_camera_to_base: NDArray[np.float64],  # (4, 4)
+    focal_px: float,
+    width_px: int,
+    height_px: int,
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Colour (h, w, 3) and depth along the optical axis (h, w) [m]; pixels hit by nothing are +inf deep.
+
+    OpenGL's camera looks along -z with y up; ours looks along z with y down.
+    """
+    eye = transform_camera_to_base[:3, 3]
+    view = pybullet.computeViewMatrix(
+        eye, eye + transform_camera_to_base[:3, 2], -transform_camera_to_base[:3, 1]
+    )
+    projection = (
+        (2.0 * focal_px / width_px, 0.0, 0.0, 0.0)
+        + (0.0, 2.0 * focal_px / height_px, 0.0, 0.0)
+        + (0.0, 0.0, -(FAR_M + NEAR_M) / (FAR_M - NEAR_M), -1.0)
+        + (0.0, 0.0, -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M), 0.0)
+    )
+    _, _, colour, buffer, _ = pybullet.getCameraImage(
+        width_px,
+        height_px,
+        view,
+        projection,
+        shadow=0,
+        lightDirection=(0.0, 0.0, 1.0),
+        renderer=pybullet.ER_TINY_RENDERER,
+        physicsClientId=client,
+    )
+    buffer = np.asarray(buffer, dtype=np.float64).reshape(height_px, width_px)
+    depth_m = FAR_M * NEAR_M / (FAR_M - (FAR_M - NEAR_M) * buffer)
+    depth_m[buffer >= 1.0] = np.inf
+    pixels = np.asarray(colour, dtype=np.uint8).reshape(height_px, width_px, 4)
+    return np.ascontiguousarray(pixels[:, :, :3]), depth_m
+
+
+def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
+    """(visible, moments (31,)) of the thresholded object in a rendered image.
+
+    ``colour`` (height, width, 3).
+    """
+    moments = np.full(MOMENT_COUNT, np.nan)
+    mask = object_mask(colour)
+    c_u, c_v = rendered_principal_point_px(colour.shape[1], colour.shape[0])
+    pixels = mask_moments(mask, focal_px, c_u, c_v, moments)
+    return pixels > 0, moments

@@ -1,6 +1,6 @@
 """What the cameras see, exactly: the projected object's moments and the hands' bounding boxes, compiled.
 
-``image_sources`` holds the ones that work on rendered pixels.
+``cell`` holds the ones that work on rendered pixels.
 """
 
 from __future__ import annotations
@@ -11,15 +11,8 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.transforms import compose_into, inverse_transform
-from safety_harness.perception.camera import (
-    polygon_inside_image,
-    project,
-)
-from safety_harness.perception.hand_boxes import (
-    box_in_image,
-    line_of_sight_blocked,
-    sphere_box,
-)
+from safety_harness.perception.camera import polygon_inside_image, project
+from safety_harness.perception.hand_boxes import box_in_image, line_of_sight_blocked, sphere_box
 from safety_harness.perception.moments import point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
 from safety_harness.scenario.model import MAX_HANDS
@@ -27,9 +20,9 @@ from safety_harness.scenario.model import MAX_HANDS
 
 @compiled
 def exact_object(
-    sensors: NDArray[np.void],
+    sensors: NDArray[np.void],  # (1,) SENSORS
     polygon_in_base_m: NDArray[np.float64],  # (n, 3)
-    transform_tcp_to_base: NDArray[np.float64],
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
     moments_out: NDArray[np.float64],  # (31,)
 ) -> bool:
     """Moments of the projected polygon, in closed form or at pixel centres; False if out of view."""
@@ -59,9 +52,9 @@ def exact_object(
 
 @compiled
 def sensor_pose(
-    sensors: NDArray[np.void],
-    transform_tcp_to_base: NDArray[np.float64],
-    sensor_to_base_out: NDArray[np.float64],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
+    sensor_to_base_out: NDArray[np.float64],  # (4, 4)
 ) -> None:
     """The hand sensor's true pose: fixed, or carried by the hand-eye camera."""
     s = sensors[0]
@@ -73,11 +66,11 @@ def sensor_pose(
 
 @compiled
 def exact_boxes(
-    sensors: NDArray[np.void],
+    sensors: NDArray[np.void],  # (1,) SENSORS
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    transform_tcp_to_base: NDArray[np.float64],
-    capsules_in_base_m: NDArray[np.float64],  # (n, 2, 3)
-    capsule_radius_m: NDArray[np.float64],  # (n,)
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
+    capsules: NDArray[np.void],  # (n,) CAPSULE
+    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3)
     boxes_out: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
 ) -> int:
     """Bounding boxes of the hands that the sensor sees; returns how many.
@@ -117,8 +110,8 @@ def exact_boxes(
                 pose[:3, 3].copy(),
                 hands[k].position_in_base_m,
                 s.hand_radius_m,
-                capsules_in_base_m,
-                capsule_radius_m,
+                capsule_endpoints_in_base_m,
+                capsules["radius_m"],
             ):
                 continue
         count += 1

@@ -11,42 +11,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.pyramids import segment_pyramid_distance
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import compose_into, inverse_transform
 from safety_harness.perception.hand_boxes import box_in_image, sphere_box
 from safety_harness.perception.tracking import MAX_DETECTIONS
-from safety_harness.scenario.fault_table import FaultKind, acting, acts, delay_s
+from safety_harness.scenario.fault_table import acting, acts, delay_s
+from safety_harness.scenario.faults import FaultKind
 from safety_harness.simulation.cameras import RING
 from safety_harness.simulation.exact_views import sensor_pose
 
-HAND_SENSOR_BLIND = int(FaultKind.HAND_SENSOR_BLIND)
-HAND_SENSOR_FROZEN = int(FaultKind.HAND_SENSOR_FROZEN)
-HAND_SENSOR_LATE = int(FaultKind.HAND_SENSOR_LATE)
-HAND_SENSOR_OFF = int(FaultKind.HAND_SENSOR_OFF)
-FALSE_HAND = int(FaultKind.FALSE_HAND)
-CAMERA_BLIND = int(FaultKind.CAMERA_BLIND)
-CAMERA_FROZEN = int(FaultKind.CAMERA_FROZEN)
-CAMERA_LATE = int(FaultKind.CAMERA_LATE)
-CAMERA_KNOCKED = int(FaultKind.CAMERA_KNOCKED)
-CAMERA_HIDDEN = int(FaultKind.CAMERA_HIDDEN)
-JOINT_STUCK = int(FaultKind.JOINT_STUCK)
+HAND_SENSOR_BLIND = np.int64(FaultKind.HAND_SENSOR_BLIND)
+HAND_SENSOR_FROZEN = np.int64(FaultKind.HAND_SENSOR_FROZEN)
+HAND_SENSOR_LATE = np.int64(FaultKind.HAND_SENSOR_LATE)
+HAND_SENSOR_OFF = np.int64(FaultKind.HAND_SENSOR_OFF)
+FALSE_HAND = np.int64(FaultKind.FALSE_HAND)
+CAMERA_BLIND = np.int64(FaultKind.CAMERA_BLIND)
+CAMERA_FROZEN = np.int64(FaultKind.CAMERA_FROZEN)
+CAMERA_LATE = np.int64(FaultKind.CAMERA_LATE)
+CAMERA_KNOCKED = np.int64(FaultKind.CAMERA_KNOCKED)
+CAMERA_HIDDEN = np.int64(FaultKind.CAMERA_HIDDEN)
+JOINT_STUCK = np.int64(FaultKind.JOINT_STUCK)
 
 
 @compiled
 def mount_camera(faults: NDArray[np.void], sensors: NDArray[np.void], time_s: float) -> int:
-    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
+    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it.
+
+    ``faults`` (n,) FAULT, ``sensors`` (1,) SENSORS.
+    """
     s = sensors[0]
     bits = acting(faults, CAMERA_KNOCKED, time_s)
-    s.transform_camera_to_tcp[:, :] = s.transform_mount_to_tcp
+    copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
     if bits == 0:
         return 0
-    turned, before = np.empty((3, 3)), np.empty((3, 3))
+    before = np.empty((3, 3))
     for k in range(faults.shape[0]):
         if not acts(faults, k, CAMERA_KNOCKED, time_s):
             continue
-        before[:, :] = s.transform_camera_to_tcp[:3, :3]
-        turned[:, :] = rotation_from_vector(faults[k].turned_rad.copy())
+        copy_matrix(s.transform_camera_to_tcp[:3, :3], before)
+        turned = rotation_from_vector(faults[k].turned_rad.copy())
         for i in range(3):
             for j in range(3):
                 s.transform_camera_to_tcp[i, j] = (
@@ -63,7 +68,7 @@ def spoil_object_frame(
     frames: NDArray[np.void],  # (RING,) OBJECT_FRAME; the newest is changed
     polygon_in_base_m: NDArray[np.float64],  # (m, 3)
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    transform_tcp_to_base: NDArray[np.float64],
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
     time_s: float,
 ) -> int:
     """What the faults make of the object's newest frame; a frozen camera shows the frame before it."""
@@ -83,17 +88,17 @@ def spoil_object_frame(
         if s.object_frames > 1:
             before = frames[(s.object_frames - 2) % RING]
             frame.visible = before.visible
-            frame.moments[:] = before.moments
+            copy_vector(before.moments, frame.moments)
     frame.late_s = delay_s(faults, CAMERA_LATE, time_s)
     return bits | blind | frozen | acting(faults, CAMERA_LATE, time_s)
 
 
 @compiled
 def hides_object(
-    sensors: NDArray[np.void],
-    polygon_in_base_m: NDArray[np.float64],
-    hands: NDArray[np.void],
-    transform_tcp_to_base: NDArray[np.float64],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    polygon_in_base_m: NDArray[np.float64],  # (m, 3)
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
 ) -> bool:
     """Is any part of a hand or forearm between the hand-eye camera's lens and any part of the object?"""
     s = sensors[0]
@@ -116,7 +121,7 @@ def spoil_hand_frame(
     faults: NDArray[np.void],  # (n,) FAULT
     sensors: NDArray[np.void],  # (1,) SENSORS
     frames: NDArray[np.void],  # (RING,) HAND_FRAME; the newest is changed
-    transform_tcp_to_base: NDArray[np.float64],
+    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
     time_s: float,
 ) -> int:
     """What the faults make of the newest frame of boxes.
@@ -151,15 +156,15 @@ def spoil_hand_frame(
         if s.hand_frames > 1:
             before = frames[(s.hand_frames - 2) % RING]
             frame.count = before.count
-            frame.boxes[:, :] = before.boxes
+            copy_matrix(before.boxes, frame.boxes)
     frame.late_s = delay_s(faults, HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
 
 
 @compiled
 def shift_boxes(
-    sensors: NDArray[np.void],
-    transform_sensor_to_base: NDArray[np.float64],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    transform_sensor_to_base: NDArray[np.float64],  # (4, 4)
     by_in_base_m: NDArray[np.float64],  # (3,)
     boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5), changed in place
     count: int,
@@ -224,7 +229,10 @@ def false_box(
 
 @compiled
 def hold_joints(faults: NDArray[np.void], velocity_radps: NDArray[np.float64], time_s: float) -> int:
-    """Set what the motors of stuck joints are told, of (6,), to zero."""
+    """Set what the motors of stuck joints are told, of (6,), to zero.
+
+    ``faults`` (n,) FAULT, ``velocity_radps`` (6,).
+    """
     for k in range(faults.shape[0]):
         if acts(faults, k, JOINT_STUCK, time_s):
             velocity_radps[faults[k].joint] = 0.0

@@ -115,10 +115,10 @@ def advance_hands(
 
 @njit_no_nrt
 def advance_move(
-    hands: NDArray[np.void],
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
     k: int,
-    moves: NDArray[np.void],
-    tcp_position_in_base_m: NDArray[np.float64],
+    moves: NDArray[np.void],  # (m,) MOVE
+    tcp_position_in_base_m: NDArray[np.float64],  # (3,)
     left_s: float,
 ) -> float:
     """Spend up to ``left_s`` on the current move; returns what is left of it."""
@@ -150,7 +150,10 @@ def advance_move(
 
 @njit_no_nrt
 def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
-    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
+    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest.
+
+    ``hands`` (MAX_HANDS,) HAND.
+    """
     hand = hands[k]
     squared = 0.0
     for i in range(3):
@@ -169,7 +172,7 @@ def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
 
 @njit_no_nrt
 def follow_leg(
-    hands: NDArray[np.void],
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
     k: int,
     target_in_base_m: NDArray[np.float64],  # (3,)
     distance_m: float,
@@ -217,7 +220,10 @@ def follow_leg(
 def begin_leg(
     hands: NDArray[np.void], k: int, target_in_base_m: NDArray[np.float64], distance_m: float
 ) -> None:
-    """Fix where the leg leads, from where the hand rests now."""
+    """Fix where the leg leads, from where the hand rests now.
+
+    ``hands`` (MAX_HANDS,) HAND, ``target_in_base_m`` (3,).
+    """
     hand = hands[k]
     hand.on_leg = True
     hand.leg_s = 0.0
@@ -234,7 +240,7 @@ def begin_leg(
 
 @njit_no_nrt
 def pursue(
-    hands: NDArray[np.void],
+    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
     k: int,
     goal_in_base_m: NDArray[np.float64],  # (3,)
     distance_m: float,
@@ -276,7 +282,7 @@ def pursue(
 
 @njit_no_nrt
 def point_forearm(hands: NDArray[np.void], k: int) -> None:
-    """Put the elbow one forearm's length from the hand towards the person."""
+    """Put the elbow one forearm's length from the hand towards the person.  ``hands`` (MAX_HANDS,) HAND."""
     hand = hands[k]
     total = 0.0
     for i in range(3):
@@ -291,7 +297,10 @@ def point_forearm(hands: NDArray[np.void], k: int) -> None:
 
 @njit_no_nrt
 def follow_recording(hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float) -> None:
-    """Put hand and elbow where the recording has them; straight between samples, at rest after it."""
+    """Put hand and elbow where the recording has them; straight between samples, at rest after it.
+
+    ``hands`` (MAX_HANDS,) HAND, ``samples`` (s, 7).
+    """
     hand = hands[k]
     last = hand.first + hand.count - 1
     row = hand.first + hand.current

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from types import TracebackType
-
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.records import CommandRecords
 from safety_harness.exceptions import SimulationError
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
@@ -14,11 +13,9 @@ from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
-from safety_harness.simulation.cell import build_cell, place_hands
+from safety_harness.simulation.cell import build_cell, place_hands, render, rendered_object
 from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import sensor_pose
-from safety_harness.simulation.image_sources import render, rendered_object
-from safety_harness.simulation.records import world_records
 from safety_harness.simulation.sensing import hand_frame_due, object_frame_due
 from safety_harness.simulation.steps import (
     drive_on,
@@ -27,15 +24,13 @@ from safety_harness.simulation.steps import (
     hand_over,
     mount,
     move_on,
-    now_s,
     send_hand_frame,
     send_object_frame,
-    sense,
 )
-from safety_harness.trace.records import TICK_COMPILED
+from safety_harness.simulation.world import RecordedWorld
 
 
-class PyBulletWorld:
+class PyBulletWorld(RecordedWorld):
     """One scenario in a PyBullet client of its own; use it as a context manager, once.
 
     The drives follow velocity motors with the torque limits of the URDF; a control period is
@@ -43,7 +38,7 @@ class PyBulletWorld:
     zero, not a push.
     """
 
-    name = "pybullet"
+    name, renders = "pybullet", True
 
     def __init__(
         self,
@@ -53,13 +48,12 @@ class PyBulletWorld:
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> None:
-        settings = scenario.settings
-        self._settings = settings
+        super().__init__(scenario, arm, joint_position_rad)
+        self._settings = settings = scenario.settings
         self._substeps = settings.clock.physics_substeps
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector()
-        self.records = world_records(scenario, arm, joint_position_rad)
         self._commanded_radps = np.empty(6)
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -78,57 +72,71 @@ class PyBulletWorld:
             self.close()
             raise
 
-    def __enter__(self) -> PyBulletWorld:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Give the client back; a second call does nothing."""
         if self._client >= 0:
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    @property
-    def time_s(self) -> float:
-        """The start of the coming control tick."""
-        return now_s(self.records.clock)
-
-    @property
-    def acted_faults(self) -> int:
-        """Bits of the scenario's faults that have acted on this tick's pictures and, after it, its step."""
-        return int(self.records.clock[0]["acted_faults"])
-
-    def true_state(self, tick: NDArray[np.void]) -> None:
-        """Write the truth part of ``tick``; the rest is the controller's to fill."""
-        tick.view(TICK_COMPILED)[0] = self.records.truth[0]
-
     def observe(self) -> NDArray[np.void]:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
-        records = self.records
+        r = self.records
         if not (self._render_object or self._render_hands):
-            sense(*records.for_sense)
-            return records.observation
-        mount(records.clock, records.sensors, records.faults)
-        if object_frame_due(records.sensors, self.time_s):
+            return super().observe()
+        mount(r.clock, r.sensors, r.faults)
+        if object_frame_due(r.sensors, self.time_s):
             if self._render_object:
-                send_object_frame(*(records.for_object_frame + self._rendered_object()))
+                send_object_frame(
+                    r.clock,
+                    r.sensors,
+                    r.object_frames,
+                    r.polygon_in_base_m,
+                    r.hands,
+                    r.faults,
+                    r.truth,
+                    *self._rendered_object(),
+                )
             else:
-                exact_object_frame(*records.for_object_frame)
-        if hand_frame_due(records.sensors, self.time_s):
+                exact_object_frame(
+                    r.clock, r.sensors, r.object_frames, r.polygon_in_base_m, r.hands, r.faults, r.truth
+                )
+        if hand_frame_due(r.sensors, self.time_s):
             if self._render_hands:
-                send_hand_frame(*(records.for_hand_frame + self._rendered_boxes()))
+                send_hand_frame(
+                    r.clock,
+                    r.sensors,
+                    r.hand_frames,
+                    r.normals,
+                    r.uniforms,
+                    r.faults,
+                    r.truth,
+                    *self._rendered_boxes(),
+                )
             else:
-                exact_hand_frame(*records.for_exact_hand_frame)
-        hand_over(*records.for_hand_over)
-        return records.observation
+                exact_hand_frame(
+                    r.clock,
+                    r.sensors,
+                    r.hand_frames,
+                    r.normals,
+                    r.uniforms,
+                    r.hands,
+                    r.capsules,
+                    r.capsule_endpoints_in_base_m,
+                    r.faults,
+                    r.truth,
+                )
+        hand_over(r.clock, r.sensors, r.object_frames, r.hand_frames, r.truth, r.observation)
+        return r.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
-        """Drives, motors and physics for one control period; hands move meanwhile."""
-        braking = drive_on(*(self.records.for_drives + (command, self._commanded_radps)))
+        """Drives, motors and physics for one control period; hands move meanwhile.
+
+        ``command`` (1,) COMMAND.
+        """
+        r = self.records
+        braking = drive_on(
+            r.clock, r.drives, r.faults, r.truth, CommandRecords(command), self._commanded_radps
+        )
         pybullet.setJointMotorControlArray(
             self._robot,
             self._joints,
@@ -140,8 +148,18 @@ class PyBulletWorld:
         for _ in range(self._substeps):
             pybullet.stepSimulation(physicsClientId=self._client)
         states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
-        joints = np.array([state[0] for state in states]), np.array([state[1] for state in states])
-        move_on(*(self.records.for_motion + joints))
+        move_on(
+            r.clock,
+            r.hands,
+            r.moves,
+            r.samples,
+            r.arm,
+            r.capsules,
+            r.capsule_endpoints_in_base_m,
+            r.truth,
+            np.array([state[0] for state in states]),
+            np.array([state[1] for state in states]),
+        )
         return braking
 
     def _rendered_object(self) -> tuple[bool, NDArray[np.float64]]:

@@ -28,7 +28,10 @@ def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]
 
 @inlined
 def object_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
-    """Whether the object's camera takes a frame at this tick; asking advances its clock."""
+    """Whether the object's camera takes a frame at this tick; asking advances its clock.
+
+    ``sensors`` (1,) SENSORS.
+    """
     s = sensors[0]
     due, s.object_due_s = take_due(time_s, s.object_period_s, s.object_due_s)
     return due
@@ -36,7 +39,10 @@ def object_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
 
 @inlined
 def hand_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
-    """Whether the hand sensor takes a frame at this tick; asking advances its clock."""
+    """Whether the hand sensor takes a frame at this tick; asking advances its clock.
+
+    ``sensors`` (1,) SENSORS.
+    """
     s = sensors[0]
     due, s.hand_due_s = take_due(time_s, s.hand_period_s, s.hand_due_s)
     return due
@@ -44,11 +50,11 @@ def hand_frame_due(sensors: NDArray[np.void], time_s: float) -> bool:
 
 @inlined
 def push_object_frame(
-    sensors: NDArray[np.void],
-    frames: NDArray[np.void],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    frames: NDArray[np.void],  # (RING,) of the kind
     time_s: float,
     visible: bool,
-    moments: NDArray[np.float64],
+    moments: NDArray[np.float64],  # (31,)
 ) -> None:
     """Put a frame of the object on its way."""
     s = sensors[0]
@@ -61,15 +67,15 @@ def push_object_frame(
 
 @inlined
 def push_hand_frame(
-    sensors: NDArray[np.void],
-    frames: NDArray[np.void],
-    normals: NDArray[np.float64],
-    uniforms: NDArray[np.float64],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    frames: NDArray[np.void],  # (RING,) of the kind
+    normals: NDArray[np.float64],  # (frames, MAX_DETECTIONS, 3)
+    uniforms: NDArray[np.float64],  # (frames, MAX_DETECTIONS)
     time_s: float,
     boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
     count: int,
 ) -> None:
-    """Put a frame of boxes on its way: some drop out, the others get pixel and depth noise.
+    """Put a frame of boxes on its way: some hands are missed, the others get pixel and depth noise.
 
     Depth noise grows with the square of the depth, as a stereo camera's does.
     """
@@ -93,9 +99,9 @@ def push_hand_frame(
 
 @inlined
 def deliver(
-    sensors: NDArray[np.void],
-    object_frames: NDArray[np.void],
-    hand_frames: NDArray[np.void],
+    sensors: NDArray[np.void],  # (1,) SENSORS
+    object_frames: NDArray[np.void],  # (RING,) OBJECT_FRAME
+    hand_frames: NDArray[np.void],  # (RING,) HAND_FRAME
     time_s: float,
     observations: NDArray[np.void],  # (1,) OBSERVATION
 ) -> None:

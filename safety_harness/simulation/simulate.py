@@ -1,14 +1,20 @@
-"""The whole system on one page: a world and a controller, tick by tick, into a trace."""
+"""The whole system on one page: a world and a controller, tick by tick, into a trace.
+
+Or many episodes in one world: all of them to their next decision, then the avoider once for all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.controller.controller import Controller
+from safety_harness.avoidance.asking_many import ask_many
+from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.scenario.model import Scenario
-from safety_harness.simulation.world import World
+from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import TICK, Limit
 from safety_harness.trace.trace import Trace
@@ -17,11 +23,7 @@ INTERRUPTED = "interrupted by the user"
 
 
 def simulate(
-    world: World,
-    controller: Controller,
-    scenario: Scenario,
-    *,
-    on_tick: Callable[[int], None] | None = None,
+    world: World, controller: Controller, scenario: Scenario, *, on_tick: Callable[[int], None] | None = None
 ) -> Trace:
     """Run ``scenario`` to its end; both ends of its duration are recorded.
 
@@ -36,8 +38,10 @@ def simulate(
             world.true_state(tick)
             command = controller.step(world.observe())
             controller.report(tick)
-            if k < scenario.ticks and world.step(command):
-                tick["limits"] |= int(Limit.BRAKING)
+            if k < scenario.ticks:
+                braking = world.step(command)
+                if braking:
+                    tick["limits"] |= int(Limit.BRAKING)
             tick["faults"] |= world.acted_faults
             done = k + 1
             if on_tick is not None:
@@ -54,3 +58,49 @@ def simulate(
         provenance=provenance(world.name, controller.name),
         ended=ended,
     )
+
+
+@dataclass(eq=False)
+class Episode:
+    """A scenario under way, with a world and a controller of its own."""
+
+    scenario: Scenario
+    world: BatchWorld
+    controller: AvoidingServo
+    ticks: NDArray[np.void] = field(init=False)  # (n,) TICK
+    observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
+
+    def __post_init__(self) -> None:
+        self.ticks = np.zeros(self.scenario.ticks + 1, TICK)
+
+    def advance(self) -> bool:
+        """On to the next decision (True) or to the end (False)."""
+        decided = self.observation is not None
+        self.observation = self.world.advance(self.controller.records, self.ticks, decided)
+        return self.observation is not None
+
+    def trace(self) -> Trace:
+        """What happened, when it has come to its end."""
+        return Trace(
+            scenario=self.scenario,
+            ticks=self.ticks,
+            decisions=self.controller.decisions,
+            decision_latency_s=self.controller.decision_latencies_s,
+            provenance=provenance(self.world.name, self.controller.name),
+        )
+
+
+def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
+    """Run them all to their ends; each trace is that of ``simulate`` in the same world, bit for bit.
+
+    But for their latency: that of decisions that are made together is NaN, not timed (``ask_many``).
+    """
+    under_way = list(episodes)
+    while under_way:
+        under_way = [episode for episode in under_way if episode.advance()]
+        pilots = [episode.controller for episode in under_way]
+        queries = [one.controller.query(one.observation) for one in under_way if one.observation is not None]
+        answers = ask_many([pilot.asked() for pilot in pilots], queries)
+        for pilot, query, answer in zip(pilots, queries, answers, strict=True):
+            pilot.decide(query, pilot.gate.rule_on(answer, query))
+    return [episode.trace() for episode in episodes]

@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 from safety_harness.compiled import njit_no_nrt
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
-from safety_harness.robot.description import ArmModel
+from safety_harness.robot.description import CHAIN, ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
 
 ARM = np.dtype(
     [
-        ("joint_origins", np.float64, (6, 4, 4)),
-        ("joint_axes", np.float64, (6, 3)),
-        ("flange", np.float64, (4, 4)),
+        ("chain", CHAIN),
         ("hand_radius_m", np.float64),
         ("forearm_radius_m", np.float64),
         ("link_transforms", np.float64, (8, 4, 4)),  # the arm's true pose, as of the last tick
@@ -36,11 +34,7 @@ def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
 @lru_cache(maxsize=16)
 def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
     record = np.zeros(1, ARM)
-    record["joint_origins"], record["joint_axes"], record["flange"] = (
-        arm.joint_origins,
-        arm.joint_axes,
-        arm.flange,
-    )
+    record["chain"] = arm.chain
     record["hand_radius_m"] = hand.radius_m
     record["forearm_radius_m"] = hand.forearm_radius_m
     return record
@@ -67,27 +61,24 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
 @njit_no_nrt
 def fill_truth(
     arms: NDArray[np.void],  # (1,) ARM
-    capsule_link: NDArray[np.int64],  # (n,)
-    capsule_start_in_link: NDArray[np.float64],  # (n, 3)
-    capsule_end_in_link: NDArray[np.float64],  # (n, 3)
-    capsule_radius_m: NDArray[np.float64],  # (n,)
-    placed: NDArray[np.float64],  # (n, 2, 3), written
+    capsules: NDArray[np.void],  # (n,) CAPSULE
+    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3), written
     hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    joint_position_rad: NDArray[np.float64],
-    joint_velocity_radps: NDArray[np.float64],
+    joint_position_rad: NDArray[np.float64],  # (6,)
+    joint_velocity_radps: NDArray[np.float64],  # (6,)
     time_s: float,
     ticks: NDArray[np.void],  # (1,) TICK_COMPILED, written
 ) -> None:
-    """Write the truth part of a tick, and the placed capsules and link poses for the sensors."""
+    """Write the truth part of a tick, and the capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]
     tick.time_s = time_s
     copy_vector(joint_position_rad, tick.joint_position_rad)
     copy_vector(joint_velocity_radps, tick.joint_velocity_radps)
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joint_position_rad, arm.link_transforms)
+    forward_kinematics(arm.chain, joint_position_rad, arm.link_transforms)
     copy_matrix(arm.link_transforms[7], tick.transform_tcp_to_base)
-    x, y, z = tcp_velocity(arm.joint_axes, arm.link_transforms, joint_velocity_radps)
+    x, y, z = tcp_velocity(arm.chain.joint_axes, arm.link_transforms, joint_velocity_radps)
     tick.tcp_speed_mps = np.sqrt(x * x + y * y + z * z)
-    place_capsules(arm.link_transforms, capsule_link, capsule_start_in_link, capsule_end_in_link, placed)
+    place_capsules(capsules, arm.link_transforms, capsule_endpoints_in_base_m)
     for k in range(hands.shape[0]):
         hand = hands[k]
         tick.hand_present[k] = hand.present
@@ -98,8 +89,8 @@ def fill_truth(
         tick.hand_distance_capsule[k] = -1
         if hand.present:
             distance_m, capsule = hand_distance(
-                placed,
-                capsule_radius_m,
+                capsules,
+                capsule_endpoints_in_base_m,
                 hand.position_in_base_m,
                 hand.elbow_in_base_m,
                 arm.hand_radius_m,

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.geometry.regions import Region
+from safety_harness.geometry.regions import Box, Region
 from safety_harness.settings import Vector3
 from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
 
@@ -80,18 +80,25 @@ class InRegion:
     @property
     def simplest(self) -> tuple[float, ...]:
         """The box's centre; of a shell, the middle of the hole's nearest side."""
-        outer, hole = self.known.outer, self.known.hole
-        inner = outer if hole is None else hole
-        centre = inner.centre_m
+        hole = self.known.hole
         if hole is None:
-            return centre
-        sides: list[tuple[float, int, tuple[float, ...]]] = []
-        for axis in range(3):
-            for face, beyond in ((hole.high_m, outer.high_m), (hole.low_m, outer.low_m)):
-                if face[axis] != beyond[axis]:
-                    point = [*centre[:axis], face[axis], *centre[axis + 1 :]]
-                    sides.append((round(abs(face[axis] - centre[axis]), 9), len(sides), tuple(point)))
-        return min(sides)[2]
+            return self.known.outer.centre_m
+        axis, _, _, face = self.sides_of(hole)[0]
+        return (*hole.centre_m[:axis], face, *hole.centre_m[axis + 1 :])
+
+    def sides_of(self, hole: Box) -> list[tuple[int, float, float, float]]:
+        """(axis, least, most, the hole's face) beyond each face of the hole, the nearest face first."""
+        outer, centre = self.known.outer, hole.centre_m
+        sides = [
+            (axis, low, high, face)
+            for axis in range(3)
+            for low, high, face in (
+                (hole.high_m[axis], outer.high_m[axis], hole.high_m[axis]),
+                (outer.low_m[axis], hole.low_m[axis], hole.low_m[axis]),
+            )
+            if low < high
+        ]
+        return sorted(sides, key=lambda side: round(abs(side[3] - centre[side[0]]), 9))
 
     def values_at(self, u: Vector) -> Vector:
         """(n, 3) -> (n, 3): the first coordinate picks one of at most six boxes as well."""

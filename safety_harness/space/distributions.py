@@ -11,15 +11,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.settings import Vector3
-from safety_harness.space.normal import TruncatedStandardNormal
 
 Vector = NDArray[np.float64]
 
+_INVERSE = np.frompyfunc(NormalDist().inv_cdf, 1, 1)
+_ERFC = np.frompyfunc(math.erfc, 1, 1)
+_SMALLEST, _LARGEST = 1e-300, 1.0 - 2.0**-53
 LEAST_MASS = 1e-6  # of a truncated normal within its bounds: beyond it, they are another distribution's
 
 
@@ -73,11 +76,7 @@ class TruncatedNormal:
     def __post_init__(self) -> None:
         finite = all(map(math.isfinite, (self.mean, self.std, self.high - self.low)))
         _refuse_unless(finite and self.low < self.high and self.std > 0.0, "std > 0 and low < high", self)
-        _refuse_unless(self._standard.mass >= LEAST_MASS, "a millionth of it between low and high", self)
-
-    @cached_property
-    def _standard(self) -> TruncatedStandardNormal:
-        return TruncatedStandardNormal((self.low - self.mean) / self.std, (self.high - self.mean) / self.std)
+        _refuse_unless(self._mass >= LEAST_MASS, "a millionth of it between low and high", self)
 
     @property
     def simplest(self) -> tuple[float, ...]:
@@ -86,22 +85,47 @@ class TruncatedNormal:
 
     def values_at(self, u: Vector) -> Vector:
         """(n, 1) -> (n, 1), rising; 0 and 1 are the ends themselves."""
-        z = self._standard.quantile(u[:, 0])[:, None]
+        p = self._below + (1.0 - u if self._mirrored else u) * self._mass
+        z = np.asarray(_INVERSE(np.clip(p, _SMALLEST, _LARGEST)), float)
+        z = np.clip(-z if self._mirrored else z, *self._ends)
         inside = np.clip(self.mean + self.std * z, self.low, self.high)
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, inside))
 
     def cube_at(self, values: Vector) -> Vector:
         """The inverse of ``values_at``."""
-        z = (values[:, 0] - self.mean) / self.std
-        return _polished(self, self._standard.cumulative(z)[:, None], values)
+        z = (values - self.mean) / self.std
+        share = (_lower_tail(-z if self._mirrored else z) - self._below) / self._mass
+        return _polished(self, np.clip(1.0 - share if self._mirrored else share, 0.0, 1.0), values)
 
     def log_density(self, values: Vector) -> Vector:
         """(n, 1) -> (n,) natural logarithm; -inf outside."""
         value = values[:, 0]
         z = (value - self.mean) / self.std
-        constant = math.log(self.std * math.sqrt(2.0 * math.pi) * self._standard.mass)
+        constant = math.log(self.std * math.sqrt(2.0 * math.pi) * self._mass)
         inside = (value >= self.low) & (value <= self.high)
         return np.where(inside, -0.5 * z * z - constant, -np.inf)
+
+    @cached_property
+    def _ends(self) -> tuple[float, float]:
+        """The bounds in standard deviations from the mean."""
+        return (self.low - self.mean) / self.std, (self.high - self.mean) / self.std
+
+    @property
+    def _mirrored(self) -> bool:
+        """Bounds mostly above the mean are computed below it, where small numbers keep their digits."""
+        return sum(self._ends) > 0.0
+
+    @cached_property
+    def _below(self) -> float:
+        """How probable less than the bounds is (mirrored: more), in the normal distribution without them."""
+        low, high = self._ends
+        return float(_lower_tail(np.array(-high if self._mirrored else low)))
+
+    @cached_property
+    def _mass(self) -> float:
+        """How probable a value between the bounds is in it."""
+        low, high = self._ends
+        return float(_lower_tail(np.array(-low if self._mirrored else high))) - self._below
 
 
 @dataclass(frozen=True)
@@ -205,6 +229,12 @@ class InShell:
         inside = (r >= self.inner - slack) & (r <= self.outer + slack)
         volume = 4.0 / 3.0 * math.pi * (self.outer**3 - self.inner**3)
         return np.where(inside, -math.log(volume), -np.inf)
+
+
+def _lower_tail(z: Vector) -> Vector:
+    """P(Z <= z) of a standard normal Z."""
+    tail: Vector = 0.5 * np.asarray(_ERFC(-z / math.sqrt(2.0)), float)
+    return tail
 
 
 def _polished(distribution: Uniform | TruncatedNormal, u: Vector, values: Vector) -> Vector:

@@ -11,11 +11,11 @@ from typing import TypeAlias
 import numpy as np
 
 from safety_harness.exceptions import ScenarioError
+from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar
 from safety_harness.scenario.nodes import Sequence as SequenceNode
-from safety_harness.scenario.write import Tree, scalar_text
 from safety_harness.space.sentences import fixed_quantity
 from safety_harness.space.template import Alternatives, Given, Keyed, Listing, Parameter, Repeated, Template
 
@@ -34,7 +34,7 @@ class _Matcher:
         self._parameters = parameters
 
     def below(self, template: Template, written: Tree, found: Found, strict: bool) -> Iterator[Found]:
-        if isinstance(template, Scalar | SequenceNode | MappingNode):
+        if isinstance(template, Node):
             if not strict or _alike(template, written):
                 yield found
         elif isinstance(template, Given):
@@ -59,12 +59,12 @@ class _Matcher:
     def _given(self, template: Given, written: Tree, found: Found) -> Iterator[Found]:
         distribution = self._parameters[template.parameter].distribution
         texts = _listed(written) if distribution.columns > 1 else [written]
-        values = [_number(text, distribution.unit) for text in texts or ()]
-        if len(values) == distribution.columns and None not in values:
-            known = tuple(value for value in values if value is not None)
-            chosen = _with(found, template.parameter, known)
-            if chosen is not None and distribution.log_density(np.array([known]))[0] > -np.inf:
-                yield chosen
+        if texts is None or len(texts) != distribution.columns:
+            return
+        values = tuple(value for text in texts if (value := _number(text, distribution.unit)) is not None)
+        chosen = _with(found, template.parameter, values) if len(values) == len(texts) else None
+        if chosen is not None and distribution.log_density(np.array([values]))[0] > -np.inf:
+            yield chosen
 
     def _items(
         self, items: Sequence[Template], written: Sequence[Tree], found: Found, strict: bool
@@ -99,7 +99,7 @@ class _Matcher:
         if text in written:
             for one in self.below(template, written[text], found, strict):
                 yield from self._entries(others, written, one, strict)
-        elif isinstance(template, Scalar | SequenceNode | MappingNode):
+        elif isinstance(template, Node):
             yield from self._entries(others, written, found, strict)
 
 

@@ -1,24 +1,31 @@
-"""Scenario spaces from files and texts."""
+"""Scenario spaces from files and texts, each tried out: every end, a value between, every choice."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.compose import MATRIX, Library, variants
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
 from safety_harness.space.boxes import InRegion
-from safety_harness.space.probing import try_out
-from safety_harness.space.reading import read_template
+from safety_harness.space.distributions import Choice
+from safety_harness.space.reading import TemplateReader
 from safety_harness.space.regions import region_named, seen_by
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.template import Parameter
 
+Vector = NDArray[np.float64]
+
+_BETWEEN = 0.381966  # of the cube: no round number, so that whole numbers are told from others
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settings are not read yet
 
 
@@ -50,7 +57,7 @@ def space_of(
 ) -> ScenarioSpace:
     """As ``parse_space``, for a text that is a tree already."""
     root = Field(tree, file, path="", line=1)
-    template, parameters = read_template(root)
+    template, parameters = TemplateReader().whole(root)
     space = ScenarioSpace(
         name=name or (file.stem if file else "unnamed"),
         title=dict(root.entries("a mapping"))[SPACE_KEY].prose("a title on one line"),
@@ -61,7 +68,7 @@ def space_of(
         recordings=recordings,
     )
     space = _with_regions(space)
-    try_out(space)
+    _try_out(space)
     return space
 
 
@@ -70,27 +77,73 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
     if not any(isinstance(parameter.distribution, InRegion) for parameter in space.parameters):
         return space
 
-    def unknown(parameter: Parameter) -> Parameter:
-        if not isinstance(parameter.distribution, InRegion):
-            return parameter
-        return replace(parameter, distribution=InRegion(parameter.distribution.name, _SOMEWHERE))
+    def with_regions(region_of: Callable[[str, str], Region], *notes: str) -> ScenarioSpace:
+        parameters = (
+            replace(one, distribution=InRegion(at.name, region_of(at.name, one.name)))
+            if isinstance(at := one.distribution, InRegion)
+            else one
+            for one in space.parameters
+        )
+        return replace(space, parameters=tuple(parameters), notes=notes)
 
-    base = replace(space, parameters=tuple(map(unknown, space.parameters))).simplest
+    def region(name: str, path: str) -> Region:
+        found = region_named(name, seen, base.settings)
+        a_shift = path.startswith("tcp start") and ".offset" in path  # from the desired TCP
+        return found.shifted((-x, -y, -z)) if a_shift else found
+
+    base = with_regions(lambda name, path: _SOMEWHERE).simplest
     folder = space.file.parent if space.file else None
     seen = seen_by(base.avoider, folder=folder, settings=base.settings)
     x, y, z = base.settings.cell.desired_tcp_position_in_base_m
+    return with_regions(region, f"the seen space is that of {seen.source}")
 
-    def known(parameter: Parameter) -> Parameter:
-        if not isinstance(parameter.distribution, InRegion):
-            return parameter
-        name = parameter.distribution.name
-        region = region_named(name, seen, base.settings)
-        if parameter.name.startswith("tcp start") and ".offset" in parameter.name:
-            region = region.shifted((-x, -y, -z))  # the start is a shift from the desired TCP
-        return replace(parameter, distribution=InRegion(name, region))
 
-    return replace(
-        space,
-        parameters=tuple(map(known, space.parameters)),
-        notes=(f"the seen space is that of {seen.source}",),
+def _try_out(space: ScenarioSpace) -> None:
+    """ScenarioError for the first value that the reader refuses, or that a scenario does not show again."""
+    anchors = _anchors(space.scenario(space.simplest_values))
+    for parameter in space.parameters:
+        for values, read_back in _trials(space, parameter):
+            scenario = space.scenario(values)
+            if space.notes and _anchors(scenario) != anchors:
+                raise ScenarioError(
+                    place=parameter.place,
+                    expected="the same avoider, desired TCP, nominal hand and table throughout",
+                    got="one that varies",
+                    hint='what "seen" and "unseen" mean depends on them',
+                )
+            if read_back and scenario not in space:
+                raise ScenarioError(
+                    place=parameter.place,
+                    expected="a value that the scenario shows again",
+                    got="one that is lost in reading",
+                    hint="of two keys that say the same, vary the one that a written scenario has",
+                )
+
+
+def _trials(space: ScenarioSpace, parameter: Parameter) -> Iterator[tuple[Vector, bool]]:
+    """Values (d,) that use ``parameter``, and whether to look for them in the scenario."""
+    raw = np.concatenate([other.distribution.simplest for other in space.parameters])
+    for condition in parameter.when[0] if parameter.when else ():
+        raw[space.parameters[condition.parameter].column] = condition.least
+    distribution = parameter.distribution
+    if isinstance(distribution, Choice):
+        trials = [((float(number),), True) for number in range(len(distribution.labels))]
+    else:
+        u = np.array([0.0, 1.0, _BETWEEN])[:, None].repeat(distribution.columns, axis=1)
+        ends_and_between = distribution.values_at(u)
+        trials = [(tuple(row), number == 2) for number, row in enumerate(ends_and_between)]
+    for value, read_back in trials:
+        values = raw.copy()
+        values[parameter.columns] = value
+        yield space.without_unused(values[None])[0], read_back
+
+
+def _anchors(scenario: Scenario) -> tuple[object, ...]:
+    """What the named regions depend on."""
+    cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
+    return (
+        scenario.avoider,
+        cell.desired_tcp_position_in_base_m,
+        cell.table_height_m,
+        avoidance.nominal_hand_position_in_base_m,
     )

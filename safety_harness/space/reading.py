@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.nodes import Mapping, Scalar, Sequence
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
 from safety_harness.scenario.only_in_spaces import SPACE_KEY
 from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Vector3
@@ -15,10 +15,8 @@ from safety_harness.space.distributions import Choice, InShell
 from safety_harness.space.regions import REGIONS
 from safety_harness.space.sentences import (
     MOST_OPTIONS,
-    Reference,
-    Words,
-    error_of_reference,
     fixed_quantity,
+    options_of,
     refuse_options,
     sentence,
     times,
@@ -44,16 +42,6 @@ _Use = tuple[int, tuple[Condition, ...]]  # a parameter and what must hold for i
 
 
 @dataclass
-class _Draft:
-    """A parameter while the file is being read."""
-
-    name: str
-    distribution: Distribution
-    place: Place
-    when: list[tuple[Condition, ...]] = field(default_factory=list)
-
-
-@dataclass
 class _Named:
     """A value below ``choices``."""
 
@@ -63,22 +51,18 @@ class _Named:
     used: bool = False
 
 
-def read_template(root: Field) -> tuple[Template, tuple[Parameter, ...]]:
-    """The template of a scenario and the parameters in it; ScenarioError for what is not understood."""
-    return _Reader().whole(root)
-
-
-class _Reader:
+class TemplateReader:
     """Reads one file from its beginning to its end."""
 
     def __init__(self) -> None:
-        self._drafts: list[_Draft] = []
+        self._drafts: list[Parameter] = []  # when each is used, and its column, is known at the end
         self._named: dict[str, _Named] = {}
         self._uses: list[_Use] = []  # by what is being read: a named value, or the scenario
         self._time = ""  # which repetition is being read, for names
         self._members = 0  # that repetitions have made so far
 
-    def whole(self, root: Field) -> tuple[Template, tuple[Parameter, ...]]:
+    def whole(self, root: Field) -> tuple[Keyed, tuple[Parameter, ...]]:
+        """The template of a scenario and the parameters in it; ScenarioError for what is not understood."""
         entries = dict(root.entries("a mapping with the keys of a scenario"))
         if SPACE_KEY not in entries:
             raise ScenarioError(
@@ -110,13 +94,13 @@ class _Reader:
                 raise value.error('a value that varies, such as "one of left, right"')
 
     def _parameters(self, root: Field) -> tuple[Parameter, ...]:
+        whens: list[dict[tuple[Condition, ...], None]] = [{} for _ in self._drafts]
         for number, conditions in self._uses:
-            self._drafts[number].when.append(conditions)
+            whens[number][conditions] = None
         parameters: list[Parameter] = []
         column = 0
-        for draft in self._drafts:
-            when = ((),) if () in draft.when else tuple(dict.fromkeys(draft.when))
-            parameters.append(Parameter(draft.name, draft.distribution, column, when, draft.place))
+        for draft, when in zip(self._drafts, whens, strict=True):
+            parameters.append(replace(draft, column=column, when=((),) if () in when else tuple(when)))
             column += draft.distribution.columns
         if not 0 < column <= MOST_COLUMNS:
             raise root.error(f"from 1 to {MOST_COLUMNS} values that vary", got=f"{column}")
@@ -125,7 +109,7 @@ class _Reader:
     def _parameter(self, at: Field, distribution: Distribution, context: tuple[Condition, ...]) -> int:
         if len(self._drafts) >= MOST_COLUMNS:
             raise at.error(f"at most {MOST_COLUMNS} values that vary", got="more")
-        self._drafts.append(_Draft(at.path + self._time, distribution, at.place))
+        self._drafts.append(Parameter(at.path + self._time, distribution, 0, (), at.place))
         self._uses.append((len(self._drafts) - 1, context))
         return len(self._drafts) - 1
 
@@ -142,26 +126,28 @@ class _Reader:
         if keys == {"box"} or keys == {"in"} or "shell" in keys:
             return Given(self._parameter(at, _point(at), context), at.line)
         gaps = [self._template(child, context) for _, child in at.entries("a mapping")]
-        if all(isinstance(gap, Scalar | Sequence | Mapping) for gap in gaps):
+        if all(isinstance(gap, Node) for gap in gaps):
             return at.node
         return Keyed(
             tuple((key, gap) for (key, _), gap in zip(at.node.entries, gaps, strict=True)), at.node.line
         )
 
     def _scalar(self, at: Field, context: tuple[Condition, ...]) -> Template:
-        said = sentence(at)
-        if said is None:
-            return at.node
-        if isinstance(said, Reference):
-            return self._use(at, said.name, context).template
-        if isinstance(said, Words):
-            number = self._parameter(at, Choice.even(said.options), context)
-            return Alternatives(number, tuple(Scalar(text, at.line) for text in said.options), at.line)
-        return Given(self._parameter(at, said, context), at.line)
+        text = " ".join(at.scalar("a value").split())
+        if text.startswith("the "):
+            return self._use(at, text.removeprefix("the ").strip(), context).template
+        if text.startswith("one of "):
+            words = options_of(at, text.removeprefix("one of "))
+            number = self._parameter(at, Choice.even(words), context)
+            return Alternatives(number, tuple(Scalar(word, at.line) for word in words), at.line)
+        said = sentence(at, text)
+        return at.node if said is None else Given(self._parameter(at, said, context), at.line)
 
     def _use(self, at: Field, name: str, context: tuple[Condition, ...]) -> _Named:
         if name not in self._named:
-            raise error_of_reference(at, name, list(self._named))
+            known = ", ".join(self._named)
+            expected = f"one of the choices {known}" if known else "a name below choices, which has none"
+            raise at.error(expected, hint=near_miss(name, self._named))
         named = self._named[name]
         named.used = True
         if len(self._uses) + len(named.uses) > MOST_USES:
@@ -239,9 +225,10 @@ class _Reader:
     def _alternatives(
         self, at: Field, number: int, options: tuple[Field, ...], context: tuple[Condition, ...]
     ) -> Alternatives:
-        templates = []
-        for choice, option in enumerate(options):
-            templates.append(self._template(option, (*context, Condition(number, choice, choice))))
+        templates = (
+            self._template(option, (*context, Condition(number, choice, choice)))
+            for choice, option in enumerate(options)
+        )
         return Alternatives(number, tuple(templates), at.line)
 
 

@@ -22,13 +22,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.avoidance.isolation.onnx_file import LARGEST_BYTES
-from safety_harness.avoidance.json_fields import JsonFields
-from safety_harness.avoidance.model_file import KEY, SeenSpace, load_model, model_bytes, seen_of
+from safety_harness.avoidance.model_file import (
+    KEY,
+    NetworkUse,
+    SeenSpace,
+    load_model,
+    model_bytes,
+    network_use,
+)
 from safety_harness.avoidance.onnx_metadata import onnx_metadata
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import Place, RegionError
+from safety_harness.exceptions import ModelError, Place, RegionError
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
+from safety_harness.scenario.typed_json import parsed
 from safety_harness.settings import Settings, Vector3
 
 SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
@@ -103,4 +110,6 @@ def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
 def exported_seen(path: Path) -> SeenSpace | None:
     """What an ONNX file of ours says it has seen; None for one of others."""
     text = onnx_metadata(path, model_bytes(path, "an ONNX file", most=LARGEST_BYTES)).get(KEY)
-    return None if text is None else seen_of(JsonFields(path, text))
+    if text is None:
+        return None
+    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True).seen

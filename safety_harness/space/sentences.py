@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import TypeAlias
 
-from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, normal_unit, parse_quantity, shown
 from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform
@@ -25,34 +22,12 @@ _NORMAL = re.compile(r"normal (.+?) ?(?:\+-|\+/-|±) ?(.+?) from (.+?) to (.+)")
 _TIMES = re.compile(r"(?:from )?([0-9]{1,9})(?: to ([0-9]{1,9}))? times?")
 
 
-@dataclass(frozen=True)
-class Words:
-    """``one of A, B``: the options as they are written."""
-
-    options: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Reference:
-    """``the NAME``: a value that the file's choices have."""
-
-    name: str
-
-
-Sentence: TypeAlias = Uniform | TruncatedNormal | Words | Reference
-
-
-def sentence(field: Field) -> Sentence | None:
-    """What a single value says that begins like a distribution; None for one that is fixed."""
-    text = " ".join(field.scalar("a value").split())
+def sentence(field: Field, text: str) -> Uniform | TruncatedNormal | None:
+    """What a value with this text says that begins like a distribution of numbers; None for another."""
     first = text.partition(" ")[0]
     if first == "from":
         return _uniform(field, text)
-    if first == "normal":
-        return _normal(field, text)
-    if text.startswith("one of "):
-        return Words(_options(field, text.removeprefix("one of ")))
-    return Reference(text.removeprefix("the ").strip()) if text.startswith("the ") else None
+    return _normal(field, text) if first == "normal" else None
 
 
 def times(field: Field) -> tuple[int, int]:
@@ -112,7 +87,8 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
     return tuple(value for value, _ in found), found[0][1]
 
 
-def _options(field: Field, text: str) -> tuple[str, ...]:
+def options_of(field: Field, text: str) -> tuple[str, ...]:
+    """``A, B``: the options as they are written."""
     options = tuple(option.strip() for option in text.split(","))
     refuse_options(field, options)
     if not all(options):
@@ -126,9 +102,3 @@ def refuse_options(field: Field, options: tuple[object, ...]) -> None:
         raise field.error(f"from 2 to {MOST_OPTIONS} options", got=f"{len(options)}")
     if len(set(options)) < len(options):
         raise field.error("options that differ", hint="for one that is more probable: one of, chances")
-
-
-def error_of_reference(field: Field, name: str, known: list[str]) -> ScenarioError:
-    """What to raise for a name that no choice has."""
-    expected = f"one of the choices {', '.join(known)}" if known else "a name below choices, which has none"
-    return field.error(expected, hint=near_miss(name, known))

@@ -1,14 +1,16 @@
 """A scenario space: one text that is a set to search, a distribution to estimate from, and every test in it.
 
-Data flow: text -> tree -> template and parameters (``reading``) -> values (``cube``) -> tree
-(``template.filled``) -> the ordinary scenario reader; and back by ``matching``.
+Data flow: text -> tree -> template and parameters (``reading``) -> values -> scenario (the form
+of its structure, filled in, ``tracing``); and back by ``matching``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial, reduce
+from operator import and_, or_
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +21,21 @@ from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node
-from safety_harness.scenario.read import TOP_GROUPS, scenario_again, scenario_of
+from safety_harness.scenario.read import scenario_of
+from safety_harness.scenario.settings_keys import TOP_GROUPS
 from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.space.cube import (
-    continuous,
-    dimension_of,
-    without_unused,
-)
-from safety_harness.space.cube import cube_at as cube_of_values
-from safety_harness.space.cube import log_density_at as log_density_of_values
-from safety_harness.space.cube import values_at as values_of_cube
+from safety_harness.space.distributions import Choice
 from safety_harness.space.matching import matches
-from safety_harness.space.template import Keyed, Parameter, Template, filled
+from safety_harness.space.template import Condition, Keyed, Parameter, filled
+from safety_harness.space.tracing import Form, Values
 
 Vector = NDArray[np.float64]
 
 _MOST_READINGS = 1000  # of one scenario, where alternatives look alike
+_MOST_FORMS = 1000  # that are kept
+_UNUSED = 0.5  # the cube coordinate of what a scenario does not use
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,10 +51,11 @@ class ScenarioSpace:
     title: str
     file: Path | None
     tree: Node
-    template: Template
+    template: Keyed
     parameters: tuple[Parameter, ...]
     notes: tuple[str, ...] = ()
     recordings: Mapping[str, bytes] | None = None  # by their SHA-256, in place of files
+    _forms: dict[bytes, Form | None] = field(default_factory=dict, init=False)  # by the choices' values
 
     def __repr__(self) -> str:
         """Name and title only: a strategy that is made of a space is named by it."""
@@ -64,15 +64,15 @@ class ScenarioSpace:
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         printer.text(repr(self))
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """How many coordinates the unit cube has: the same for every scenario of the space."""
-        return dimension_of(self.parameters)
+        return sum(parameter.distribution.columns for parameter in self.parameters)
 
-    @property
+    @cached_property
     def has_seed(self) -> bool:
         """Whether the file fixes the scenarios' seed; else each draw has its own."""
-        return isinstance(self.template, Keyed) and any(k.text == "seed" for k, _ in self.template.entries)
+        return "seed" in self._keys
 
     @property
     def simplest(self) -> Scenario:
@@ -83,7 +83,7 @@ class ScenarioSpace:
     def simplest_values(self) -> Vector:
         """(d,) values of ``simplest``, NaN where it does not use them."""
         values = np.concatenate([parameter.distribution.simplest for parameter in self.parameters])
-        row: Vector = without_unused(self.parameters, values[None])[0]
+        row: Vector = self.without_unused(values[None])[0]
         return row
 
     def draw(self, seed: int, k: int) -> Scenario:
@@ -108,14 +108,21 @@ class ScenarioSpace:
         self._refuse_other_shape(u)
         if not np.all((u >= 0.0) & (u <= 1.0)):
             raise self._error("coordinates from 0 to 1", f"{u.min()} to {u.max()}")
-        return values_of_cube(self.parameters, u)
+        values = np.empty_like(u)
+        for parameter in self.parameters:
+            values[:, parameter.columns] = parameter.distribution.values_at(u[:, parameter.columns])
+        return self.without_unused(values)
 
     def cube_at(self, values: Vector) -> Vector:
         """(n, d) values -> (n, d) points of the unit cube; ScenarioError for values outside the space."""
         outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
         if len(outside):
             raise self._error("values within their distributions", f"others in row {outside[0]}")
-        return cube_of_values(self.parameters, values)
+        u = np.full_like(values, _UNUSED)
+        for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
+            if used.any():
+                u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
+        return u
 
     def log_density_at(self, values: Vector) -> Vector:
         """(n, d) values -> (n,) natural logarithm of the density, -inf outside.
@@ -123,29 +130,72 @@ class ScenarioSpace:
         The measure is the product of lengths, volumes (SI) and counts over the parameters that are used.
         """
         self._refuse_other_shape(values)
-        return log_density_of_values(self.parameters, values)
+        density = np.zeros(len(values))
+        for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
+            if used.any():
+                density[used] += parameter.distribution.log_density(values[used, parameter.columns])
+        return density
+
+    def without_unused(self, values: Vector) -> Vector:
+        """(n, d) -> (n, d) with NaN in place of what the choices among the values leave unused."""
+        cleared = values.copy()
+        for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
+            cleared[~used, parameter.columns] = np.nan
+        return cleared
+
+    def used_by(self, values: Vector, of: Sequence[Parameter] | None = None) -> list[NDArray[np.bool_]]:
+        """For each parameter (``of`` those) of values (n, d) -> (n,): which of the scenarios use it."""
+
+        @cache
+        def holds(condition: Condition) -> NDArray[np.bool_]:
+            number = values[:, self.parameters[condition.parameter].column]
+            return (number >= condition.least) & (number <= condition.most)  # NaN: no
+
+        always, never = np.ones(len(values), bool), np.zeros(len(values), bool)
+        every = self.parameters if of is None else of
+        return [
+            reduce(or_, (reduce(and_, map(holds, when), always) for when in one.when), never) for one in every
+        ]
 
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
-        """The scenario of values (d,), as ``values_at`` gives them."""
-        tree, name = filled(self.template, self.parameters, values.tolist()), name or self.name
-        drawn = scenario_again(self._known, self._varying, tree, self.recordings, name=name)
-        return self._that_repeats(drawn if self.has_seed else replace(drawn, seed=seed))
+        """The scenario of values (d,), as ``values_at`` gives them.
 
-    def _that_repeats(self, drawn: Scenario) -> Scenario:
-        refuse_wall_clock(drawn, ScenarioError, whose="the runs of a space")
-        return drawn
+        Of each structure one is read; in the others the values are filled in at their paths.
+        """
+        row, name = values.tolist(), name or self.name
+        form = self._form(values[self._choices].tobytes(), row)
+        made = None if form is None else form.filled(row, name, seed)
+        if made is None:
+            made = self._read(row, name=name)
+            made = made if self.has_seed else replace(made, seed=seed)
+        return made
+
+    def _form(self, structure: bytes, row: Values) -> Form | None:
+        """The form of a structure; None where there is none yet, which is when it is met first."""
+        if structure not in self._forms:
+            if len(self._forms) >= _MOST_FORMS:
+                self._forms.clear()
+            self._forms[structure] = None
+        elif self._forms[structure] is None:
+            with suppress(InputError):  # it is for the reading without marks to say
+                self._forms[structure] = Form.read(row, partial(self._read, row), has_seed=self.has_seed)
+        return self._forms.get(structure)
+
+    def _read(self, row: Values, known: Sequence[Any] | None = None, *, name: str = "") -> Scenario:
+        tree = filled(self.template, self.parameters, row, known)
+        read = scenario_of(tree, self.file, self.recordings, name=name)
+        refuse_wall_clock(read, ScenarioError, whose="the runs of a space")
+        return read
 
     @cached_property
-    def _known(self) -> Scenario:
-        """The simplest, which says what all of them say; that it can be read is tried with the space."""
-        tree = filled(self.template, self.parameters, self.simplest_values.tolist())
-        return self._that_repeats(scenario_of(tree, self.file, self.recordings, name=self.name))
+    def _choices(self) -> NDArray[np.int64]:
+        """The coordinates that decide which of the others are used, and where they stand."""
+        choices = (one.column for one in self.parameters if isinstance(one.distribution, Choice))
+        return np.fromiter(choices, np.int64)
 
-    @cached_property
-    def _varying(self) -> frozenset[str]:
-        """The keys at the top of the text below which something varies."""
-        assert isinstance(self.template, Keyed)  # a text that is no mapping is refused
-        return frozenset(key.text for key, child in self.template.entries if not isinstance(child, Node))
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the forms: another process makes its own."""
+        return vars(self) | {"_forms": {}}
 
     def values_of(self, scenario: Scenario) -> Vector:
         """(d,) values that give ``scenario`` up to its name and free seed; ScenarioError if none do."""
@@ -181,7 +231,8 @@ class ScenarioSpace:
 
     def _readings(self, scenario: Scenario) -> Iterator[Vector]:
         """The values (d,) that give ``scenario``, every way that there is."""
-        written = tree_of(scenario, all_settings=self._varies_settings)
+        own_settings = not self._keys.isdisjoint((*TOP_GROUPS, "settings"))
+        written = tree_of(scenario, all_settings=own_settings)
         for count, found in enumerate(matches(self.template, written, self.parameters)):
             if count == _MOST_READINGS:
                 raise self._error(f"a scenario that comes about in at most {_MOST_READINGS:,} ways", "more")
@@ -202,14 +253,13 @@ class ScenarioSpace:
         return sum(
             parameter.distribution.columns
             for parameter in self.parameters
-            if continuous(parameter) and np.isfinite(values[parameter.column])
+            if not isinstance(parameter.distribution, Choice) and np.isfinite(values[parameter.column])
         )
 
-    @property
-    def _varies_settings(self) -> bool:
-        return isinstance(self.template, Keyed) and any(
-            key.text in (*TOP_GROUPS, "settings") for key, _ in self.template.entries
-        )
+    @cached_property
+    def _keys(self) -> frozenset[str]:
+        """At the top of the text."""
+        return frozenset(key.text for key, _ in self.template.entries)
 
     def _refuse_other_shape(self, array: Vector) -> None:
         if array.ndim != 2 or array.shape[1] != self.dimension:

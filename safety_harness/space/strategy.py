@@ -18,10 +18,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError
-from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.read import LARGEST_SEED
+from safety_harness.scenario.model import LARGEST_SEED, Scenario
 from safety_harness.space.boxes import Distribution, InBox, InRegion
-from safety_harness.space.cube import uses, without_unused
 from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
 from safety_harness.space.space import ScenarioSpace
 
@@ -43,9 +41,9 @@ def values(draw: st.DrawFn, space: ScenarioSpace) -> Vector:
     for number, parameter in enumerate(space.parameters):
         # A named value comes before the choices that decide whether it is used.
         undecided = any(condition.parameter > number for when in parameter.when for condition in when)
-        if undecided or uses(space.parameters, parameter, found)[0]:
+        if undecided or space.used_by(found, [parameter])[0][0]:
             found[0, parameter.columns] = draw(_value(parameter.distribution))
-    row: Vector = without_unused(space.parameters, found)[0]
+    row: Vector = space.without_unused(found)[0]
     return row
 
 
@@ -89,15 +87,6 @@ def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
     outer, hole = distribution.known.outer, distribution.known.hole
     if hole is None:
         return _value(InBox(outer.low_m, outer.high_m))
-    sides: list[tuple[float, int, int, float, float, float]] = []
-    for axis in range(3):
-        for low, high, face in (
-            (hole.high_m[axis], outer.high_m[axis], hole.high_m[axis]),
-            (outer.low_m[axis], hole.low_m[axis], hole.low_m[axis]),
-        ):
-            if low < high:
-                half = (hole.high_m[axis] - hole.low_m[axis]) / 2.0
-                sides.append((round(half, 9), len(sides), axis, low, high, face))
 
     def beyond(axis: int, low: float, high: float, face: float) -> st.SearchStrategy[tuple[float, ...]]:
         centre = hole.centre_m
@@ -107,7 +96,7 @@ def _in_region(distribution: InRegion) -> st.SearchStrategy[tuple[float, ...]]:
         ]
         return st.tuples(*ranges)
 
-    return st.one_of(*(beyond(*side[2:]) for side in sorted(sides)))
+    return st.one_of(*(beyond(*side) for side in distribution.sides_of(hole)))
 
 
 def near(low: float, high: float, target: float, unit: str) -> st.SearchStrategy[float]:

@@ -1,15 +1,16 @@
 """A scenario's tree with gaps: fixed nodes, and places that a space's parameters fill.
 
-A drawn value is written into the tree as an exact quantity in its SI unit, so that the ordinary reader
-reads it and the language stays one.
+A value is written into the tree as an exact quantity in its SI unit, so that the ordinary reader reads it
+and the language stays one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence as Values
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from safety_harness.exceptions import Place
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
@@ -88,42 +89,44 @@ class Parameter:
     when: tuple[tuple[Condition, ...], ...]
     place: Place
 
-    @property
+    @cached_property
     def columns(self) -> slice:
         """Its coordinates in the cube, and in an array of values."""
         return slice(self.column, self.column + self.distribution.columns)
 
 
-def filled(template: Template, parameters: Values[Parameter], values: Values[float]) -> Node:
-    """The tree that ``values`` (one for each coordinate) give."""
-    if isinstance(template, Scalar | Sequence | Mapping):
+def filled(
+    template: Template,
+    parameters: Values[Parameter],
+    values: Values[float],
+    known: Values[Any] | None = None,
+) -> Node:
+    """The tree that ``values`` (one for each coordinate) give; ``known`` are the numbers read from it."""
+    if isinstance(template, Node):
         return template
     if isinstance(template, Keyed):
-        return Mapping(
-            tuple((key, filled(child, parameters, values)) for key, child in template.entries), template.line
-        )
+        entries = ((key, filled(child, parameters, values, known)) for key, child in template.entries)
+        return Mapping(tuple(entries), template.line)
     if isinstance(template, Listing):
         items: list[Node] = []
         for item in template.items:
             if isinstance(item, Repeated):
                 times = item.least + int(values[parameters[item.parameter].column])
                 for copy in item.copies[:times]:
-                    items += [filled(child, parameters, values) for child in copy]
+                    items += [filled(child, parameters, values, known) for child in copy]
             else:
-                items.append(filled(item, parameters, values))
+                items.append(filled(item, parameters, values, known))
         return Sequence(tuple(items), template.line)
     assert not isinstance(template, Repeated)  # stands in lists only
     parameter = parameters[template.parameter]
     if isinstance(template, Alternatives):
-        return filled(template.options[int(values[parameter.column])], parameters, values)
-    unit = parameter.distribution.unit
-    measures = tuple(_measure(value, unit, template.line) for value in values[parameter.columns])
-    return measures[0] if len(measures) == 1 else Sequence(measures, template.line)
-
-
-def _measure(value: float, unit: str, line: int) -> Scalar:
-    """A quantity and its text; what is not finite is for the reader of the text to refuse."""
-    return Scalar(written(value, unit), line, drawn=(float(value), unit) if isfinite(value) else None)
+        return filled(template.options[int(values[parameter.column])], parameters, values, known)
+    unit, line, columns = parameter.distribution.unit, template.line, parameter.columns
+    measures = tuple(
+        Scalar(written(value, unit), line, drawn=(number, unit) if isfinite(value) else None)
+        for value, number in zip(values[columns], (known or values)[columns], strict=True)
+    )
+    return measures[0] if len(measures) == 1 else Sequence(measures, line)
 
 
 def written(value: float, unit: str) -> str:

@@ -167,52 +167,41 @@ def _unit(node: Node) -> str:
 
 def _node(value: Value, unit: str) -> Node:
     """``value`` as it would stand in a file."""
-    if isinstance(value, str):
-        return Scalar(value, 1)
-    if isinstance(value, int):
-        return Scalar(f"{value} {unit}".rstrip(), 1)
-    if isinstance(value, float):
-        return Scalar(written(value, unit), 1)
-    if isinstance(value, Uniform):
-        own = value.unit or unit
-        return Scalar(f"from {written(value.low, own)} to {written(value.high, own)}", 1)
-    if isinstance(value, TruncatedNormal):
-        mean, std, low, high = (
-            written(one, value.unit or unit) for one in (value.mean, value.std, value.low, value.high)
-        )
-        return Scalar(f"normal {mean} +- {std} from {low} to {high}", 1)
-    if isinstance(value, Ref):
-        return Scalar(f"the {value.name}", 1)
-    if isinstance(value, Mapping):
-        return _mapping({key: _node(child, "") for key, child in value.items()})
-    if isinstance(value, InBox | InShell | InRegion):
-        return _point(value)
-    if isinstance(value, OneOf):
-        return _one_of(value, unit)
-    if isinstance(value, Switch):
-        options = {word: _node(option, unit) for word, option in value.options.items()}
-        return _mapping({"by": Scalar(value.name, 1), **options})
-    if isinstance(value, Repeat):
-        times = Scalar(f"from {value.least} to {value.most} times", 1)
-        return _mapping({"repeat": times, "moves": _node(value.moves, "")})
+
+    def text(number: float) -> str:
+        return written(number, getattr(value, "unit", "") or unit)
+
+    match value:
+        case str():
+            return Scalar(value, 1)
+        case int():
+            return Scalar(f"{value} {unit}".rstrip(), 1)
+        case float():
+            return Scalar(written(value, unit), 1)
+        case Uniform():
+            return Scalar(f"from {text(value.low)} to {text(value.high)}", 1)
+        case TruncatedNormal():
+            ends = f"from {text(value.low)} to {text(value.high)}"
+            return Scalar(f"normal {text(value.mean)} +- {text(value.std)} {ends}", 1)
+        case InRegion():
+            return _keyed({"in": value.name}, "")
+        case InBox():
+            return _keyed({"box": (value.low, value.high)}, value.unit)
+        case InShell():
+            return _keyed({"shell": value.centre, "from": value.inner, "to": value.outer}, value.unit)
+        case Ref():
+            return Scalar(f"the {value.name}", 1)
+        case OneOf():
+            chances = {} if value.chances is None else {"chances": tuple(map(str, value.chances))}
+            return _keyed({"one of": value.options, **chances}, unit)
+        case Switch():
+            return _keyed({"by": value.name, **value.options}, unit)
+        case Repeat():
+            return _keyed({"repeat": f"from {value.least} to {value.most} times", "moves": value.moves}, "")
+        case Mapping():
+            return _keyed(value, "")
     return SequenceNode(tuple(_node(item, unit) for item in value), 1)
 
 
-def _one_of(value: OneOf, unit: str) -> Node:
-    entries: dict[str, Node] = {"one of": _node(value.options, unit)}
-    if value.chances is not None:
-        entries["chances"] = _node(value.chances, "")
-    return _mapping(entries)
-
-
-def _point(value: InBox | InShell | InRegion) -> Node:
-    if isinstance(value, InRegion):
-        return _mapping({"in": Scalar(value.name, 1)})
-    if isinstance(value, InBox):
-        return _mapping({"box": _node((value.low, value.high), value.unit)})
-    radii = {"from": _node(value.inner, value.unit), "to": _node(value.outer, value.unit)}
-    return _mapping({"shell": _node(value.centre, value.unit), **radii})
-
-
-def _mapping(entries: Mapping[str, Node]) -> MappingNode:
-    return MappingNode(tuple((Scalar(key, 1), value) for key, value in entries.items()), 1)
+def _keyed(entries: Mapping[str, Value], unit: str) -> MappingNode:
+    return MappingNode(tuple((Scalar(key, 1), _node(value, unit)) for key, value in entries.items()), 1)

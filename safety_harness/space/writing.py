@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from safety_harness.scenario.codec import scalar_text
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
-from safety_harness.scenario.write import scalar_text
 from safety_harness.space.space import ScenarioSpace
 
 _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")

@@ -1,4 +1,4 @@
-"""Exact bounds of the probability that a run violates a claim, given that it puts the claim to the test.
+"""Exact bounds of the probability that a run violates a claim, given that it exercises the claim.
 
 Upper bounds count inconclusive and failed runs as violations, lower bounds as none; untested runs are no
 trials, and are counted beside.  A stream of fixed length has Clopper and Pearson's (1934) bounds, one that

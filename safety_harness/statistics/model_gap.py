@@ -47,10 +47,7 @@ class BridgedBound:
 
 
 def bridged_bound(
-    kinematic: IndependentSample,
-    here: IndependentSample,
-    there: IndependentSample,
-    confidence: float = 0.95,
+    kinematic: IndependentSample, here: IndependentSample, there: IndependentSample, confidence: float = 0.95
 ) -> BridgedBound:
     """An upper bound for the reference world from ``kinematic`` runs and a sample of both worlds.
 
@@ -93,7 +90,7 @@ def _check(kinematic: IndependentSample, here: IndependentSample, there: Indepen
             raise StatisticsError(place=Place(field=field), expected="one and the same", got=got)
     modelled = [sample.declaration.model_only for sample in samples]
     if modelled != [True, True, False]:
-        worlds = ", ".join(sample.declaration.world for sample in samples)
+        worlds = ", ".join(sample.declaration.world.label for sample in samples)
         raise StatisticsError(
             place=Place(field="world"), expected="kinematic, kinematic and the reference world", got=worlds
         )

@@ -1,7 +1,7 @@
 """Two avoiders on the same episodes: which of them violates a claim more often, and by how much.
 
 Episode k is the same scenario for both (common random numbers), so that what differs is the avoiders'
-doing.  Shares are of all episodes drawn, tested or not: whether a claim is put to the test may hang on the
+doing.  Shares are of all episodes drawn, tested or not: whether a claim is exercised may depend on the
 avoider.  An inconclusive or failed run may have been a violation or none; every number here holds whichever
 it was.
 """
@@ -165,7 +165,7 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
         ("stratum", a.stratum, b.stratum),
         ("seed", a.seed, b.seed),
         ("runs", a.planned, b.planned),
-        ("world", a.world, b.world),
+        ("world", a.world.label, b.world.label),
         ("draws_sha256", a.draws_sha256, b.draws_sha256),
     ):
         if mine != other:
@@ -194,7 +194,10 @@ def _difference(first: IndependentSample, second: IndependentSample) -> tuple[In
 
 
 def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
-    """The upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n."""
+    """The upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n.
+
+    s at its upper end; t at its upper end where 2 s - 1 is positive, else at its lower.
+    """
     discordant = more + fewer
     lean = 2.0 * (upper_bound(more, discordant, chance) if discordant else 1.0) - 1.0
     share = upper_bound if lean > 0.0 else lower_bound
@@ -212,7 +215,11 @@ def _mcnemar(worst: Ints, best: Ints) -> float:
 
 
 def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, float]:
-    """The empirical Bernstein bound: sqrt(2 V l / n) + 7 R l / 3 (n - 1) with l = log(2 / a), R the range."""
+    """The empirical Bernstein bound of the mean of ``differences`` (n,) (Maurer and Pontil, 2009, theorem 4).
+
+    Half the width is sqrt(2 V l / n) + 7 R l / (3 (n - 1)) with V their variance, l = log(2 / a), a
+    ``chance`` and R = 2 ``limit`` the range.
+    """
     n, logarithm = len(differences), math.log(2.0 / chance)
     largest = float(np.abs(differences).max())
     if not largest <= limit:
@@ -227,7 +234,11 @@ def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, f
 
 
 def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The mean by the redrawn t's quantiles (Efron, 1981); infinite of a redrawn sample without spread."""
+    """The mean of ``differences`` (n,) by the redrawn t's quantiles (Efron, 1981).
+
+    From m - t_high s to m - t_low s, where t = (m' - m)/s' of samples redrawn with replacement; infinite of a
+    redrawn sample without spread.
+    """
     n, mean, deviation = len(differences), float(differences.mean()), float(differences.std(ddof=1))
     if deviation <= abs(mean) * _EQUAL:
         return -math.inf, math.inf

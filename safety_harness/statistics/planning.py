@@ -83,7 +83,7 @@ def allowed_violations(aim: Aim, trials: int) -> int | None:
 def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> float:
     """How likely ``runs`` runs show ``aim`` if tested runs violate the claim with ``probability``.
 
-    ``tested`` is the share of runs that put the claim to the test: their number is binomial too.  For a
+    ``tested`` is the share of runs that exercise the claim: their number is binomial too.  For a
     stream that may stop early it is the chance at its planned end: a lower bound.
     """
     if not (0.0 <= probability <= 1.0 and 0.0 < tested <= 1.0):
@@ -121,7 +121,7 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:
     """StatisticsError, with the number that would do, if ``planned`` runs without any violation do not.
 
-    ``tested`` is the share of runs expected to put the claim to the test; ``place`` is where the plan says
+    ``tested`` is the share of runs expected to exercise the claim; ``place`` is where the plan says
     how many runs.
     """
     if aim.shown_by(0, math.floor(planned * tested)):

@@ -137,7 +137,7 @@ class _Judged:
         self.count = 0
 
     def __call__(self, normal: Floats) -> Floats:
-        """Points (n, d) -> margins (n,)."""
+        """Points ``normal`` (n, d) -> margins (n,)."""
         found = np.asarray(self._margins(np.minimum(ndtr(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
         if found.shape != (len(normal),) or np.isnan(found).any():
@@ -147,7 +147,7 @@ class _Judged:
 
 
 def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Ends for the mean of replicates (n,), each wrong with about this chance, within [0, 1].
+    """Ends for the mean of ``replicates`` (n,), each wrong with about this chance, within [0, 1].
 
     The upper end is 1 where they do not agree well enough; from 0 to 1 where none differs: then there is no
     spread to judge by.
@@ -191,7 +191,10 @@ def _pilot(
 
 
 def _next_level(found: Floats, survivors: float) -> float:
-    """The margin below which that share of the particles is, or 0 if none is below it and above 0."""
+    """The margin below which that share of the particles is, or 0 if none is below it and above 0.
+
+    ``found`` (n,) are the particles' margins.
+    """
     level = float(np.quantile(found, survivors, method="higher"))
     if not np.any(found < level):  # the least margins are all the same: whatever is not
         level = float(np.min(found[found > level], initial=math.inf))
@@ -224,6 +227,7 @@ def _replication(
 def _resampled(
     points: Floats, found: Floats, alive: np.ndarray, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
+    """``points`` (n, d) with their margins ``found`` (n,), drawn again from those ``alive`` (n,)."""
     chosen = rng.choice(np.flatnonzero(alive), len(points))
     return points[chosen], found[chosen]
 
@@ -231,7 +235,10 @@ def _resampled(
 def _moved(
     judged: _Judged, points: Floats, found: Floats, level: float, length: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, float]:
-    """One Metropolis step of every particle below the level, and the share that moved."""
+    """One Metropolis step of every particle below the level, and the share that moved.
+
+    ``points`` (n, d), z, go to sqrt(1 - b^2) z + b x, b the ``length``; ``found`` (n,) are their margins.
+    """
     proposed = math.sqrt(1.0 - length**2) * points + length * rng.standard_normal(points.shape)
     margins = judged(proposed)
     accepted = margins < level

@@ -1,6 +1,6 @@
 """What estimates may be made of: a declared stream of independent episodes, all of it.
 
-A search finds, it does not estimate: its runs are no sample of anything.  So every estimator of this room
+A search finds, it does not estimate: its runs are no sample of anything.  So every estimator of this package
 takes an ``IndependentSample`` and nothing else, and the only way to one is ``of_stream``, which wants a
 declaration made beforehand and every episode from the first on, once each, with a seed of its own.
 """
@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import Place, StatisticsError
+from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-REFERENCE_WORLD = "PyBullet"
 _SHA256 = re.compile("[0-9a-f]{64}")
 _OF_STREAM = object()
 
@@ -30,9 +30,9 @@ class EpisodeOutcome(IntEnum):
 
     HOLDS = 0
     VIOLATED = 1
-    UNTESTED = 2  # the claim was never put to the test: no trial
-    INCONCLUSIVE = 3  # put to the test, and no verdict
-    FAILED = 4  # the run could not be carried on
+    UNTESTED = 2  # the run never exercised the claim: no trial
+    INCONCLUSIVE = 3  # exercised, and no verdict
+    FAILED = 4  # the run could not be finished
 
 
 JUDGED = (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
@@ -54,7 +54,7 @@ class Declaration:
     stratum: str
     seed: int
     planned: int
-    world: str = REFERENCE_WORLD
+    world: WorldEntry = REFERENCE
     stop_early: bool = False
 
     def __post_init__(self) -> None:
@@ -68,7 +68,7 @@ class Declaration:
     @property
     def model_only(self) -> bool:
         """Whether the episodes ran in a simplified world, so that they say nothing of the reference."""
-        return self.world != REFERENCE_WORLD
+        return self.world.model_only
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +106,7 @@ class IndependentSample:
         """The stream's episodes (n,) in any order, with the outcome and margin (n,) of each.
 
         ``seeds`` (n,) are the roots of the episodes' draws, ``exercised`` (n,) says on how many occasions
-        each put the claim to the test.  StatisticsError unless they are the episodes 0 to n - 1, once each,
+        each exercised the claim.  StatisticsError unless they are the episodes 0 to n - 1, once each,
         all that were planned (fewer only if the declaration allows to stop early), with a seed of its own
         each, and no outcome is contradicted by its margin or its occasions.
         """
@@ -126,12 +126,12 @@ class IndependentSample:
 
     @property
     def judged(self) -> Flags:
-        """(n,) has the claim's word on the episode been said?  A margin without it says nothing."""
+        """(n,) has the claim a verdict on the episode?  A margin without one says nothing."""
         return np.isin(self.outcomes, JUDGED)
 
     @property
     def trials(self) -> int:
-        """Episodes that put the claim to the test, or may have: all but the untested."""
+        """Episodes that exercised the claim, or may have: all but the untested."""
         return len(self.outcomes) - self.count(EpisodeOutcome.UNTESTED)
 
     @property
@@ -246,15 +246,15 @@ def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: 
 
 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
-    """Known outcomes, and margins whose sign is theirs."""
+    """Known outcomes, and ``margins`` (n,) or (m, k) whose sign is theirs."""
     where = f"in stratum {declaration.stratum!r}"
     unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
         k = _first(unknown)
         raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
-    endless = np.isinf(margins)
-    if endless.any():
-        k = _first(endless)
+    infinite = np.isinf(margins)
+    if infinite.any():
+        k = _first(infinite)
         expected = f"finite margins, NaN where there is none, {where}"
         raise _refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
     without = np.isin(codes, JUDGED) & np.isnan(margins)

@@ -195,7 +195,10 @@ def _nested(sample: object) -> NestedSample:
 
 
 def _mean_squares(margins: Floats) -> tuple[Floats, Floats]:
-    """Between and within scenarios, of margins (..., m, k)."""
+    """Between and within scenarios, of ``margins`` (..., m, k) y_ij, a dot for a mean.
+
+    B = k sum_i (y_i. - y_..)^2/(m - 1) and W = sum_ij (y_ij - y_i.)^2/(m (k - 1)).
+    """
     m, k = margins.shape[-2:]
     means = margins.mean(axis=-1)
     between = k * means.var(axis=-1, ddof=1)
@@ -212,7 +215,10 @@ def _share(ratio: float, draws: int) -> float:
 
 
 def _studentised(margins: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
-    """Both ends of B / W: the bootstrap's t of its logarithm, scenarios redrawn with replacement."""
+    """Both ends of B / W of ``margins`` (m, k): the bootstrap's t of its logarithm.
+
+    Scenarios are redrawn with replacement; t = (log ratio' - log ratio)/error', as in ``_log_ratio``.
+    """
     means, squares = margins.mean(axis=1), margins.var(axis=1, ddof=1)
     m, k = margins.shape
     rows = rng.integers(0, m, (BOOTSTRAP_DRAWS, m))
@@ -227,7 +233,11 @@ def _studentised(margins: Floats, chance: float, rng: np.random.Generator) -> tu
 
 
 def _log_ratio(means: Floats, squares: Floats, draws: int) -> tuple[Floats, Floats]:
-    """log(B / W) and its standard error, of the scenarios' means and variances (..., m): their influences."""
+    """log(B / W) and its standard error, of the scenarios' means and variances.
+
+    ``means`` and ``squares`` are (..., m).  The error is sqrt(sum_i I_i^2/(m (m - 1))) of their centred
+    influences I_i = (y_i. - y_..)^2/Var(y_.) - s_i^2/W (the infinitesimal jackknife).
+    """
     m = means.shape[-1]
     between, within = means.var(axis=-1, ddof=1), squares.mean(axis=-1)
     apart = (means - means.mean(axis=-1, keepdims=True)) ** 2

@@ -12,56 +12,14 @@ fixture of the pytest plug-in, which comes with the package.  The names below ar
 imported when they are first used, so that nobody waits for a physics engine who does not need one.
 """
 
+# ruff: noqa: F403, F405
 from __future__ import annotations
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from safety_harness.formulas.language import (
-        Formula,
-        Quantity,
-        Signal,
-        always,
-        angle_to_desired_pose,
-        cm,
-        cm_per_s,
-        deciding,
-        deg,
-        deg_per_s,
-        distance_to_desired_pose,
-        elapsed_time,
-        eventually,
-        falling_back,
-        fault_acting,
-        hand_distance,
-        hand_tracked,
-        image_error,
-        initially,
-        joint_speed,
-        m,
-        m_per_s,
-        minutes,
-        mm,
-        mm_per_s,
-        ms,
-        nearest_hand_to_tcp,
-        object_lost,
-        object_visible,
-        parse_formula,
-        predicted_hand_distance,
-        prediction_error,
-        rad,
-        rad_per_s,
-        repulsing,
-        s,
-        servoing,
-        spread,
-        stopped,
-        tcp_height,
-        tcp_speed,
-        whenever,
-    )
+    from safety_harness.formulas.language import *
     from safety_harness.testing.asserting import NotEstablished, SafetyViolation, assert_holds
     from safety_harness.testing.drawing import scenarios
     from safety_harness.testing.simulating import Simulate

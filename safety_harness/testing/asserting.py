@@ -16,7 +16,7 @@ from safety_harness.properties.answered import by_default
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.failure_text import failure_text
-from safety_harness.testing.session import Judgement, Run, TestRun, session
+from safety_harness.testing.session import Judgement, Run, session
 from safety_harness.testing.simulating import original
 from safety_harness.trace.trace import Trace
 
@@ -100,7 +100,10 @@ def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | N
         return good
     if test.counts:
         test.note(Judgement(run, evaluation, expected), trace)
-    return good or _another_failure(test, evaluation)
+    if good or not (test.draws and isinstance(test.failure, SafetyViolation)):
+        return good
+    # while one failure is made smaller, that of another claim does not take its place
+    return test.failure.evaluation.sentence != evaluation.sentence
 
 
 def aim(evaluation: Evaluation, expected: Verdict) -> None:
@@ -117,14 +120,6 @@ def aim(evaluation: Evaluation, expected: Verdict) -> None:
         # A claim may be made of a second run in the same example, which cannot have a second target.
         with suppress(InvalidArgument):
             target(-margin if expected is Verdict.HOLDS else margin, label=evaluation.sentence)
-
-
-def _another_failure(test: TestRun, evaluation: Evaluation) -> bool:
-    """While one failure is made smaller, that of another claim does not take its place."""
-    first = test.failure
-    return (
-        test.draws and isinstance(first, SafetyViolation) and first.evaluation.sentence != evaluation.sentence
-    )
 
 
 def _property(claim: Formula | Property | str, scenario: Scenario) -> Property:

@@ -11,8 +11,8 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.elsewhere import as_seen_from
 from safety_harness.exceptions import InputError, OutputError
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario

@@ -10,8 +10,6 @@ from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safety_harness.testing.profiles import QUICK, Profile
-
 if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
     from safety_harness.properties.base import Evaluation
@@ -19,7 +17,28 @@ if TYPE_CHECKING:
     from safety_harness.scenario.model import Verdict
     from safety_harness.trace.trace import Trace
 
+
 FAILURES = Path(".safety-harness") / "failures"
+
+
+@dataclass(frozen=True)
+class Profile:
+    """``examples`` scenarios of each test that draws them, ``shrinking_runs`` simulations after a failure."""
+
+    name: str
+    examples: int
+    shrinking_runs: int
+
+
+QUICK = Profile("quick", 50, 60)  # while one works, and on every push
+NIGHTLY = Profile("nightly", 500, 400)
+CERTIFY = Profile("certify", 3000, 2000)
+PROFILES = (QUICK, NIGHTLY, CERTIFY)
+
+
+def profile_named(name: str) -> Profile:
+    """The profile of that name; KeyError if there is none."""
+    return {profile.name: profile for profile in PROFILES}[name]
 
 
 @dataclass(frozen=True)

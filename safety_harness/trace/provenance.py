@@ -12,14 +12,16 @@ import platform
 import re
 import sys
 from base64 import urlsafe_b64encode
+from contextlib import suppress
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-from safety_harness.compiled import source_hash
+from safety_harness.compiled import cache_root, source_hash
 from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
+from safety_harness.whole_file import write_whole
 
 # Each with the compiled module that does its work.
 LIBRARIES = {
@@ -31,6 +33,7 @@ LIBRARIES = {
 }
 DATA = "example-robot-data"  # files only, found by the metadata: no module says which version it is
 ONE_OWNER = (*LIBRARIES, "onnxruntime", "scipy", "safetensors")
+_OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
 NOT_LOADED = "not loaded"
 
 
@@ -93,28 +96,43 @@ def _version(library: str, name: str, sha256: str) -> tuple[str, str]:
 
 @lru_cache
 def _owners(module: str) -> dict[str, metadata.Distribution]:
-    """The installed packages, by name, that bring a module: as their lists of names or of files say."""
-    found: dict[str, metadata.Distribution] = {}
-    for one, names, files in _installed():
-        alone = f"\n{module}." in files and re.search(rf"\n{module}\.[^,/\n]*(py|so|pyd),", files)
-        if module in names or f"\n{module}/" in files or alone:
-            found.setdefault(one.name.lower(), one)
-    return found
+    """The installed packages, by name, that bring a module of ONE_OWNER: by their lists of names or files."""
+    return {name: one for owned, name, one in _installed() if owned == module}
 
 
 @lru_cache
-def _installed() -> tuple[tuple[metadata.Distribution, list[str], str], ...]:
-    """Every installed package with the names and the files that it brings.
+def _installed() -> tuple[tuple[str, str, metadata.Distribution], ...]:
+    """The modules of ONE_OWNER with the names of the packages that bring them, the first of a name.
 
     ``metadata.packages_distributions`` says as much, and takes a second.
     """
-    return tuple(
-        (one, (one.read_text("top_level.txt") or "").split(), f"\n{one.read_text('RECORD') or ''}")
-        for one in metadata.distributions()
-    )
+    found: dict[tuple[str, str], metadata.Distribution] = {}
+    for one in metadata.distributions():
+        owned = set((one.read_text("top_level.txt") or "").split())
+        owned.update(_OWNED.findall(f"\n{one.read_text('RECORD') or ''}"))
+        for module in owned.intersection(ONE_OWNER):
+            found.setdefault((module, one.name.lower()), one)
+    return tuple((module, name, one) for (module, name), one in found.items())
 
 
 @lru_cache
 def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Of a file, which is read again only when it has changed: pybullet's are 140 MB.
+
+    Beside the machine code it is noted by what the file system says of the file: its place, size and number,
+    and when it was changed, which whoever writes over a file or replaces it cannot but alter.
+    """
+    known = path.stat()
+    about = known.st_dev, known.st_ino, known.st_size, known.st_mtime_ns, known.st_ctime_ns
+    name = hashlib.sha256(f"{path} {about}".encode()).hexdigest()[:32]
+    noted = cache_root() / "hashes-of-libraries" / name
+    try:
+        digest = noted.read_text()
+    except OSError:
+        digest = ""
+    if not re.fullmatch("[0-9a-f]{64}", digest):
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        with suppress(OSError):
+            write_whole(noted, digest)
+    return digest

@@ -15,9 +15,9 @@ import os
 import struct
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +28,12 @@ from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording_table import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
+from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.old_decisions import DECISION_3, as_now
 from safety_harness.trace.records import DECISION, TICK
-from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.trace import Line, Provenance, Trace
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
@@ -41,8 +42,24 @@ HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
 MOST_PARTS = 6 + MAX_HANDS
-LONGEST_LINE = 4_096
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
+
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _Header:
+    format: str
+    sha256: dict[str, str]
+
+
+@dataclass(frozen=True)
+class _Run:
+    scenario_name: Line
+    scenario_file: Line | None
+    ended: Line
+    provenance: Provenance
 
 
 def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -135,7 +152,7 @@ class _Reader:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._parts: dict[str, bytes] = {}
-        self._hashes: dict[str, Any] = {}
+        self._hashes: dict[str, str] = {}
         self._format = FORMAT
 
     def trace(self) -> Trace:
@@ -160,7 +177,7 @@ class _Reader:
         recordings = [name for name in self._parts if name.startswith("recordings/")]
         for name in ("run.json", "scenario.yaml", *recordings):
             self._unpack(archive, name, SMALL_BYTES if name not in recordings else MAX_BYTES)
-        run = self._json("run.json", {"scenario_name", "scenario_file", "ended", "provenance"})
+        run = self._json("run.json", _Run)
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
@@ -176,8 +193,8 @@ class _Reader:
             ticks=ticks,
             decisions=decisions,
             decision_latency_s=latencies_s,
-            provenance=self._provenance(run),
-            ended=self._line(run["ended"], "ended"),
+            provenance=run.provenance,
+            ended=run.ended,
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:
@@ -214,37 +231,31 @@ class _Reader:
         if name != HEADER and self._hashes[name] != actual:
             raise self._error(f"contents with sha256 {self._hashes[name]}", f"sha256 {actual}", name)
 
-    def _json(self, name: str, keys: set[str]) -> dict[str, Any]:
-        """A part that is a JSON object with at least these keys."""
-        try:
-            found = json.loads(self._parts[name])
-        except (ValueError, RecursionError) as error:
-            raise self._error("a JSON object", f"none that can be read ({error!r})", name) from error
-        if not isinstance(found, dict) or not keys <= found.keys():
-            raise self._error(f"an object with {', '.join(sorted(keys))}", "something else", name)
-        return found
+    def _json(self, name: str, kind: type[T]) -> T:
+        """A part that is a JSON object of this kind."""
+        found = parsed(self._parts[name], self._path, name, TraceError)
+        return typed(found, kind, self._path, defaults=True, error=TraceError)
 
     def _check_header(self, archive: zipfile.ZipFile) -> None:
         """The format, and a hash for every other part."""
         self._unpack(archive, HEADER, SMALL_BYTES)
-        header = self._json(HEADER, {"format", "sha256"})
-        hashes = header["sha256"]
-        if header["format"] not in (FORMAT, BEFORE) or not isinstance(hashes, dict):
-            raise self._error(f"the format {FORMAT!r}", repr(header["format"]), "format")
-        self._hashes, self._format = hashes, header["format"]
-        for name in sorted(hashes.keys() ^ (self._parts.keys() - {HEADER})):
+        header = self._json(HEADER, _Header)
+        if header.format not in (FORMAT, BEFORE):
+            raise self._error(f"the format {FORMAT!r}", repr(header.format), "format")
+        self._hashes, self._format = header.sha256, header.format
+        for name in sorted(header.sha256.keys() ^ (self._parts.keys() - {HEADER})):
             raise self._error("a hash for each part, a part for each hash", "only one of them", name)
 
-    def _scenario(self, run: dict[str, Any]) -> Scenario:
+    def _scenario(self, run: _Run) -> Scenario:
         recordings = {
             name.removeprefix("recordings/").removesuffix(".csv"): data
             for name, data in self._parts.items()
             if name.startswith("recordings/")
         }
-        name = self._line(run["scenario_name"], "scenario_name")
+        name = run.scenario_name
         if "/" in name or name in ("", ".", ".."):
             raise self._error("the name of a scenario, without folders", repr(name), "scenario_name")
-        file = Path(self._line(run["scenario_file"] or f"{name}.yaml", "scenario_file"))
+        file = Path(run.scenario_file or f"{name}.yaml")
         try:
             text = self._parts["scenario.yaml"].decode()
             return parse_scenario(text, file, recordings, name=name, claims_required=False)
@@ -252,12 +263,6 @@ class _Reader:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:
             raise self._error("a scenario that this version reads", str(error), "scenario.yaml") from error
-
-    def _line(self, found: object, field: str) -> str:
-        """A text on one line: it is printed, and may name a file."""
-        if not isinstance(found, str) or len(found) > LONGEST_LINE or set(found) & set("\0\n\r"):
-            raise self._error(f"a text of one line, at most {LONGEST_LINE} characters", repr(found), field)
-        return found
 
     def _array(self, archive: zipfile.ZipFile, name: str, dtype: np.dtype[Any], most: int) -> NDArray[Any]:
         """At most so many records.  The array's header is not believed before its length is compared."""
@@ -275,19 +280,6 @@ class _Reader:
         if len(records) != shape[0] * dtype.itemsize:
             raise self._error(f"{shape[0]} records", f"{len(records)} bytes of them", name)
         return np.frombuffer(records, dtype).copy()
-
-    def _provenance(self, run: dict[str, Any]) -> Provenance:
-        try:
-            fields = dict(run["provenance"])
-            libraries = self._pairs(fields.pop("libraries"), "provenance.libraries")
-            files = self._pairs(fields.pop("files", []), "provenance.files")
-            lines = {name: self._line(value, f"provenance.{name}") for name, value in fields.items()}
-            return Provenance(**lines, libraries=libraries, files=files)
-        except (KeyError, TypeError, ValueError) as error:
-            raise self._error("the provenance of the run", repr(error), "provenance") from error
-
-    def _pairs(self, found: Any, field: str) -> tuple[tuple[str, str], ...]:
-        return tuple((self._line(one, field), self._line(other, field)) for one, other in found)
 
 
 def _words(error: Exception) -> str:

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
 
 R = TypeVar("R")
+Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,15 +26,15 @@ class Provenance:
     compiled files of theirs (name, sha256).
     """
 
-    package_version: str
-    source_hash: str
-    world: str
-    avoider: str
-    python: str
-    platform: str
-    libraries: tuple[tuple[str, str], ...]
-    avoider_sha256: str = ""  # of the file that the avoider came from; empty for one without
-    files: tuple[tuple[str, str], ...] = ()  # none in a trace of an earlier version
+    package_version: Line
+    source_hash: Line
+    world: Line
+    avoider: Line
+    python: Line
+    platform: Line
+    libraries: tuple[tuple[Line, Line], ...]
+    avoider_sha256: Line = ""  # of the file that the avoider came from; empty for one without
+    files: tuple[tuple[Line, Line], ...] = ()  # none in a trace of an earlier version
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -49,7 +49,7 @@ def test_an_offset_start_is_where_it_was_asked_for() -> None:
     arm = load_arm()
     transforms = np.empty((8, 4, 4))
     joints = start_joint_position(scenario(offset=offset), arm)
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints, transforms)
+    forward_kinematics(arm.chain[0], joints, transforms)
     expected = desired_transform_tcp_to_base(DEFAULTS)
     expected[:3, 3] += offset
     np.testing.assert_allclose(transforms[7], expected, atol=1e-9)

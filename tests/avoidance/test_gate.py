@@ -18,6 +18,7 @@ from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import FAULT_CHARACTERS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
+from tests.robot.arms import transforms_of
 
 KINEMATICS = kinematics()
 GATE = Gate.of(DEFAULTS, KINEMATICS)
@@ -30,7 +31,7 @@ def query(
     hand: np.ndarray = HAND, offset: tuple[float, float, float] = (0.02, -0.05, 0.03), seed: int = 3
 ) -> Query:
     joints = start_joint_position(scenario(offset=offset), KINEMATICS.arm)
-    pose = KINEMATICS._forward(joints)[TCP].copy()
+    pose = transforms_of(KINEMATICS.arm, joints)[TCP].copy()
     return Query(hand.copy(), pose[:3, 3].copy(), pose, joints, hand[None].copy(), seed)
 
 

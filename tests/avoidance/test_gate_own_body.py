@@ -14,8 +14,8 @@ from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import OWN_CLEARANCE_M, WAY_STEP_M, Gate, Query
 from safety_harness.avoidance.own_body import FIRST_OF_THE_WRIST, LAST_OF_THE_BODY
 from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.robot.inverse import straight_way
 from safety_harness.robot.kinematics import forward_kinematics
-from safety_harness.robot.straight_way import straight_way
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check
 
@@ -45,7 +45,7 @@ def coal_capsule(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[coa
 def by_coal_m(joints: np.ndarray) -> float:
     """Least distance of the wrist's capsules from the body's; within them any number below 0."""
     transforms = np.empty((8, 4, 4))
-    forward_kinematics(ARM.joint_origins, ARM.joint_axes, ARM.flange, joints, transforms)
+    forward_kinematics(ARM.chain[0], joints, transforms)
     capsules = GATE.capsules
     bodies = []
     for k, link in enumerate(capsules.link_index):

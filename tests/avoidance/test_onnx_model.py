@@ -169,10 +169,10 @@ def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal(tmp_path: Path) 
         (spread_model({"spread_threshold_m": "wide"}), "spread_threshold_m: expected a length"),
         (spread_model({"spread_threshold_m": "nan"}), "spread_threshold_m: expected a length"),
         (spread_model({"spread_threshold_m": "-1"}), "spread_threshold_m: expected a length"),
-        (spread_model({KEY: "{"}), "metadata in JSON"),
+        (spread_model({KEY: "{"}), "metadata, in JSON"),
         (model(metadata={"decision_time_s": "soon"}), "decision_time_s: expected a time from 0 s to 60 s"),
         (model(metadata={"decision_time_s": "61"}), "decision_time_s: expected a time from 0 s to 60 s"),
-        (spread_model({KEY: "{}"}), "format: expected this field"),
+        (spread_model({KEY: "{}"}), "format: expected 'safety-harness export 1'"),
     ],
 )
 def test_what_breaks_the_contract_is_refused(

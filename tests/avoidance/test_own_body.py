@@ -17,7 +17,7 @@ JOINTS = np.random.default_rng(5).uniform(-np.pi, np.pi, (25, 6))
 def axis_points(joints: np.ndarray, capsule: int, count: int) -> np.ndarray:
     """(count, 3) points on a capsule's axis in the base frame."""
     transforms = np.empty((8, 4, 4))
-    forward_kinematics(ARM.joint_origins, ARM.joint_axes, ARM.flange, joints, transforms)
+    forward_kinematics(ARM.chain[0], joints, transforms)
     ends = CAPSULES.start_in_link[capsule], CAPSULES.end_in_link[capsule]
     local = ends[0] + np.linspace(0.0, 1.0, count)[:, None] * (ends[1] - ends[0])
     link = transforms[CAPSULES.link_index[capsule]]

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.campaign.crew import Chunk
 from safety_harness.campaign.rows import ClaimJudgement, Row
+from safety_harness.campaign.worker import Chunk
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.statistics.sample import EpisodeOutcome
 

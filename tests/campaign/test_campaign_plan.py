@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.files import PlanFile, unpacked
-from safety_harness.campaign.identity import Identity, stratum_number
-from safety_harness.campaign.plan import PlannedWorld, read_plan
+from safety_harness.campaign.identity import Identity, PlanFile, stratum_number, unpacked
+from safety_harness.campaign.plan import read_plan
 from safety_harness.exceptions import InputError, ScenarioError
 from safety_harness.properties.base import Unit
+from safety_harness.simulation.worlds import KINEMATIC
 from tests.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 def test_a_plan_is_what_its_text_says(tmp_path: Path) -> None:
     plan = plan_in(tmp_path)
     assert (plan.name, plan.title, plan.about) == ("plan", "a hand nearby", "a test")
-    assert plan.world is PlannedWorld.KINEMATIC
+    assert plan.world is KINEMATIC
     assert plan.confidence == 0.95
     assert [(one.name, one.runs) for one in plan.strata] == [("near", 30), ("nearer", 20)]
     first, second = plan.claims

@@ -16,7 +16,6 @@ import pytest
 
 from safety_harness.campaign import cluster
 from safety_harness.campaign.cluster import DaskCrew, Shipment, run_chunk
-from safety_harness.campaign.crew import Chunk
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -24,7 +23,7 @@ from safety_harness.campaign.processes import Limits
 from safety_harness.campaign.runner import RunnerProgress
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Mistake
+from safety_harness.campaign.worker import Chunk, Mistake
 from safety_harness.cli.campaign import run
 from safety_harness.cli.console import DIFFERS
 from safety_harness.exceptions import CampaignError, ScenarioError

@@ -13,12 +13,11 @@ from distributed import KilledWorker
 
 from safety_harness.campaign import cluster
 from safety_harness.campaign.cluster import DaskCrew, Shipment, Unable, run_chunk
-from safety_harness.campaign.crew import Arrived, Chunk, Event, Lost
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Limits
 from safety_harness.campaign.runner import run_campaign
 from safety_harness.campaign.summary import tally_of
-from safety_harness.campaign.worker import Mistake
+from safety_harness.campaign.worker import Arrived, Chunk, Event, Lost, Mistake
 from safety_harness.exceptions import CampaignError, LedgerError, Place
 from tests.campaign.benches import row_of
 from tests.campaign.plans import ledger_in, plan_in

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.admission import trial
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign import episodes
@@ -110,7 +111,7 @@ def test_a_run_that_cannot_be_carried_on_has_failed(tmp_path: Path, monkeypatch:
     def broken(*_: object, **__: object) -> Trace:
         raise RuntimeError("the physics gave up")
 
-    monkeypatch.setattr("safety_harness.campaign.episodes.run_trial", broken)
+    monkeypatch.setattr("safety_harness.admission.trial.run_trial", broken)
     row = next(EpisodeRunner(plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))).run(0, [0]))
     assert [one.outcome for one in row.judgements] == [EpisodeOutcome.FAILED] * 2
     assert "the physics gave up" in row.failure
@@ -176,16 +177,16 @@ def test_a_worker_without_memory_is_replaced_and_its_episode_not_blamed(
 def test_a_run_in_company_that_breaks_costs_the_others_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = episodes.run_many
+    whole = trial.run_many
     plan = plan_in(tmp_path)
     expected = list(EpisodeRunner(plan).run(0, range(3)))
 
-    def breaks(admitted: list[object]) -> object:
+    def breaks(admitted: list[object], **options: object) -> object:
         if any(one.scenario.name == "short#1" for one in admitted):  # type: ignore[attr-defined]
             raise RuntimeError("a bad one")
-        return whole(admitted)  # type: ignore[arg-type]
+        return whole(admitted, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(episodes, "run_many", breaks)
+    monkeypatch.setattr(trial, "run_many", breaks)
     rows = list(EpisodeRunner(plan).run(0, range(3)))
     assert [bool(row.failure) for row in rows] == [False, True, False]
     assert without_place(rows[2]) == without_place(expected[2])

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign import schema
+from safety_harness.campaign import opening
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import connect, only_runner
@@ -173,7 +173,7 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
     text.write_text("no ledger " * 100)
     newer = filled(tmp_path, plan)
     connection = sqlite3.connect(newer)
-    connection.execute(f"PRAGMA user_version = {schema.VERSION + 1}")
+    connection.execute(f"PRAGMA user_version = {opening.VERSION + 1}")
     connection.close()
     for path, words in (
         (other, "something else"),
@@ -190,11 +190,11 @@ def test_a_ledger_of_an_earlier_version_becomes_one_of_this(tmp_path: Path, plan
     path = filled(tmp_path, plan)
     connection = connect(path, write=True)
     later = {1: "CREATE TABLE remark (text TEXT);\n", 2: "ALTER TABLE remark ADD COLUMN author TEXT;\n"}
-    schema.migrate(connection, later, to=3)
+    opening.migrate(connection, later, to=3)
     assert connection.execute("PRAGMA user_version").fetchone() == (3,)
     connection.execute("INSERT INTO remark VALUES ('a', 'b')")
     with pytest.raises(sqlite3.OperationalError):
-        schema.migrate(connection, {3: "CREATE TABLE more (a);\nNO SQL;\n"}, to=4)
+        opening.migrate(connection, {3: "CREATE TABLE more (a);\nNO SQL;\n"}, to=4)
     assert connection.execute("PRAGMA user_version").fetchone() == (3,)  # half a step is none
     assert connection.execute("SELECT count(*) FROM sqlite_master WHERE name = 'more'").fetchone() == (0,)
     assert connection.execute("SELECT count(*) FROM episode").fetchone() == (30,)

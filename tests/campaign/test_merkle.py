@@ -12,8 +12,7 @@ import pytest
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import merge
-from safety_harness.campaign.merkle import merkle_root, root_of
-from safety_harness.campaign.summary import fingerprint_of
+from safety_harness.campaign.summary import fingerprint_of, merkle_root, root_of
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 5").replace("runs: 20", "runs: 2")

@@ -16,12 +16,13 @@ import numpy as np
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
-from safety_harness.certification.document import as_text, from_plain
+from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.stored import trace_of
+from safety_harness.scenario.typed_json import typed
 from safety_harness.scenario.write import write_scenario
 from tests.campaign.plans import PLAN, plan_in
 
@@ -80,7 +81,7 @@ def hashed_anew(report: Path) -> None:
 
 
 def _save(report: Path, document: dict[str, Any]) -> None:
-    evidence: Evidence = from_plain(Evidence, document, report / "evidence.json", "")
+    evidence = typed(document, Evidence, report / "evidence.json")
     (report / "evidence.json").write_text(as_text(evidence))
     (report / "junit.xml").write_text(junit_xml(evidence))
 

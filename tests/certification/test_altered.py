@@ -11,6 +11,7 @@ from safety_harness.certification.altered import chance_to_miss, rows_to_turn, r
 from safety_harness.certification.evidence import ClaimResult, ClaimStatus
 from safety_harness.certification.verdicts import standing_of
 from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 from tests.certification.made_up_evidence import bound
 
@@ -33,7 +34,7 @@ def outcome(counts: tuple[int, ...], target: float | None, chance: float, early:
         violated=violated,
         without_verdict=without,
         may_stop_early=early,
-        model_only=False,
+        world=PYBULLET,
     )
     return ClaimResult(
         stratum="all",

@@ -47,7 +47,7 @@ def test_the_schema_refuses_what_is_missing_or_of_another_kind() -> None:
 def test_a_number_that_is_not_finite_is_refused() -> None:
     one = evidence()
     broken = replace(one, plan=replace(one.plan, confidence=float("nan")))
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(ValueError, match="not JSON compliant"):
         as_text(broken)
 
 
@@ -71,7 +71,7 @@ def _changed(value: Any, path: str, new: Any) -> Any:
         ("strata", {}, "strata"),
         ("system.gate.0", ["only one"], "system.gate[0]"),
         ("provenance.commands", [1], "provenance.commands[0]"),
-        ("coverage", {"runs": 1}, "coverage"),
+        ("coverage", {"runs": 1}, "coverage.without_hand"),
         ("format", "safety-harness evidence 0", "format"),
     ],
 )

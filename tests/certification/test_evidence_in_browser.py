@@ -14,8 +14,7 @@ from browsing import colour, show
 from made_up_evidence import evidence
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.kinematic import run_kinematic
-from safety_harness.admission.trial import judge
+from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.certification.page import write_page
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.read import read_scenario

@@ -12,8 +12,7 @@ import pytest
 from safety_harness.campaign.episodes import trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER, plan_of
-from safety_harness.certification import folder, verify_pages
-from safety_harness.certification.check import Examination
+from safety_harness.certification import folder, verify_report
 from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text
 from safety_harness.certification.evidence import Evidence
@@ -21,6 +20,7 @@ from safety_harness.certification.page import render as drawn
 from safety_harness.certification.seal import write_seal
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify import verify
+from safety_harness.certification.verify_files import Examination
 from tests.certification.forging import (
     SEARCHED,
     SEARCHING,
@@ -55,7 +55,7 @@ def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         same = hashlib.sha256(_without_files(as_text(evidence))).digest() == own
         return page if same else text
 
-    monkeypatch.setattr(verify_pages, "render", render)
+    monkeypatch.setattr(verify_report, "render", render)
     monkeypatch.setattr(folder, "write_page", lambda path, *_: path.write_text(page))
     target = Path(shutil.copytree(made, tmp_path / "report"))
     return target
@@ -222,7 +222,7 @@ def test_a_file_that_no_report_has_is_named(report: Path) -> None:
 def test_whoever_says_it_was_other_software_hides_no_text(
     report: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(verify_pages, "render", drawn)
+    monkeypatch.setattr(verify_report, "render", drawn)
     TEXTS["the runs in the argument's picture"](report)
     other_software(report)
     said_of_it = "\n".join(checked(report)["pages"].unchecked)

@@ -11,7 +11,7 @@ import pytest
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.stopping import Stopping
+from safety_harness.campaign.runner import Stopping
 from safety_harness.certification.folder import read_manifest, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.verify_files import check_plan

@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from safety_harness.certification import certify as certify_module
 from safety_harness.certification import folder as folder_module
+from safety_harness.certification.certify import Certification
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.findings import of_searches
 from safety_harness.certification.gather import HarnessTrials
 from safety_harness.certification.searched import FINDINGS, read_findings, search_evidence, searches_of
-from safety_harness.cli import certify as certify_module
-from safety_harness.cli.certify import _Job, certify
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.exceptions import InputError, SimulationError
+from safety_harness.cli.certify import certify
+from safety_harness.cli.console import INTERRUPTED
+from safety_harness.exceptions import InputError, OutputError, SimulationError
+from safety_harness.search.session import SearchOutput
 from tests.campaign.plans import PLAN, plan_in
 
 SEARCHING = PLAN + "search:\n  runs: 21\n"
@@ -106,17 +110,25 @@ def test_what_is_no_search_is_refused(tmp_path: Path, changes: dict[str, Any]) -
     assert (refused.value.place.field or "").startswith(next(iter(changes)))
 
 
-def searching(answers: list[Callable[[], int]], asked: list[Path]) -> Callable[..., int]:
-    def fuzz(space: Path, *, out: Path, budget: int, **_: object) -> int:
+@dataclass
+class Made:
+    """What a search that was made tells."""
+
+    interrupted: bool = False
+    unwritable: OutputError | None = None
+
+
+def searching(answers: list[Callable[[], Made]], asked: list[Path]) -> Callable[..., Made]:
+    def search_space(*_: object, out: Path, budget: int, **__: object) -> Made:
         asked.append(out)
-        code = answers[len(asked) - 1]()
-        put(out.parents[1], out.name, budget=budget, interrupted=code == INTERRUPTED)
-        return code
+        made = answers[len(asked) - 1]()
+        put(out.parents[1], out.name, budget=budget, interrupted=made.interrupted)
+        return made
 
-    return fuzz
+    return search_space
 
 
-def fails() -> int:
+def fails() -> Made:
     raise SimulationError("no world")
 
 
@@ -124,24 +136,26 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan, asked = plan_in(tmp_path, SEARCHING), list[Path]()
-    answers = [fails, lambda: INTERRUPTED, lambda: BAD_INPUT, lambda: AS_EXPECTED]
-    monkeypatch.setattr(certify_module, "fuzz", searching(answers, asked))
-    job = _Job(plan, tmp_path, HarnessTrials(), "certify")
-    assert not job._search()  # the first fails, the second is interrupted
+    full = OutputError.of(tmp_path, OSError(28, "No space left on device"))
+    answers = [fails, lambda: Made(interrupted=True), lambda: Made(unwritable=full), Made]
+    monkeypatch.setattr(certify_module, "search_space", searching(answers, asked))
+    job = Certification(plan, tmp_path, HarnessTrials(), "certify")
+    output = SearchOutput(print, print, nullcontext)  # type: ignore[arg-type]
+    assert not job.search(output)  # the first fails, the second is interrupted
     stale = asked[1] / "as-found.yaml"
     stale.write_text("of the search that was interrupted")
-    assert job._search()
-    assert job._search()
+    assert job.search(output)
+    assert job.search(output)
     assert [folder.name for folder in asked] == ["1-near", "2-nearer", "1-near", "2-nearer"]
     assert not stale.exists()
-    assert "no world" in capsys.readouterr().err
+    assert "no world" in capsys.readouterr().out
 
 
 def test_ctrl_c_in_the_search_leaves_a_report_that_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan_in(tmp_path, SEARCHING.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8"))
-    monkeypatch.setattr(certify_module, "fuzz", searching([lambda: INTERRUPTED], []))
+    monkeypatch.setattr(certify_module, "search_space", searching([lambda: Made(interrupted=True)], []))
     monkeypatch.setattr(folder_module, "write_page", lambda *_: None)  # which takes seconds to draw
     assert certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1) == INTERRUPTED
     said = [one.text for one in read_evidence(tmp_path / "report" / "evidence.json").findings]

@@ -14,6 +14,7 @@ from safety_harness.certification.verdicts import (
     percent,
     standing_of,
 )
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 
 
 def word(**changes: Any) -> ClaimStatus:
@@ -26,7 +27,7 @@ def word(**changes: Any) -> ClaimStatus:
         "violated": 0,
         "without_verdict": 0,
         "may_stop_early": False,
-        "model_only": False,
+        "world": PYBULLET,
     }
     return standing_of(**(known | changes))[0]
 
@@ -48,7 +49,7 @@ def test_it_is_refuted_only_when_the_lower_bound_is_above_the_target() -> None:
 
 def test_runs_without_a_verdict_leave_doubt_on_what_is_shown() -> None:
     assert word(without_verdict=1) is ClaimStatus.DOUBTED
-    assert word(model_only=True) is ClaimStatus.DOUBTED
+    assert word(world=KINEMATIC) is ClaimStatus.DOUBTED
 
 
 def test_what_is_missing_is_never_a_verdict() -> None:
@@ -68,7 +69,7 @@ def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever
         "tested": (0, 800),
         "without_verdict": (0, 3),
         "may_stop_early": (False, True),
-        "model_only": (False, True),
+        "world": (PYBULLET, KINEMATIC),
     }
     shown = 0
     for values in product(*choices.values()):
@@ -78,7 +79,7 @@ def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever
             assert one["target"] is not None
             assert one["bound"].upper <= one["target"]
             assert one["without_verdict"] == 0
-            assert not one["model_only"]
+            assert one["world"] is PYBULLET
             assert one["tested"] > 0
             assert one["runs"] == 1000 or one["may_stop_early"]
     assert shown > 0
@@ -125,7 +126,7 @@ def test_bounds_of_few_digits_are_said_as_they_are() -> None:
 
 def test_the_reason_of_a_verdict_rounds_its_bound_away_from_the_target() -> None:
     known: dict[str, Any] = {"target": 0.02, "runs": 9, "planned": 9, "tested": 9, "violated": 0}
-    known |= {"without_verdict": 0, "may_stop_early": False, "model_only": False}
+    known |= {"without_verdict": 0, "may_stop_early": False, "world": PYBULLET}
     _, shown = standing_of(**known, bound=between(0.0, 0.017901))
     assert "at most 1.8 % of them" in shown
     _, missed = standing_of(**known, bound=between(0.0, 0.020001))
@@ -134,7 +135,7 @@ def test_the_reason_of_a_verdict_rounds_its_bound_away_from_the_target() -> None
 
 def test_what_is_refuted_says_with_which_confidence() -> None:
     known: dict[str, Any] = {"target": 0.02, "runs": 300, "planned": 300, "tested": 300, "violated": 31}
-    known |= {"without_verdict": 0, "may_stop_early": False, "model_only": False}
+    known |= {"without_verdict": 0, "may_stop_early": False, "world": PYBULLET}
     bound = Bound(lower=0.07, upper=0.15, confidence=0.99, method="exact")
     _, why = standing_of(**known, bound=bound)
     assert why == "31 of 300 tested runs violate it: with 99.5 % confidence more than 2 % of them do"

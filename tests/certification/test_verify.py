@@ -17,10 +17,9 @@ from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
-from safety_harness.certification import folder, verify_pages
+from safety_harness.certification import folder, verify_report
 from safety_harness.certification import verify as verify_module
 from safety_harness.certification.altered import Turn, chance_to_miss
-from safety_harness.certification.check import Examination
 from safety_harness.certification.declaration import declaration_of
 from safety_harness.certification.document import as_text, read_evidence
 from safety_harness.certification.evidence import ClaimStatus
@@ -29,6 +28,7 @@ from safety_harness.certification.gather import gather
 from safety_harness.certification.page import render
 from safety_harness.certification.seal import write_seal
 from safety_harness.certification.verify import verify
+from safety_harness.certification.verify_files import Examination
 from safety_harness.certification.verify_runs import MOST_AGAIN, Drawing, drawn, programs_in
 from safety_harness.exceptions import CampaignError, InputError
 from tests.campaign.plans import PLAN, plan_in
@@ -57,7 +57,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
     page = (made / "evidence.html").read_text()
-    monkeypatch.setattr(verify_pages, "render", lambda *_: page)
+    monkeypatch.setattr(verify_report, "render", lambda *_: page)
     monkeypatch.setattr(folder, "write_page", lambda path, *_: path.write_text(page))
     return Path(shutil.copytree(made, tmp_path / "report"))
 
@@ -75,7 +75,7 @@ def change(report: Path, *statements: str) -> None:
 def test_a_report_stands_with_every_part_of_it_made_again(
     report: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(verify_pages, "render", render)
+    monkeypatch.setattr(verify_report, "render", render)
     with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
         declared = declaration_of(plan).sha256
     checks = list(verify(report, seed=1, seal=write_seal(report).sha256, declared=declared))

@@ -10,13 +10,13 @@ import pytest
 from safety_harness.certification.document import read_evidence
 from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.cli import campaign
-from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.new import new
 from safety_harness.cli.replay import judge_again
 from safety_harness.cli.run import run
+from safety_harness.search import session as search_session
 from tests.campaign.plans import plan_in
 from tests.cli.test_own_avoider import VISIT
 from tests.search.short_space import TEXT
@@ -123,7 +123,7 @@ def test_the_file_of_new_claims_it(capsys: pytest.CaptureFixture[str]) -> None:
 def test_fuzz_finds_it_says_it_and_keeps_one_file_that_runs_as_it_says(
     visit: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 12)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 12)
     Path("short.yaml").write_text(TEXT)
     claims = ["joint speeds within limits"]
     assert (

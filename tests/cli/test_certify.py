@@ -15,17 +15,17 @@ from typer.testing import CliRunner
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import plan_of
+from safety_harness.certification import certify as certify_module
 from safety_harness.certification import folder as folder_module
-from safety_harness.certification import verify_pages
+from safety_harness.certification import verify_report
 from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.document import read_evidence, schema
 from safety_harness.certification.evidence import ClaimStatus
 from safety_harness.certification.findings import of_examples
-from safety_harness.cli import certify as certify_module
-from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.certify import certify, declare, seal_report, verify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
+from safety_harness.search import session as search_session
 from tests.campaign.plans import PLAN, plan_in
 
 SEARCHING = PLAN + "search:\n  runs: 20\n"
@@ -37,8 +37,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("certified")
     plan_in(folder, SEARCHING)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fuzz_module, "_SHRINKING", 10)
-        patch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+        patch.setattr(search_session, "SHRINKING_RUNS", 10)
+        patch.setattr(search_session, "MOST_SHRUNK", 1)
         assert certify(folder / "plan.yaml", out=folder / "report", workers=1) == DIFFERS
     return folder / "report"
 
@@ -47,7 +47,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy to be touched; its page is what was written, without the seconds that drawing it again takes."""
     page = (made / "evidence.html").read_text()
-    monkeypatch.setattr(verify_pages, "render", lambda *_: page)
+    monkeypatch.setattr(verify_report, "render", lambda *_: page)
     return Path(shutil.copytree(made, tmp_path / "report"))
 
 
@@ -189,7 +189,7 @@ def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
 ) -> None:
     """As a user does it: declare, lodge, certify, seal, lodge, verify."""
     monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
-    monkeypatch.setattr(verify_pages, "render", lambda *_: "the page")
+    monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     plan, out = tmp_path / "plan.yaml", tmp_path / "report"
     plan_in(tmp_path, PLAN.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
     assert declare(plan, None) == AS_EXPECTED
@@ -265,7 +265,7 @@ def test_a_program_in_a_report_is_not_executed_unasked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
-    monkeypatch.setattr(verify_pages, "render", lambda *_: "the page")
+    monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     (tmp_path / "mine.py").write_text(
         "from pathlib import Path\n"
         "from safety_harness import Proposal\n\n\n"

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cli import dataset as module
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.cli.dataset import dataset
+from safety_harness.cli.learning import dataset
+from safety_harness.learning import dataset as module
 from safety_harness.learning.manifest import data_hash, load_dataset
 
 

@@ -12,12 +12,12 @@ import pytest
 from avoidance.random_models import random_model
 
 from safety_harness.avoidance.model_file import Calibration, Dropout, save_model
-from safety_harness.cli import evaluate as module
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.cli.evaluate import SCHEMA, evaluate
-from safety_harness.learning.dataset import generate
+from safety_harness.cli.learning import evaluate
+from safety_harness.learning import evaluation_file as module
+from safety_harness.learning.dataset import generate, seen
+from safety_harness.learning.evaluation_file import SCHEMA
 from safety_harness.learning.manifest import data_hash
-from safety_harness.learning.spaces import seen
 from safety_harness.settings import DEFAULTS
 
 SETS = ["seen, new TCPs", "seen, test part by sample", "unseen hand", "unseen tcp", "unseen both"]

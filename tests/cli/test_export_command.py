@@ -9,9 +9,8 @@ from avoidance.random_models import SEEN, random_model
 from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
 from safety_harness.avoidance.model_file import Dropout, save_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.cli.export import FORMATS, export
+from safety_harness.cli.learning import export
 from safety_harness.learning import export as module
-from safety_harness.learning.export import Format
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.regions import exported_seen
 
@@ -38,20 +37,15 @@ def test_a_model_file_becomes_one_that_a_run_can_use(
     assert printed.err == ""
 
 
-def test_the_command_knows_every_format() -> None:
-    assert set(FORMATS) == {format.value for format in Format}
-
-
 def test_mistakes_are_explained_and_nothing_is_written(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for source, options, said in (
-        (model, {"format": "onxx"}, "'onnx' or 'torchscript'"),
-        (model, {"seed": -1}, "--seed"),
-        (model, {"format": "torchscript"}, "ends in .pt"),
-        (tmp_path / "none.safetensors", {}, "no such file"),
+    for source, name, seed, said in (
+        (model, "out.onnx", -1, "--seed"),
+        (model, "out.pt", 0, "ends in .onnx"),
+        (tmp_path / "none.safetensors", "out.onnx", 0, "no such file"),
     ):
-        assert export(source, out=tmp_path / "out.onnx", **options) == BAD_INPUT  # type: ignore[arg-type]
+        assert export(source, out=tmp_path / name, seed=seed) == BAD_INPUT
         assert said in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]
 
@@ -60,9 +54,9 @@ def test_a_difference_from_the_original_is_exit_code_2(
     model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(module, "MOST_DIFFERENT_M", 1e-12)
-    assert export(model, out=tmp_path / "out.pt", format="torchscript") == BAD_INPUT
+    assert export(model, out=tmp_path / "out.onnx") == BAD_INPUT
     assert "the original's answers" in capsys.readouterr().err
-    assert not (tmp_path / "out.pt").exists()
+    assert not (tmp_path / "out.onnx").exists()
 
 
 def test_without_pytorch_the_extra_to_install_is_named(
@@ -80,6 +74,6 @@ def test_ctrl_c_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "difference", interrupted)
-    assert export(model, out=tmp_path / "out.pt", format="torchscript") == INTERRUPTED
+    assert export(model, out=tmp_path / "out.onnx") == INTERRUPTED
     assert "nothing was exported" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["model.safetensors"]

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.exceptions import OutputError
 from safety_harness.scenario.expand import gather
+from safety_harness.search import session as search_session
 from safety_harness.search.outcomes import Outcomes
 from safety_harness.search.trials import Trials
 from tests.search.short_space import CRASHING, TEXT
@@ -29,8 +29,8 @@ def space(tmp_path: Path) -> Path:
 
 @pytest.fixture(autouse=True)
 def _little_shrinking(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 25)
-    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 25)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
 
 
 def counterexamples(folder: Path) -> list[Path]:
@@ -145,7 +145,7 @@ def test_a_full_disk_costs_no_finding(
     def full(path: Path, text: str) -> None:
         raise OutputError.of(path, OSError(28, "No space left on device"))
 
-    monkeypatch.setattr(fuzz_module, "write_text", full)
+    monkeypatch.setattr(search_session, "write_text", full)
     assert fuzz(space, out=tmp_path / "out", budget=50) == BAD_INPUT
     out, err = capsys.readouterr()
     assert "No space left on device" in err

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.search import counterexample as counterexample_module
 from safety_harness.search import explain as explain_module
+from safety_harness.search import searchers
+from safety_harness.search import session as search_session
+from safety_harness.search.sampling import UniformSampling
 
 SPACE = """\
 scenario space: a hand from the right
@@ -54,8 +56,8 @@ REPAIRED = AVOIDER.replace("40.0 * low_m", "0.0 * low_m")
 
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 5)
-    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 5)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
     monkeypatch.setattr(explain_module, "_MOST_REMOVED", 2)
     monkeypatch.setattr(counterexample_module, "DRAWS", 2)
     (tmp_path / "mine.py").write_text(AVOIDER)
@@ -102,7 +104,7 @@ def test_a_baseline_of_uniform_sampling_itself_is_a_mistake(
 def test_what_only_the_baseline_meets_is_shrunk_and_written_too(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    class Blind(fuzz_module.Uniform):
+    class Blind(UniformSampling):
         """Proposes one place over and over, where nothing is wrong."""
 
         name = "blind"
@@ -110,7 +112,7 @@ def test_what_only_the_baseline_meets_is_shrunk_and_written_too(
         def propose(self, count: int):  # type: ignore[no-untyped-def]
             return super().propose(count) * 0.0 + 0.99
 
-    monkeypatch.setattr(fuzz_module, "searcher_named", lambda name: Blind)
+    monkeypatch.setattr(searchers, "searcher_named", lambda name: Blind)
     out = project / "out"
     assert fuzz(project / "space.yaml", out=out, budget=32, searcher="blind", baseline=True) == DIFFERS
     assert "uniform: tried 32/32" in capsys.readouterr().err

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cli import fuzz as fuzz_module
 from safety_harness.cli.console import DIFFERS
 from safety_harness.cli.fuzz import fuzz
+from safety_harness.search import session as search_session
 
 # A hand on either side is too fast to be given way to: one story, met from the right and from the left.
 TWO_SIDES = """\
@@ -66,8 +66,8 @@ def found_in(out: Path) -> dict[str, object]:
 def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
     space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 60)
-    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 2)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 60)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 2)
     assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
     (file,) = Path("out").glob("*.yaml")
     distinct = found_in(Path("out"))["distinct"]
@@ -87,7 +87,7 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
 
 
 def test_two_ways_not_to_answer_are_two_stories(space: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 8)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 8)
     Path("mine.py").write_text(TWO_BUGS)
     claims = ["joint speeds within limits"]
     assert fuzz(space, out=Path("out"), avoider="mine.py:TwoBugs", budget=12, claims=claims) == DIFFERS
@@ -100,8 +100,8 @@ def test_two_ways_not_to_answer_are_two_stories(space: Path, monkeypatch: pytest
 def test_what_is_left_when_enough_was_shrunk_is_said_with_its_runs(
     space: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(fuzz_module, "_SHRINKING", 2)
-    monkeypatch.setattr(fuzz_module, "_MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 2)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
     assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
     distinct = found_in(Path("out"))["distinct"]
     assert isinstance(distinct, list)

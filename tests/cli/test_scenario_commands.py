@@ -175,7 +175,7 @@ def test_every_example_of_a_setting_can_be_read() -> None:
                 base = "\n".join(line for line in GOOD.splitlines() if not line.startswith("tcp start"))
                 start = "" if table.path == "tcp start" else "\ntcp start: {offset: [0 mm, 0 mm, 0 mm]}"
                 if key.name != "restart delay":
-                    parse_scenario(f"{base}{start}\n{key.example}\n")
+                    parse_scenario(f"{base}{start}\n{key.lines}\n")
 
 
 def test_new_writes_a_file_that_runs_as_it_is_and_is_laid_out_well(tmp_path: Path, capsys: Captured) -> None:

@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from safety_harness.cli import selftest as command
 from safety_harness.cli.main import app
-from safety_harness.cli.selftest import DATA, PAGE, selftest
+from safety_harness.cli.selftest import selftest
+from safety_harness.selftest import session
 from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.outcome import FaultOutcome, outcome_of
+from safety_harness.selftest.session import DATA, PAGE
 from safety_harness.selftest.trial import Rung
 from safety_harness.selftest.work import SelfTestPlan
 
@@ -93,7 +94,7 @@ def test_ctrl_c_keeps_what_was_tried(
             yield outcome_of(EVERY[number], (Rung(magnitude=1.0, words="1", episodes=1),))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "outcomes", two_then_ctrl_c)
+    monkeypatch.setattr(session, "outcomes", two_then_ctrl_c)
     assert selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1) == 130
     assert f"2 of {len(EVERY)} were tried" in capsys.readouterr().err
     found = json.loads((tmp_path / "out" / DATA).read_text("utf-8"))
@@ -108,7 +109,7 @@ def test_a_defect_of_ours_keeps_what_was_tried_and_is_exit_code_1(
         yield outcome_of(EVERY[numbers[0]], (Rung(magnitude=1.0, words="1", episodes=1),))
         raise ZeroDivisionError("made up")
 
-    monkeypatch.setattr(command, "outcomes", one_then_a_defect)
+    monkeypatch.setattr(session, "outcomes", one_then_a_defect)
     assert selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1) == 1
     captured = capsys.readouterr()
     assert "ZeroDivisionError: made up" in captured.err
@@ -130,7 +131,7 @@ def test_what_is_finished_is_written_before_the_next_is_tried(
             assert found["about"]["interrupted"] is True
             written.append(len(found["faults"]))
 
-    monkeypatch.setattr(command, "outcomes", looking)
+    monkeypatch.setattr(session, "outcomes", looking)
     selftest(scenarios=scenarios, out=tmp_path / "out", jobs=1)
     assert written == [1, 2, 3]
 

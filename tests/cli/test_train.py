@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from safety_harness.avoidance.model_file import Dropout, load_model
-from safety_harness.cli.train import MODEL, train
-from safety_harness.learning.dataset import generate
+from safety_harness.cli.learning import MODEL, train
+from safety_harness.learning.dataset import generate, seen
 from safety_harness.learning.manifest import data_hash, load_dataset, save_dataset
-from safety_harness.learning.spaces import seen
 from safety_harness.settings import DEFAULTS
 
 
@@ -58,7 +57,7 @@ def test_ctrl_c_ends_with_the_command_that_goes_on_and_that_gives_the_same_model
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("safety_harness.cli.train.say", lambda text: print(text) or interrupted(text))
+        patch.setattr("safety_harness.cli.learning.say", lambda text: print(text) or interrupted(text))
         assert train("trial-deterministic", data=data, out=parts) == 130
     assert f"--data {data} --resume" in capsys.readouterr().out
     assert not (parts / MODEL).exists()

@@ -22,6 +22,7 @@ from safety_harness.settings import DEFAULTS, HandSensorKind, Settings
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.exact_views import exact_object
 from safety_harness.trace.records import TICK
+from tests.robot.arms import transforms_of
 
 Position = tuple[float, float, float] | np.ndarray
 AWAY = (1.2, -0.9, 0.2)
@@ -40,6 +41,7 @@ class Bench:
         avoider: Avoider | None = None,
         gate: Gate | None = None,
         arm: ArmModel | None = None,
+        recorded_late: tuple[str, ...] = (),
         offset: tuple[float, float, float] = (0.04, -0.12, 0.06),
         tilt: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
@@ -47,7 +49,13 @@ class Bench:
         self.settings = settings
         self.gate = gate or Gate.of(settings, kinematics())
         self.controller = AvoidingServo(
-            settings, arm or admitted.arm, admitted.view, avoider or admitted.avoider, self.gate, 1
+            settings,
+            arm or admitted.arm,
+            admitted.view,
+            avoider or admitted.avoider,
+            self.gate,
+            1,
+            recorded_late,
         )
         self._sensors = sensors(settings, 1, 0, overhead_transform_sensor_to_base(settings))
         self.joints = admitted.joint_position_rad.copy()
@@ -59,7 +67,7 @@ class Bench:
     @property
     def pose(self) -> np.ndarray:
         """(4, 4) TCP to base."""
-        return kinematics()._forward(self.joints)[TCP].copy()
+        return transforms_of(kinematics().arm, self.joints)[TCP].copy()
 
     @property
     def tcp(self) -> np.ndarray:

@@ -108,9 +108,8 @@ def test_a_late_decision_is_about_the_nearest_hand_of_now_where_there_is_one() -
 
 
 def test_a_record_of_late_decisions_says_nothing_of_those_after_it() -> None:
-    bench = Bench()
     late, in_time = "no answer within 100 ms", ""
-    bench.controller._recorded_late = (late, in_time)
+    bench = Bench(recorded_late=(late, in_time))
     near = bench.beside(0.15)
     for _ in range(3):
         bench.tick(near)

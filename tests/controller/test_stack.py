@@ -16,6 +16,7 @@ from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings, Vector3
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
+from tests.robot.arms import transforms_of
 
 PERIOD_S = DEFAULTS.clock.control_period_s
 MOTION = DEFAULTS.motion
@@ -24,7 +25,7 @@ DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 
 def jacobian_at(joints: np.ndarray) -> np.ndarray:
     jacobian = np.empty((6, 6))
-    geometric_jacobian(kinematics().arm.joint_axes, kinematics()._forward(joints), jacobian)
+    geometric_jacobian(kinematics().arm.joint_axes, transforms_of(kinematics().arm, joints), jacobian)
     return jacobian
 
 

@@ -48,3 +48,19 @@ def test_every_page_is_in_the_site_s_contents() -> None:
     contents = (ROOT / "mkdocs.yml").read_text()
     for page in DOCS.rglob("*.md"):
         assert f": {page.relative_to(DOCS)}" in contents, page
+
+
+MADE_BY_A_RECIPE = {
+    "properties/decision_count.py",
+    "robot/ur5_joint_limited_capsules.json",
+    "scenarios/robot-ur5_joint_limited.yaml",
+    "simulation/slow_world.py",
+}
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_every_file_that_a_developer_is_sent_to_is_there(page: str) -> None:
+    named = set(re.findall(r"`((?:\w+/)+[\w-]+\.(?:py|json|yaml|j2))", (ROOT / page).read_text()))
+    assert len(named) > 10
+    for file in named - MADE_BY_A_RECIPE - {"properties/NAME.py"}:
+        assert (ROOT / file).is_file() or (ROOT / "safety_harness" / file).is_file(), file

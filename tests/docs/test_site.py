@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+import safety_harness
+
 ROOT = Path(__file__).parents[2]
 ALONE = {"NO_MKDOCS_2_WARNING": "1"}
 
@@ -81,3 +83,12 @@ def test_linked_files_of_the_repository_are_pages(site: Path) -> None:
     page = (site / "repository/examples/upwards.py.html").read_text()
     assert "class Upwards" in re.sub("<[^>]+>", "", page)
     assert "repository/examples/upwards.py.html" in (site / "avoiders.html").read_text()
+
+
+def test_every_public_name_is_in_the_reference_and_its_arrays_say_their_shapes(site: Path) -> None:
+    pages = "".join(page.read_text() for page in sorted((site / "api").glob("*.html")))
+    assert [name for name in safety_harness.__all__ if f'id="safety_harness.{name}"' not in pages] == []
+    servoing = re.sub("<[^>]+>", "", (site / "api" / "servoing.html").read_text())
+    assert "L_wz =  i mu_(i-1,j+1) - j mu_(i+1,j-1)" in servoing
+    assert "desired_interaction: (6, 6) L*" in servoing
+    assert "interaction_pinv: (6, 6)" in servoing

@@ -24,7 +24,7 @@ from safety_harness.formulas.formula import (
     conjunction,
     disjunction,
 )
-from safety_harness.formulas.quantities import mm, ms
+from safety_harness.formulas.quantities import Span, mm, ms
 from safety_harness.formulas.semantics import (
     LEAST,
     MarginBounds,
@@ -34,7 +34,6 @@ from safety_harness.formulas.semantics import (
     truth_bounds,
 )
 from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled
-from safety_harness.formulas.span import Span
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 

@@ -19,7 +19,7 @@ from safety_harness.formulas.formula import (
     Or,
     Until,
 )
-from safety_harness.formulas.span import Span
+from safety_harness.formulas.quantities import Span
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of its parser's runtime

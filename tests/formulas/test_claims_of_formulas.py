@@ -17,9 +17,8 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import FormulaError, InadmissibleError, Place
 from safety_harness.formulas.asked import parts_of
-from safety_harness.formulas.claim import FormulaClaim
+from safety_harness.formulas.claim import FormulaClaim, judge_part
 from safety_harness.formulas.formula import Comparison, Formula, Not, Relation, Truth
-from safety_harness.formulas.judging import judge_part
 from safety_harness.formulas.language import (
     always,
     eventually,

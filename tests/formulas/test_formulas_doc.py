@@ -10,9 +10,8 @@ import pytest
 
 from safety_harness.formulas import language
 from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.pages import python_name
 from safety_harness.formulas.parse import parse_formula
-from safety_harness.formulas.signals import SIGNALS
+from safety_harness.formulas.signals import SIGNALS, python_name
 from safety_harness.trace.trace import Trace
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -10,7 +10,7 @@ import pytest
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.language import always, hand_tracked, mm, prediction_error, s, whenever
 from safety_harness.properties.hand_prediction import HandPredictions

@@ -28,9 +28,8 @@ from safety_harness.formulas.formula import (
     conjunction,
 )
 from safety_harness.formulas.language import hand_distance, tcp_speed
-from safety_harness.formulas.quantities import mm, mm_per_s, ms
+from safety_harness.formulas.quantities import Span, mm, mm_per_s, ms
 from safety_harness.formulas.semantics import LEAST
-from safety_harness.formulas.span import Span
 
 ABOVE_0 = Comparison(X, Relation.ABOVE, mm(0))
 ABOVE_3 = Comparison(X, Relation.ABOVE, mm(3))

@@ -32,9 +32,8 @@ from safety_harness.formulas.formula import (
     conjunction,
     disjunction,
 )
-from safety_harness.formulas.quantities import mm, ms
+from safety_harness.formulas.quantities import Span, mm, ms
 from safety_harness.formulas.semantics import LEAST
-from safety_harness.formulas.span import Span
 
 anything = formulas(comparisons | truths)
 many = settings(max_examples=100, deadline=None)

@@ -45,10 +45,9 @@ from safety_harness.formulas.language import (
     whenever,
 )
 from safety_harness.formulas.parse import looks_like_formula, parse_formula
-from safety_harness.formulas.quantities import quantity
+from safety_harness.formulas.quantities import Span, quantity
 from safety_harness.formulas.signal import Flag
 from safety_harness.formulas.signals import SIGNALS
-from safety_harness.formulas.span import Span
 from safety_harness.scenario.units import TIME
 
 numbers = st.floats(-1e6, 1e6) | st.integers(-1000, 1000)

@@ -94,7 +94,7 @@ def poses(trace: Trace, fraction: float) -> NDArray[np.float64]:
     between = joints[:-1] + fraction * (joints[1:] - joints[:-1])
     placed = np.empty((len(between), 8, 4, 4))
     for one, q in zip(placed, between, strict=True):
-        forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, q, one)
+        forward_kinematics(arm.chain[0], q, one)
     return placed
 
 
@@ -128,11 +128,11 @@ def test_the_hand_distance_between_ticks_is_within_the_bounds(two_hands: Trace, 
     hand, elbow = (end[:-1] + fraction * (end[1:] - end[:-1]) for end in ends)
     between = np.empty(len(two_hands.ticks) - 1)
     for k, transforms in enumerate(poses(two_hands, fraction)):
-        place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+        place_capsules(capsules.records, transforms, placed)
         between[k] = min(
             hand_distance(
+                capsules.records,
                 placed,
-                capsules.radius_m,
                 hand[k, i],
                 elbow[k, i],
                 settings.hand.radius_m,

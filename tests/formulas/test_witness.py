@@ -18,8 +18,7 @@ from safety_harness.formulas.formula import (
     Truth,
     Until,
 )
-from safety_harness.formulas.quantities import mm, ms
-from safety_harness.formulas.span import Span
+from safety_harness.formulas.quantities import Span, mm, ms
 from safety_harness.formulas.witness import Witness, witness
 
 ABOVE_0 = Comparison(X, Relation.ABOVE, mm(0))

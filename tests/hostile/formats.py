@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.campaign.ledger import Ledger
@@ -31,9 +31,8 @@ from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
 from safety_harness.certification.searched import FINDINGS, read_findings
 from safety_harness.certification.tool_files import read_oracles, read_selftest
-from safety_harness.learning.dataset import generate
+from safety_harness.learning.dataset import generate, unseen_both
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
-from safety_harness.learning.spaces import unseen_both
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.read import read_scenario
 from safety_harness.selftest.document import document

@@ -12,11 +12,10 @@ import pytest
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Calibration, Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.learning.calibration import COVERAGE_LEVEL, SPREAD_LEVEL, calibrate, interval_scale
-from safety_harness.learning.dataset import CompactDataset, generate
+from safety_harness.learning.dataset import CompactDataset, generate, seen
 from safety_harness.learning.manifest import data_hash
 from safety_harness.learning.recipes import recipe_named
-from safety_harness.learning.spaces import seen
+from safety_harness.learning.trained_model import COVERAGE_LEVEL, SPREAD_LEVEL, calibrate, interval_scale
 from safety_harness.settings import DEFAULTS
 
 N = 10_000
@@ -83,7 +82,7 @@ def test_calibration_uses_no_tcp_that_was_trained_on(
         drawn.append(generate(*args, **options))  # type: ignore[arg-type]
         return drawn[-1]
 
-    monkeypatch.setattr("safety_harness.learning.calibration.generate", watched)
+    monkeypatch.setattr("safety_harness.learning.trained_model.generate", watched)
     calibrate(replace(shipped, calibration=None), recipe_named("mc-dropout"), paper, seed=0, samples=500)
     tcps = np.concatenate([one.tcp_in_base for one in drawn] + [paper.tcp_in_base])
     assert len(np.unique(tcps, axis=0)) == len(tcps) == 2 * 500 + 10_000

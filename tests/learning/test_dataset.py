@@ -15,9 +15,10 @@ from safety_harness.learning.dataset import (
     candidates_of,
     generate,
     label_floor,
+    seen,
+    unseen_tcp,
 )
 from safety_harness.learning.image_error import ImageErrors
-from safety_harness.learning.spaces import seen, unseen_tcp
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.settings import DEFAULTS, ImageSource, ObjectKind, Settings
 from safety_harness.simulation.cameras import object_polygon_in_base, sensors

@@ -15,29 +15,25 @@ from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Calibration, Dropout, Model, load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.exceptions import ModelError, Place
-from safety_harness.learning import calibration, metrics
-from safety_harness.learning.dataset import generate
+from safety_harness.learning import metrics, trained_model
+from safety_harness.learning.dataset import SPACES, generate, seen, split_by_sample, split_by_tcp
 from safety_harness.learning.evaluation import (
+    BRANCH,
     LEVELS,
     RESIDUALS,
-    Figures,
-    evaluate_model,
-    has_spread,
-    reachable,
-)
-from safety_harness.learning.evaluation_sets import (
-    BRANCH,
     DataCard,
     EvaluationSet,
+    Figures,
+    evaluate_model,
     fresh_sets,
+    has_spread,
     leaf,
+    reachable,
 )
-from safety_harness.learning.evaluation_sets import (
+from safety_harness.learning.evaluation import (
     test_part as make_test_part,
 )
 from safety_harness.learning.manifest import data_hash
-from safety_harness.learning.spaces import SPACES, seen
-from safety_harness.learning.splits import split_by_sample, split_by_tcp
 from safety_harness.settings import DEFAULTS
 
 SAMPLES = 400
@@ -108,10 +104,10 @@ def test_sets_follow_the_seed_and_differ_from_those_of_a_calibration(sets: list[
     for one, same, different in zip(sets, again, other, strict=True):
         assert np.array_equal(one.tcps_in_base[:30], same.tcps_in_base)
         assert not np.isin(different.tcps_in_base, one.tcps_in_base).any()
-    assert BRANCH != calibration.BRANCH
+    assert BRANCH != trained_model.BRANCH
     ours = {leaf(seed, k) for seed in range(20) for k in range(5)}
     theirs = {
-        int(np.random.SeedSequence(seed, spawn_key=(calibration.BRANCH, k)).generate_state(1, np.uint64)[0])
+        int(np.random.SeedSequence(seed, spawn_key=(trained_model.BRANCH, k)).generate_state(1, np.uint64)[0])
         for seed in range(20)
         for k in range(5)
     }

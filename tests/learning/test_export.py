@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
-import subprocess
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,7 +22,7 @@ from safety_harness.avoidance.model_file import KEY, Calibration, Dropout, Model
 from safety_harness.avoidance.onnx_model import OnnxAvoider, open_session
 from safety_harness.exceptions import AvoiderError, ModelError, OutputError
 from safety_harness.learning import export as module
-from safety_harness.learning.export import Format, WholeFunction, difference, drawn_masks, write_export
+from safety_harness.learning.export import WholeFunction, difference, drawn_masks, write_export
 
 ROOT = Path(__file__).parents[2]
 SOURCE = b"the bytes of a model file"
@@ -40,8 +38,8 @@ KINDS = {
 
 
 class Exports(NamedTuple):
-    files: dict[tuple[str, Format], Path]
-    differences_m: dict[tuple[str, Format], float]
+    files: dict[str, Path]
+    differences_m: dict[str, float]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -58,27 +56,22 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> Exports:
     folder = tmp_path_factory.mktemp("exports")
     made = Exports({}, {})
     for kind, model in KINDS.items():
-        for format in Format:
-            file = folder / "made" / (kind + format.suffix)
-            made.differences_m[kind, format] = write_export(model, SOURCE, file, format, seed=0)
-            made.files[kind, format] = file
+        file = folder / "made" / f"{kind}.onnx"
+        made.differences_m[kind] = write_export(model, SOURCE, file, seed=0)
+        made.files[kind] = file
     return made
 
 
-@pytest.mark.parametrize("format", list(Format))
 @pytest.mark.parametrize("kind", list(KINDS))
-def test_an_export_is_the_original_to_a_thousandth_of_a_millimetre(
-    exports: Exports, kind: str, format: Format
-) -> None:
-    assert 0.0 < exports.differences_m[kind, format] < 1e-6
-    load = {Format.ONNX: module._load_onnx, Format.TORCHSCRIPT: module._load_torchscript}[format]
-    assert difference(KINDS[kind], load(exports.files[kind, format]), seed=11) < 1e-6
+def test_an_export_is_the_original_to_a_thousandth_of_a_millimetre(exports: Exports, kind: str) -> None:
+    assert 0.0 < exports.differences_m[kind] < 1e-6
+    assert difference(KINDS[kind], module.load_onnx(exports.files[kind]), seed=11) < 1e-6
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports, kind: str) -> None:
     learned = LearnedAvoider.of(KINDS[kind])
-    file = exports.files[kind, Format.ONNX]
+    file = exports.files[kind]
     hands, tcps, seeds = random_inputs(20, seed=5)
     avoider = OnnxAvoider.of(file, file.read_bytes(), hand=hands[0], tcp=tcps[0])
     assert avoider.spread_threshold_m == learned.spread_threshold_m
@@ -101,7 +94,7 @@ def test_an_exported_avoider_proposes_what_the_learned_one_does(exports: Exports
 def test_masks_matter_and_are_those_of_each_row_s_own_seed(exports: Exports) -> None:
     model = KINDS["inter"]
     hands, tcps, seeds = random_inputs(6, seed=6)
-    function = module._load_onnx(exports.files["inter", Format.ONNX])
+    function = module.load_onnx(exports.files["inter"])
     positions, _ = function(hands, tcps, drawn_masks(model, seeds))
     others, _ = function(hands, tcps, drawn_masks(model, seeds[::-1].copy()))
     assert np.abs(positions - others).max() > 1e-4
@@ -109,7 +102,7 @@ def test_masks_matter_and_are_those_of_each_row_s_own_seed(exports: Exports) -> 
 
 
 def test_an_onnx_file_holds_the_model_s_metadata_and_no_path_of_this_machine(exports: Exports) -> None:
-    file = exports.files["inter", Format.ONNX]
+    file = exports.files["inter"]
     session = open_session(file, file.read_bytes())
     about = json.loads(session.get_modelmeta().custom_metadata_map[KEY])
     assert about["source_sha256"] == hashlib.sha256(SOURCE).hexdigest()
@@ -125,21 +118,21 @@ def test_an_onnx_file_holds_the_model_s_metadata_and_no_path_of_this_machine(exp
 
 def test_exporting_twice_gives_the_same_onnx_file(exports: Exports, tmp_path: Path) -> None:
     again = tmp_path / "again.onnx"
-    write_export(KINDS["deterministic"], SOURCE, again, Format.ONNX, seed=1)
-    assert again.read_bytes() == exports.files["deterministic", Format.ONNX].read_bytes()
+    write_export(KINDS["deterministic"], SOURCE, again, seed=1)
+    assert again.read_bytes() == exports.files["deterministic"].read_bytes()
 
 
 def test_an_export_that_answers_otherwise_is_refused_and_the_file_before_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = random_model(Dropout.NONE, seed=77)
-    write = module._torchscript_bytes
-    monkeypatch.setattr(module, "_torchscript_bytes", lambda model, about: write(other, about))
-    file = tmp_path / "model.pt"
+    write = module._onnx_bytes
+    monkeypatch.setattr(module, "_onnx_bytes", lambda model, about: write(other, about))
+    file = tmp_path / "model.onnx"
     file.write_text("before")
     with pytest.raises(ModelError, match=r"the original's answers to 0\.001 mm; got a difference of"):
-        write_export(KINDS["deterministic"], SOURCE, file, Format.TORCHSCRIPT, seed=0)
-    assert [path.name for path in tmp_path.iterdir()] == ["model.pt"]
+        write_export(KINDS["deterministic"], SOURCE, file, seed=0)
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
     assert file.read_text() == "before"
 
 
@@ -170,54 +163,13 @@ def test_the_trial_sees_a_swallowed_nan_a_lost_row_and_a_shift_of_a_hundredth_of
 def test_a_place_that_cannot_be_written_or_has_another_ending_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="can be written"):
-        write_export(KINDS["deterministic"], SOURCE, tmp_path / "file" / "m.pt", Format.TORCHSCRIPT, seed=0)
+        write_export(KINDS["deterministic"], SOURCE, tmp_path / "file" / "m.onnx", seed=0)
     with pytest.raises(OutputError, match=r"ends in \.onnx; got 'm\.pt'"):
-        write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.pt", Format.ONNX, seed=0)
+        write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.pt", seed=0)
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
 def test_exporting_leaves_warnings_as_they_were(tmp_path: Path) -> None:
     before = list(warnings.filters)
-    write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.pt", Format.TORCHSCRIPT, seed=0)
+    write_export(KINDS["deterministic"], SOURCE, tmp_path / "m.onnx", seed=0)
     assert warnings.filters == before
-
-
-@pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """examples/cpp/predict.cpp, built as its own comment says."""
-    if shutil.which("g++") is None:
-        pytest.skip("no g++ to build the C++ example with")
-    made = tmp_path_factory.mktemp("cpp") / "predict"
-    source = ROOT / "examples/cpp/predict.cpp"
-    about, _, _ = source.read_text().partition("*/")
-    command = about.partition("g++")[2].replace("\\", "").split()
-    torch_folder = torch.__path__[0]
-    options = [word.replace("$T", torch_folder) for word in command]
-    options[options.index("predict.cpp")] = str(source)
-    options[options.index("predict")] = str(made)
-    subprocess.run(["g++", *options, "-Wall", "-Werror"], check=True)
-    return made
-
-
-@pytest.mark.parametrize(("kind", "seed"), [("inter", 2**64 - 1), ("full", 7), ("ensemble", None)])
-def test_the_c_plus_plus_program_predicts_what_python_does(
-    exports: Exports, program: Path, kind: str, seed: int | None
-) -> None:
-    hand, tcp = (0.84, -0.35, 0.10), (0.70, 0.00, 0.35)
-    words = [str(exports.files[kind, Format.TORCHSCRIPT]), *map(repr, hand + tcp)]
-    words += [] if seed is None else [str(seed)]
-    run = subprocess.run([program, *words], check=True, capture_output=True, text=True)
-    printed = {line.split()[0]: [float(x) for x in line.split()[1:]] for line in run.stdout.splitlines()}
-    expected = LearnedAvoider.of(KINDS[kind]).propose(
-        hand_position_in_base_m=np.array(hand), tcp_position_in_base_m=np.array(tcp), seed=seed or 0
-    )
-    assert printed["position_in_base_m"] == pytest.approx(expected.position_in_base_m, abs=1e-6)
-    assert printed["spread_m"] == pytest.approx(expected.spread_m, abs=1e-6)
-    assert expected.spread_m.min() > 1e-4  # or the masks would not have been tried
-
-
-def test_the_c_plus_plus_program_explains_what_it_cannot_do(program: Path, tmp_path: Path) -> None:
-    for words, said in (([], "usage"), ([str(tmp_path / "none.pt"), *"123456"], "none.pt")):
-        run = subprocess.run([program, *words], capture_output=True, text=True)
-        assert run.returncode == 2
-        assert said in run.stderr

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import DatasetError, OutputError
-from safety_harness.learning.dataset import CompactDataset, generate
+from safety_harness.learning.dataset import CompactDataset, generate, seen, unseen_both
 from safety_harness.learning.manifest import (
     ARRAYS,
     MANIFEST,
@@ -20,7 +20,6 @@ from safety_harness.learning.manifest import (
     manifest_of,
     save_dataset,
 )
-from safety_harness.learning.spaces import seen, unseen_both
 from safety_harness.settings import DEFAULTS, ObjectKind
 
 SETTINGS = replace(
@@ -199,7 +198,7 @@ def test_another_format_is_refused(folder: Path) -> None:
     with pytest.raises(DatasetError, match="'safety-harness dataset 1'"):
         load_dataset(folder)
     (folder / MANIFEST).write_text("[]")
-    with pytest.raises(DatasetError, match="no object"):
+    with pytest.raises(DatasetError, match="got list"):
         load_dataset(folder)
 
 

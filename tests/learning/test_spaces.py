@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import DatasetError
-from safety_harness.learning.spaces import (
+from safety_harness.learning.dataset import (
     SPACES,
     Space,
     seen,

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import DatasetError
-from safety_harness.learning.dataset import CompactDataset, generate
-from safety_harness.learning.spaces import seen
-from safety_harness.learning.splits import Split, split_by_sample, split_by_tcp
+from safety_harness.learning.dataset import (
+    CompactDataset,
+    Split,
+    generate,
+    seen,
+    split_by_sample,
+    split_by_tcp,
+)
 from safety_harness.settings import DEFAULTS
 
 DATASET = generate(DEFAULTS, seen(DEFAULTS), seed=1, tcps=100, candidates=5, hands=30)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from examples import ConstantSpeed, run, scenario
 
-from safety_harness.properties.accelerations import (
+from safety_harness.properties.base import Property
+from safety_harness.properties.limits import (
     JointAccelerations,
     TcpAcceleration,
 )
-from safety_harness.properties.base import Property
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.model import Verdict
@@ -32,7 +32,7 @@ def jumping(at: int, joint: int) -> Trace:
 
 def tcp_m(joints_rad: np.ndarray) -> np.ndarray:
     arm, links = load_arm(), np.empty((8, 4, 4))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints_rad, links)
+    forward_kinematics(arm.chain[0], joints_rad, links)
     return links[7, :3, 3].copy()
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safety_harness.admission.claims import property_of
-from safety_harness.properties.alternation import GivesWayAtMost, gives_way_at
+from safety_harness.properties.reaction import GivesWayAtMost, gives_way_at
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.trace.records import Mode

@@ -10,10 +10,9 @@ from broken import STAYS, passing, proposes_below_the_table
 from examples import Displaced, run, scenario
 
 from safety_harness.geometry.segments import point_segment_distance
-from safety_harness.properties.clear_ways import ClearWays, executed, planned
-from safety_harness.properties.clearance import above_polygon, clearances_m
+from safety_harness.properties.clear_ways import ClearWays, above_polygon, clearances_m, executed, planned
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.true_motion import joint_reach_m
+from safety_harness.properties.true_motion import arm_of
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules
@@ -63,8 +62,8 @@ def test_clearances_are_those_of_points_sampled_on_the_capsules(visit: Trace) ->
     arm, capsules = load_arm("ur10"), cell_capsules(load_capsules(), DEFAULTS)
     joints = visit.ticks["joint_position_rad"][:1]
     transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints[0], transforms)
-    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+    forward_kinematics(arm.chain[0], joints[0], transforms)
+    place_capsules(capsules.records, transforms, placed)
     points = placed[:, 0, None] + np.linspace(0, 1, 200)[:, None] * (placed[:, 1] - placed[:, 0])[:, None]
     radius, link = capsules.radius_m, capsules.link_index
     lowest = (points[..., 2].min(axis=1) - radius)[link >= 3].min()
@@ -94,7 +93,7 @@ def test_what_is_between_samples_is_bounded_from_below(which: int, visit: Trace)
     decisions = thin.decisions.copy()
     decisions["tick"] = -(-decisions["tick"] // 4)
     first = 4 * int(decisions["tick"][-1])
-    reach_m, last = joint_reach_m(visit), len(decisions) - 1
+    reach_m, last = arm_of(visit).reach_m, len(decisions) - 1
     bound = executed(replace(thin, decisions=decisions), last, reach_m).least_m[which]
     true = clearances_m(visit, visit.ticks["joint_position_rad"])[first : last_tick(visit, last) + 1, which]
     assert true.min() - 0.03 < bound <= true.min()
@@ -119,8 +118,8 @@ def test_a_plan_into_the_table_is_violated_before_the_arm_gets_there(visit: Trac
     decisions["chosen_position_in_base_m"] = visit.ticks["transform_tcp_to_base"][decisions["tick"], :3, 3]
     decisions["chosen_position_in_base_m"][:, 2] = -0.29
     plan = replace(visit, decisions=decisions)
-    assert planned(plan, 0, joint_reach_m(plan)).least_m[0] < 0.0
-    assert executed(plan, 0, joint_reach_m(plan)).least_m[0] > 0.0
+    assert planned(plan, 0, arm_of(plan).reach_m).least_m[0] < 0.0
+    assert executed(plan, 0, arm_of(plan).reach_m).least_m[0] > 0.0
     assert PROP.evaluate(plan).verdict is Verdict.VIOLATED
 
 

@@ -10,8 +10,8 @@ import pytest
 from examples import hand, scenario
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.kinematic import run_kinematic
-from safety_harness.properties.decision_time import DecisionTime
+from safety_harness.admission.trial import run_kinematic
+from safety_harness.properties.answered import DecisionTime
 from safety_harness.scenario.faults import AvoiderFault, AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import MoveTo, Wait

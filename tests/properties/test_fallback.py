@@ -20,9 +20,12 @@ from broken import (
 from examples import VISIT, AnswersNothing, Displaced, StoppingGate, run, scenario
 
 from safety_harness.properties.base import Property
-from safety_harness.properties.fallback import CertainIsUsed, UncertainFallsBack
-from safety_harness.properties.fallback_poses import FallbackPoses
-from safety_harness.properties.stopping import StopsWhereNothingIsReachable
+from safety_harness.properties.fallback import (
+    CertainIsUsed,
+    FallbackPoses,
+    StopsWhereNothingIsReachable,
+    UncertainFallsBack,
+)
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace

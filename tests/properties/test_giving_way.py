@@ -11,8 +11,7 @@ from examples import VISIT, Displaced, PassingGate, hand, run, scenario
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.properties.giving_way import MovesAway, last_tick
-from safety_harness.properties.reference import progress
+from safety_harness.properties.giving_way import MovesAway, last_tick, progress
 from safety_harness.scenario.model import MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind, Settings

@@ -11,7 +11,7 @@ from examples import ConstantSpeed, hand, run, scenario
 
 from safety_harness import admit, read_scenario, run_trial
 from safety_harness.properties.hand_distance import HandDistance, closest_approach, joint_bend_m
-from safety_harness.properties.hand_paths import first_stray, hand_bend_m, hand_paths
+from safety_harness.properties.true_motion import first_stray, hand_bend_m, hand_paths
 from safety_harness.scenario.model import HandTrajectory, JoinedHand, MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Tremor, Wait, Wander, Withdraw
 from safety_harness.settings import DEFAULTS

@@ -9,8 +9,7 @@ import pytest
 from examples import ConstantSpeed, run, scenario
 
 from safety_harness.admission.claims import property_of
-from safety_harness.properties.iterations import GainSwitchIterations
-from safety_harness.properties.servoing import GainSwitchReached
+from safety_harness.properties.servoing import GainSwitchIterations, GainSwitchReached
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.trace import Trace
 

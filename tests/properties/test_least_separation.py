@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.least_separation import farthest_steps, least_separation
-from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import ProtectiveSeparation, farthest_steps, least_separation
 from safety_harness.properties.true_motion import true_motion
-from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.capsules import Arm, load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import chain_lengths
 from safety_harness.scenario.moves import ReachForTcp, Sweep
@@ -45,9 +44,7 @@ def search(two_hands: Trace) -> Search:
     """``least_separation`` of chosen ticks and capsules."""
     arm, capsules, true = load_arm("ur10"), load_capsules(), true_motion(two_hands)
     n = len(two_hands.ticks)
-    reach_m = chain_lengths(
-        arm.joint_origins, arm.flange, capsules.link_index, capsules.start_in_link, capsules.end_in_link
-    )
+    reach_m = chain_lengths(arm.chain, capsules.records)
     steps_m = farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m)
 
     def found(
@@ -56,13 +53,7 @@ def search(two_hands: Trace) -> Search:
         judged = np.zeros(n, np.bool_)
         judged[ticks] = True
         which, what = least_separation(
-            arm.joint_origins,
-            arm.joint_axes,
-            arm.flange,
-            capsules.link_index[some].copy(),
-            capsules.start_in_link[some].copy(),
-            capsules.end_in_link[some].copy(),
-            capsules.radius_m[some].copy(),
+            Arm(arm.chain, capsules.records[some], reach_m),
             judged,
             true.joints_rad,
             true.rates_radps,
@@ -74,7 +65,6 @@ def search(two_hands: Trace) -> Search:
             hand_speed_mps,
             0.008,
             *steps_m,
-            reach_m,
             first_look,
         )
         return which.tolist(), what.tolist()

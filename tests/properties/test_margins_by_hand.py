@@ -10,29 +10,26 @@ import pytest
 from examples import VISIT, run, scenario
 
 from safety_harness.avoidance.gate import REACH_MARGIN_M
-from safety_harness.properties.accelerations import TcpAcceleration
-from safety_harness.properties.fallback_poses import FallbackPoses
+from safety_harness.properties.fallback import FallbackPoses
 from safety_harness.properties.finite import FiniteTrace, bad_decisions
 from safety_harness.properties.hand_distance import instants
-from safety_harness.properties.hand_paths import hand_bend_m, hand_paths
 from safety_harness.properties.hand_prediction import HandPredictions
-from safety_harness.properties.iterations import GainSwitchIterations
-from safety_harness.properties.positions import opposite_position, spare_m
-from safety_harness.properties.protective_separation import ProtectiveSeparation
-from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
-from safety_harness.properties.separation import separation_terms
-from safety_harness.properties.servoing import Converged, GainSwitchReached
+from safety_harness.properties.limits import TcpAcceleration
+from safety_harness.properties.positions import RepulsivePosesReachable, opposite_position, spare_m
+from safety_harness.properties.separation import ProtectiveSeparation, separation_terms
+from safety_harness.properties.servoing import Converged, GainSwitchIterations, GainSwitchReached
 from safety_harness.properties.spread_calibration import (
     IntervalRule,
     SpreadCalibration,
     Target,
     target_in_base_m,
 )
+from safety_harness.properties.true_motion import hand_bend_m, hand_paths
 from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Tremor
 from safety_harness.settings import DEFAULTS
-from safety_harness.trace.old_decisions import _asked
+from safety_harness.trace.old_decisions import DECISION_3, as_now
 from safety_harness.trace.trace import Trace
 
 RADIUS_M = DEFAULTS.avoidance.radius_m
@@ -76,10 +73,9 @@ def test_a_late_answer_is_waited_for_from_its_own_question_on(visit: Trace) -> N
     ticks = visit.ticks.copy()
     ticks["faults"] = 0
     ticks["faults"][:10] = 1
-    decisions = np.concatenate([visit.decisions[:1]] * 3)
+    decisions = np.zeros(3, DECISION_3)
     decisions["tick"] = [5, 9, 20]
-    asked = _asked(decisions["tick"], ticks["faults"], faults)
-    assert (decisions["tick"] - asked).tolist() == [5, 3, 0]
+    assert (decisions["tick"] - as_now(decisions, ticks, faults)["asked_tick"]).tolist() == [5, 3, 0]
 
 
 def test_a_fallback_that_is_nowhere_is_a_radius_short_of_every_hand(visit: Trace) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safety_harness.properties.object_view import ObjectInView
+from safety_harness.properties.servoing import ObjectInView
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
 

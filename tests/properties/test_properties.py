@@ -10,21 +10,29 @@ from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHan
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.properties.accelerations import JointAccelerations, TcpAcceleration
-from safety_harness.properties.alternation import GivesWayAtMost
+from safety_harness.properties.answered import DecisionTime
 from safety_harness.properties.base import Property, judged
-from safety_harness.properties.decision_time import DecisionTime
 from safety_harness.properties.finite import FiniteTrace
 from safety_harness.properties.giving_way import MovesAway
 from safety_harness.properties.hand_distance import HandDistance, closest_approach
-from safety_harness.properties.hand_paths import hand_paths
 from safety_harness.properties.hand_prediction import HandPredictions
-from safety_harness.properties.iterations import GainSwitchIterations
-from safety_harness.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
-from safety_harness.properties.object_view import ObjectInView
-from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
-from safety_harness.properties.servoing import Converged, GainSwitchReached
-from safety_harness.properties.starvation import NeverStarved
+from safety_harness.properties.limits import (
+    JointAccelerations,
+    JointLimits,
+    JointSpeedLimits,
+    TcpAcceleration,
+    TcpSpeedLimit,
+)
+from safety_harness.properties.positions import RepulsivePosesReachable
+from safety_harness.properties.reaction import GivesWayAtMost
+from safety_harness.properties.servoing import (
+    Converged,
+    GainSwitchIterations,
+    GainSwitchReached,
+    NeverStarved,
+    ObjectInView,
+)
+from safety_harness.properties.true_motion import hand_paths
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.settings import DEFAULTS, GateKind

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.protective_separation import ProtectiveSeparation, times_left_s
-from safety_harness.properties.separation import separation_terms
+from safety_harness.properties.separation import ProtectiveSeparation, separation_terms, times_left_s
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
@@ -44,9 +43,9 @@ def distance_m(trace: Trace, joints: np.ndarray, hand_m: np.ndarray, elbow_m: np
     arm = load_arm("ur10")
     capsules = cell_capsules(load_capsules(), DEFAULTS)
     transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints, transforms)
-    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
-    return hand_distance(placed[k : k + 1], capsules.radius_m[k : k + 1], hand_m, elbow_m, 0.060, 0.045)[0]
+    forward_kinematics(arm.chain[0], joints, transforms)
+    place_capsules(capsules.records, transforms, placed)
+    return hand_distance(capsules.records[k : k + 1], placed[k : k + 1], hand_m, elbow_m, 0.060, 0.045)[0]
 
 
 @pytest.mark.parametrize("prop", [CONSTANT, OWN], ids=lambda p: p.sentence)

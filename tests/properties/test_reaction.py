@@ -9,8 +9,14 @@ import pytest
 from broken import minds_hands_within, sees_no_hand
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.false_alarms import NoFalseAlarms, beginnings
-from safety_harness.properties.reaction import GivesWay, GivesWayToTrueHand, gives_way, predicted_near
+from safety_harness.properties.reaction import (
+    GivesWay,
+    GivesWayToTrueHand,
+    NoFalseAlarms,
+    beginnings,
+    gives_way,
+    predicted_near,
+)
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.model import Verdict

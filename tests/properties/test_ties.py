@@ -13,10 +13,8 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.language import elapsed_time, eventually, initially, s
 from safety_harness.properties.base import Property, time_left_s
-from safety_harness.properties.object_view import ObjectInView
 from safety_harness.properties.reaction import GivesWay, GivesWayToTrueHand
-from safety_harness.properties.servoing import GainSwitchReached
-from safety_harness.properties.starvation import NeverStarved
+from safety_harness.properties.servoing import GainSwitchReached, NeverStarved, ObjectInView
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DECISION, Mode
 from safety_harness.trace.trace import Trace

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -75,17 +79,54 @@ def test_is_slow(scenario, simulate):
 Run = Callable[..., pytest.RunResult]
 
 
+@pytest.fixture(scope="session")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
+    """See ``template.py``; it stands for all sessions that need no fresh process."""
+    scenario = tmp_path_factory.mktemp("template") / "fast.yaml"
+    scenario.write_text(
+        HEAD.format(title="scenario: a fast reach", speed="2 m/s") + CLAIMS.format(distance="holds")
+    )
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "SAFETY_HARNESS_CACHE": str(CACHE),
+    }
+    command = [sys.executable, str(Path(__file__).parent / "template.py"), str(scenario)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment, cwd=ROOT) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+
+
 @pytest.fixture
-def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Pytest with the plug-in, whether it is installed or not."""
+def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Run:
+    """Pytest with the plug-in, whether it is installed or not, in a process of its own.
+
+    ``fresh`` starts that process from nothing, as a user does.
+    """
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
     pytester.makeini("[pytest]\nfilterwarnings = error\n")
     installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
+    outputs = [str(pytester.path.parent / f"{pytester.path.name}.{name}") for name in ("out", "err")]
 
-    def run_pytest(*args: str) -> pytest.RunResult:
-        given = () if installed else ("-p", PLUGIN)
-        return pytester.runpytest_subprocess(*given, "-p", "no:randomly", *args)
+    def run_pytest(*args: str, fresh: bool = False) -> pytest.RunResult:
+        given = (*(() if installed else ("-p", PLUGIN)), "-p", "no:randomly", *args)
+        if fresh:
+            return pytester.runpytest_subprocess(*given)
+        started = time.monotonic()
+        asked = {"args": given, "folder": str(pytester.path), "environment": dict(os.environ)}
+        process = request.getfixturevalue("template")
+        print(
+            json.dumps(asked | dict(zip(("out", "err"), outputs, strict=True))),
+            file=process.stdin,
+            flush=True,
+        )
+        code = int(process.stdout.readline())
+        out, err = (Path(path).read_text() for path in outputs)
+        sys.stdout.write(out)
+        sys.stderr.write(err)
+        return pytest.RunResult(code, out.splitlines(), err.splitlines(), time.monotonic() - started)
 
     return run_pytest
 

@@ -173,7 +173,7 @@ def test_a_project_without_scenarios_is_left_alone(run, pytester: pytest.Pyteste
         "    ours = {name for name in sys.modules if name.startswith('safety_harness.')}\n"
         "    assert not any('properties' in name or 'simulation' in name for name in ours)\n"
     )
-    result = run()
+    result = run(fresh=True)
     result.assert_outcomes(passed=1)
     result.stdout.no_fnmatch_line("*safety claims*")
 

@@ -214,7 +214,7 @@ def test_a_trace_of_hardly_any_ticks_can_be_drawn(ticks: int) -> None:
     source = factory.scenario(claims=())
     run = factory.JudgedRun(factory.trace(source, ticks=ticks, ended="stopped"), (), "again")
     assert "ended: stopped" in text_of(timeline(run, prefix="t-"))
-    assert path_views(run, prefix="p-").side_close
+    assert path_views(run, prefix="p-")[3]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -233,4 +233,4 @@ def test_a_trace_full_of_nothing_finite_can_be_drawn(value: float) -> None:
     )
     broken = factory.JudgedRun(trace, run.evaluations, "again")
     assert "True hand to robot, surface to surface, mm" in text_of(timeline(broken, prefix="t-"))
-    assert path_views(broken, prefix="p-").top
+    assert path_views(broken, prefix="p-")[0]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safety_harness.properties.base import Unit
-from safety_harness.properties.repulsive_pose import BEYOND_M, RepulsivePosesReachable
+from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,

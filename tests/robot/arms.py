@@ -17,7 +17,7 @@ ARMS = ["ur10", "ur5", "ur3"]
 def transforms_of(arm: ArmModel, joints: np.ndarray) -> np.ndarray:
     """All eight link-to-base transforms (8, 4, 4)."""
     transforms = np.full((8, 4, 4), np.nan)
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, joints, transforms)
+    forward_kinematics(arm.chain[0], joints, transforms)
     return transforms
 
 
@@ -48,13 +48,7 @@ class BulletArm:
             pybullet.resetJointState(self.body, index, angle, physicsClientId=self.client)
 
     def transform(self, link: str) -> np.ndarray:
-        state = pybullet.getLinkState(
-            self.body, self.index_of_link[link], computeForwardKinematics=True, physicsClientId=self.client
-        )
-        transform = np.eye(4)
-        transform[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
-        transform[:3, 3] = state[4]
-        return transform
+        return pose_of_link(self.body, self.index_of_link[link], self.client)
 
     def jacobian(self, joints: np.ndarray, link: str) -> np.ndarray:
         index = self.index_of_link[link]
@@ -64,6 +58,28 @@ class BulletArm:
             self.body, index, np.negative(offset).tolist(), joints.tolist(), zero, zero, self.client
         )
         return np.vstack((linear, angular))
+
+
+def pose_of_link(body: int, index: int, client: int) -> np.ndarray:
+    """(4, 4) link to base."""
+    state = pybullet.getLinkState(body, index, computeForwardKinematics=True, physicsClientId=client)
+    transform = np.eye(4)
+    transform[:3, :3] = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
+    transform[:3, 3] = state[4]
+    return transform
+
+
+def pose_in_the_engine(link: str) -> np.ndarray:
+    """(4, 4) of a link of that name in the one engine that runs in this process."""
+    (found,) = [
+        (body, index, client)
+        for client in range(32)
+        if pybullet.isConnected(client)
+        for body in range(pybullet.getNumBodies(client))
+        for index in range(pybullet.getNumJoints(body, client))
+        if pybullet.getJointInfo(body, index, client)[12].decode() == link
+    ]
+    return pose_of_link(*found)
 
 
 @contextmanager

@@ -5,8 +5,8 @@ import trimesh
 from arms import random_joints, transforms_of
 from disagreement import noted
 
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.closest_approach import closest_approach_between
+from safety_harness.robot.capsules import arm_with, load_capsules
+from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.description import load_arm, mesh_paths
 from safety_harness.robot.distance import hand_distance, place_capsules
 
@@ -18,18 +18,12 @@ TOLERANCE_M = 1e-4
 
 def placed_at(joints: np.ndarray) -> np.ndarray:
     placed = np.full((len(CAPSULES.names), 2, 3), np.nan)
-    place_capsules(
-        transforms_of(ARM, joints),
-        CAPSULES.link_index,
-        CAPSULES.start_in_link,
-        CAPSULES.end_in_link,
-        placed,
-    )
+    place_capsules(CAPSULES.records, transforms_of(ARM, joints), placed)
     return placed
 
 
 def distance_at(joints: np.ndarray, hand: np.ndarray, elbow: np.ndarray) -> tuple[float, int]:
-    return hand_distance(placed_at(joints), CAPSULES.radius_m, hand, elbow, HAND_RADIUS_M, FOREARM_RADIUS_M)
+    return hand_distance(CAPSULES.records, placed_at(joints), hand, elbow, HAND_RADIUS_M, FOREARM_RADIUS_M)
 
 
 def random_hands(count: int, seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -109,23 +103,23 @@ def test_the_distance_is_never_longer_than_to_the_meshes() -> None:
     assert np.median(gaps) < 0.05  # and yet close: the capsules are no balloons
 
 
-def closest(q: np.ndarray, hand: np.ndarray, elbow: np.ndarray, *more: float) -> tuple[float, float]:
+def closest(
+    q: np.ndarray, hand: np.ndarray, elbow: np.ndarray, tolerance_m: float, not_below_m: float = np.inf
+) -> tuple[float, float]:
     """``closest_approach_between`` with pairs (before, after)."""
-    return closest_approach_between(
-        ARM.joint_origins,
-        ARM.joint_axes,
-        ARM.flange,
-        CAPSULES.link_index,
-        CAPSULES.start_in_link,
-        CAPSULES.end_in_link,
-        CAPSULES.radius_m,
+    room = np.empty((MAX_BISECTIONS + 1, len(CAPSULES.names), 2, 3))
+    bound, t, _ = closest_approach_between(
+        arm_with(ARM, CAPSULES),
+        room,
         *q,
         *hand,
         *elbow,
         HAND_RADIUS_M,
         FOREARM_RADIUS_M,
-        *more,
+        tolerance_m,
+        not_below_m,
     )
+    return bound, t
 
 
 def random_motion(rng: np.random.Generator, size: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.inverse import InverseKinematics, straight_way
 from safety_harness.robot.kinematics import forward_kinematics
-from safety_harness.robot.straight_way import straight_way
 from safety_harness.settings import DEFAULTS
 
 ARM = load_arm("ur10")
@@ -16,7 +15,7 @@ START = np.array(DEFAULTS.cell.preferred_joint_position_rad)
 
 def pose(joints: np.ndarray) -> np.ndarray:
     transforms = np.empty((8, 4, 4))
-    forward_kinematics(ARM.joint_origins, ARM.joint_axes, ARM.flange, joints, transforms)
+    forward_kinematics(ARM.chain[0], joints, transforms)
     return transforms[7]
 
 

@@ -5,8 +5,7 @@ import pytest
 
 from safety_harness.geometry.linear import invert
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
-from safety_harness.robot.velocity import joint_velocity
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, joint_velocity
 
 ARM = load_arm("ur10")
 LEAST = 0.02
@@ -14,7 +13,7 @@ LEAST = 0.02
 
 def jacobian_at(joints: np.ndarray) -> np.ndarray:
     transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
-    forward_kinematics(ARM.joint_origins, ARM.joint_axes, ARM.flange, joints, transforms)
+    forward_kinematics(ARM.chain[0], joints, transforms)
     geometric_jacobian(ARM.joint_axes, transforms, jacobian)
     return jacobian
 
@@ -51,9 +50,7 @@ def test_the_joints_really_carry_the_tcp_so() -> None:
     poses = []
     for sign in (-1.0, 1.0):
         transforms = np.empty((8, 4, 4))
-        forward_kinematics(
-            ARM.joint_origins, ARM.joint_axes, ARM.flange, joints + sign * step * rates, transforms
-        )
+        forward_kinematics(ARM.chain[0], joints + sign * step * rates, transforms)
         poses.append(transforms[7].copy())
     assert (poses[1][:3, 3] - poses[0][:3, 3]) / (2 * step) == pytest.approx(twist[:3], abs=1e-8)
     spin = (poses[1][:3, :3] - poses[0][:3, :3]) / (2 * step) @ poses[0][:3, :3].T

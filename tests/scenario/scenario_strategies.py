@@ -11,10 +11,13 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from safety_harness.scenario.fault_phrases import PHRASES, FaultKey
-from safety_harness.scenario.faults import MOST_FALSE_HANDS, FalseHand, Fault, Joint
+from safety_harness.scenario.codec import Key, QuantityValue, Several
+from safety_harness.scenario.fault_phrases import OWN_KEYS
+from safety_harness.scenario.faults import EVERY_FAULT, MOST_FALSE_HANDS, FalseHand, Fault, Joint
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
+    ACCELERATIONS_MPS2,
+    LARGEST_FACTOR,
     Claim,
     HandTrajectory,
     JoinedHand,
@@ -28,6 +31,11 @@ from safety_harness.scenario.model import (
     Verdict,
 )
 from safety_harness.scenario.moves import (
+    FASTEST_MPS,
+    LONGEST_S,
+    MOST_TIMES,
+    TREMORS_HZ,
+    TREMORS_M,
     FollowTcp,
     Hesitation,
     MoveTo,
@@ -41,8 +49,6 @@ from safety_harness.scenario.moves import (
     shifted,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.read_hands import ACCELERATIONS_MPS2, LARGEST_FACTOR, TREMORS_HZ, TREMORS_M
-from safety_harness.scenario.read_moves import FASTEST_MPS, LONGEST_S, MOST_TIMES
 from safety_harness.scenario.recording import load_recording
 from safety_harness.scenario.recording_table import parse_recording
 from safety_harness.scenario.settings_keys import SettingKey, setting_keys
@@ -132,14 +138,14 @@ starts = st.one_of(
 
 def setting_values(key: SettingKey, default: Any) -> st.SearchStrategy[Any]:
     """Values that a file may give for one field of the settings."""
-    if isinstance(key.kind, type) and issubclass(key.kind, Enum):
-        return st.sampled_from(list(key.kind))
-    if key.kind is int:
-        return st.integers(min_value=int(key.bounds.least), max_value=int(key.bounds.most))
-    number = st.floats(min_value=key.bounds.least, max_value=key.bounds.most)
-    if key.kind == DecisionCost | DecisionTimes:
+    number = st.floats(min_value=key.number.least, max_value=key.number.most)
+    if isinstance(default, DecisionCost):
         times = st.lists(number, min_size=1, max_size=2).map(sorted).map(tuple)
         return st.sampled_from(DecisionCost) | st.builds(DecisionTimes, quantiles_s=times)
+    if isinstance(default, Enum):
+        return st.sampled_from(type(default))
+    if isinstance(default, int):
+        return st.integers(min_value=int(key.number.least), max_value=int(key.number.most))
     if isinstance(default, tuple) and isinstance(default[0], tuple):
         return st.lists(st.tuples(number, number), min_size=3, max_size=6).map(tuple)
     if isinstance(default, tuple):
@@ -152,7 +158,8 @@ def _groups() -> dict[str, st.SearchStrategy[Any]]:
     for name in vars(DEFAULTS):
         group = getattr(DEFAULTS, name)
         values = {
-            key.name: setting_values(key, getattr(group, key.name)) for key in setting_keys(type(group))
+            key.attribute: setting_values(key, getattr(group, key.attribute))
+            for key in setting_keys(type(group))
         }
         strategies[name] = st.fixed_dictionaries({}, optional=values).map(
             lambda changes, group=group: replace(group, **changes)
@@ -226,25 +233,26 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
     )
 
 
-def fault_values(key: FaultKey) -> st.SearchStrategy[Any]:
+def fault_values(key: Key) -> st.SearchStrategy[Any]:
     """Values that a file may give for one key of a fault."""
-    if key.dimension is None:
-        return st.sampled_from(Joint)
-    if key.several:
-        return vectors(st.floats(min_value=-key.most, max_value=key.most))
-    return st.floats(min_value=0.0, max_value=key.most, exclude_min=True)
+    if isinstance(key.value, Several):
+        assert isinstance(key.value.of, QuantityValue)
+        return vectors(st.floats(min_value=key.value.of.least, max_value=key.value.of.most))
+    if isinstance(key.value, QuantityValue):
+        return st.floats(min_value=0.0, max_value=key.value.most, exclude_min=True)
+    return st.sampled_from(Joint)
 
 
 @st.composite
 def faults(draw: st.DrawFn, duration_s: float) -> Fault:
-    phrase = draw(st.sampled_from(PHRASES))
+    kind = draw(st.sampled_from(EVERY_FAULT))
     begin_s = draw(st.just(0.0) | st.floats(min_value=0.0, max_value=duration_s, exclude_max=True))
     until = st.floats(min_value=begin_s, max_value=2 * LONGEST_S, exclude_min=True)
     ends: st.SearchStrategy[dict[str, float]] = st.one_of(
         st.just({}), durations.map(lambda s: {"for_s": s}), until.map(lambda s: {"until_s": s})
     )
-    values = {key.name: draw(fault_values(key)) for key in phrase.keys}
-    fault: Fault = phrase.kind(**values, **draw(ends), from_s=begin_s)
+    values = {key.attribute: draw(fault_values(key)) for key in OWN_KEYS[kind].keys}
+    fault: Fault = kind(**values, **draw(ends), from_s=begin_s)
     return fault
 
 

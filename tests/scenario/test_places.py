@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from safety_harness.exceptions import Place
-from safety_harness.scenario.places import Places, Replaced
+from safety_harness.scenario.fields import Places, Replaced
 from safety_harness.scenario.read import parse_scenario
 from tests.space.spaces import HEAD
 

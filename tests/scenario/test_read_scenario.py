@@ -8,6 +8,7 @@ from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, pars
 
 from safety_harness.exceptions import Place
 from safety_harness.scenario.model import (
+    DEFAULT_AVOIDER,
     Claim,
     JoinedHand,
     JointStart,
@@ -31,7 +32,6 @@ from safety_harness.scenario.moves import (
     Wander,
     Withdraw,
 )
-from safety_harness.scenario.read import DEFAULT_AVOIDER
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, InteractionChoice
 
 

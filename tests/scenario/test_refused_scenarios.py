@@ -13,8 +13,7 @@ from scenario_texts import FILE, SHORTEST, VALID, changed, line_of, parse, refus
 
 from safety_harness.exceptions import InputError, Place, RecordingError, ScenarioError
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.read import SETTINGS_KEYS, TOP_GROUPS
-from safety_harness.scenario.settings_keys import SettingKey, setting_keys
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, SettingKey, setting_keys
 from safety_harness.scenario.units import format_quantity
 from safety_harness.settings import DEFAULTS
 
@@ -104,26 +103,28 @@ def test_every_number_of_the_settings_has_bounds_that_a_file_cannot_leave(group:
     """Just within its bounds a value is read, just beyond them refused, whatever the key."""
     default = getattr(DEFAULTS, {**SETTINGS_KEYS, **TOP_GROUPS}[group])
     for key in setting_keys(type(default)):
-        value = getattr(default, key.name)
+        value = getattr(default, key.attribute)
         if isinstance(value, Enum) or (isinstance(value, tuple) and isinstance(value[0], tuple)):
             continue
-        for bound, beyond in ((key.bounds.least, -np.inf), (key.bounds.most, np.inf)):
+        for bound, beyond in ((key.number.least, -np.inf), (key.number.most, np.inf)):
             outside = bound + np.sign(beyond) if isinstance(value, int) else np.nextafter(bound, beyond)
             within, without = (setting_text(group, key, value, number) for number in (bound, float(outside)))
             assert parse(within)
             error = refusal(without)
             assert error.place.line == within.count("\n"), key
             assert error.place.field is not None
-            assert error.place.field.partition("[")[0].endswith(key.words[-1])
+            assert error.place.field.partition("[")[0].endswith(key.name)
 
 
 def setting_text(group: str, key: SettingKey, default: object, number: float) -> str:
     """The shortest file with one setting."""
     whole = isinstance(default, int)
-    value = f"{int(number)} {key.dimension.si}" if whole else format_quantity(number, key.dimension)
+    value = (
+        f"{int(number)} {key.number.dimension.si}" if whole else format_quantity(number, key.number.dimension)
+    )
     if isinstance(default, tuple):
         value = f"[{', '.join([value] * len(default))}]"
-    for word in reversed(key.words):
+    for word in reversed(key.path):
         value = f"{{{word}: {value}}}"
     return SHORTEST.replace("1 s", "2 s") + (
         f"{group}: {value}\n" if group in TOP_GROUPS else f"settings: {{{group}: {value}}}\n"

@@ -10,14 +10,14 @@ from pathlib import Path
 import pytest
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import fault_phrases, moves, read, read_hands, read_moves, units
-from safety_harness.scenario.bounds import BY_DIMENSION, BY_KEY, Bounds
+from safety_harness.scenario import fault_phrases, model, moves, units
 from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
+from safety_harness.scenario.faults import EVERY_FAULT
 from safety_harness.scenario.model import RecordedHand, Scenario
-from safety_harness.scenario.read import KEYS, SETTINGS_KEYS, parse_scenario
-from safety_harness.scenario.reference_hands import MOVES
-from safety_harness.scenario.settings_keys import setting_keys
+from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.reference_tables import TCP_START, TOP
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, setting_keys
 from safety_harness.scenario.units import Dimension
 from safety_harness.settings import DEFAULTS
 
@@ -124,15 +124,15 @@ def test_the_composed_example_and_the_suite_can_be_read(tmp_path: Path) -> None:
     ("heading", "keys"),
     [
         ("## Files made of others", COMPOSING),
-        ("## Top of the file", KEYS),
-        ("## A hand that moves", (*read_hands._MOVING_KEYS, *read_hands._TREMOR_KEYS)),
-        ("## A hand that holds the same part as another", read_hands._JOINED_KEYS),
-        ("## A hand that repeats a recording", read_hands._RECORDED_KEYS),
-        ("## `tcp start`", read.START_KEYS),
-        ("## `object`", {key.words[0] for key in setting_keys(type(DEFAULTS.object))}),
+        ("## Top of the file", TOP.names),
+        ("## A hand that moves", (*model.MOVING_HAND.names, *moves.TREMOR.names)),
+        ("## A hand that holds the same part as another", model.JOINED_HAND.names),
+        ("## A hand that repeats a recording", model.RECORDED_HAND.names),
+        ("## `tcp start`", TCP_START.names),
+        ("## `object`", {key.path[0] for key in setting_keys(type(DEFAULTS.object))}),
         ("### The time of a fault", fault_phrases.TIMES),
-        ("## `hand sensor`", {key.words[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
-        ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.words}),
+        ("## `hand sensor`", {key.path[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
+        ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.path}),
     ],
 )
 def test_the_tables_name_every_key_and_no_other(heading: str, keys: tuple[str, ...]) -> None:
@@ -140,26 +140,25 @@ def test_the_tables_name_every_key_and_no_other(heading: str, keys: tuple[str, .
 
 
 def test_the_page_names_every_move() -> None:
-    for move, (further, _) in read_moves.MOVES.items():
+    for table in moves.MOVES:
+        move, *further = table.names
         (line,) = re.findall(rf"^\| `{move}`(?: \([a-z]+\)) \|(.*?)\|", TEXT, re.M)
-        assert tuple(re.findall("`(.*?)`", line.split("|")[0])) == further
-        (table,) = (table for table in MOVES if table.name == move)
-        assert table.names == (move, *further)
+        assert re.findall("`(.*?)`", line.split("|")[0]) == further
 
 
 def test_the_page_names_every_fault_with_its_keys() -> None:
     section = TEXT.split("## `faults`", 1)[1].split("| key |", 1)[0]
     lines = {words: line for words, line in re.findall(r"^\| `(.*?: .*?)` \|(.*?)\|", section, re.M)}
-    assert list(lines) == [f"{phrase.subject}: {phrase.predicate}" for phrase in fault_phrases.PHRASES]
-    for phrase in fault_phrases.PHRASES:
-        line = lines[f"{phrase.subject}: {phrase.predicate}"]
-        assert tuple(re.findall("`(.*?)`", line)) == tuple(key.word for key in phrase.keys)
+    assert list(lines) == [f"{kind.said.subject}: {kind.said.predicate}" for kind in EVERY_FAULT]
+    for own in fault_phrases.OWN_KEYS.values():
+        line = lines[f"{own.told_by}: {own.name}"]
+        assert tuple(re.findall("`(.*?)`", line)) == own.names
 
 
 @pytest.mark.parametrize("group", SETTINGS_KEYS)
 def test_the_tables_of_settings_name_every_key_with_its_default(group: str) -> None:
     keys = setting_keys(type(getattr(DEFAULTS, SETTINGS_KEYS[group])))
-    assert [row.keys for row in rows(f"### `{group}`")] == [key.words for key in keys]
+    assert [row.keys for row in rows(f"### `{group}`")] == [key.path for key in keys]
     text = completed("") + f"settings:\n  {group}:\n" + defaults_of(f"### `{group}`", "    ")
     assert parse_scenario(text, FILE).settings == DEFAULTS
 
@@ -174,14 +173,13 @@ def test_the_other_defaults_are_the_defaults() -> None:
     default = {key: row.default for row in rows("## A hand that repeats a recording") for key in row.keys}
     longest_gap_s = units.parse_quantity(default["longest gap"], units.TIME, Place())
     fastest_jump_mps = units.parse_quantity(default["fastest jump"], units.SPEED, Place())
-    assert longest_gap_s == read_hands.DEFAULT_LONGEST_GAP_S
-    assert fastest_jump_mps == read_hands.DEFAULT_FASTEST_JUMP_MPS
+    assert (longest_gap_s, fastest_jump_mps) == (RecordedHand.longest_gap_s, RecordedHand.fastest_jump_mps)
     moving = {row.keys[-1]: row.default for row in rows("## A hand that moves")}
     assert units.parse_quantity(moving["speed at most"], units.SPEED, Place()) == moves.REACHING_MPS
     bound = units.parse_quantity(moving["acceleration at most"], units.ACCELERATION, Place())
     assert bound == moves.REACHING_MPS2
     top = {key: row.default for row in rows("## Top of the file") for key in row.keys}
-    assert top["avoider"] == read.DEFAULT_AVOIDER
+    assert top["avoider"] == model.DEFAULT_AVOIDER
     assert {key for key in top if top[key] == "required"} == set(BASE)
 
 
@@ -193,13 +191,13 @@ def test_the_table_of_units_is_complete() -> None:
         found = re.findall(r"[^\s,]+", allowed.replace("or no unit", "").replace("no unit", ""))
         assert found == list(dimension.units)
         assert units.parse_quantity(example, dimension, Place()) > 0.0
-        assert bounds_of(bounds, dimension) == BY_DIMENSION[dimension.name]
+        assert bounds_of(bounds, dimension) == (dimension.least, dimension.most)
 
 
-def bounds_of(text: str, dimension: Dimension) -> Bounds:
+def bounds_of(text: str, dimension: Dimension) -> tuple[float, ...]:
     """``1 ms to 60 s`` in SI."""
     least, most = text.split(" to ")
-    return Bounds(*(units.parse_quantity(bound, dimension, Place()) for bound in (least, most)))
+    return tuple(units.parse_quantity(bound, dimension, Place()) for bound in (least, most))
 
 
 @pytest.mark.parametrize("group", [*SETTINGS_KEYS, "object", "camera", "hand sensor"])
@@ -208,9 +206,9 @@ def test_the_tables_have_every_keys_own_bounds_and_no_others(group: str) -> None
     table = {row.keys: row.value for row in rows(f"## `{group}`" if at_the_top else f"### `{group}`")}
     kind = type(getattr(DEFAULTS, group.replace(" ", "_")))
     for key in setting_keys(kind):
-        _, comma, told = table[key.words].rpartition(", ")
-        own = BY_KEY.get(f"{kind.__name__}.{key.name}")
-        if own is not None:
-            assert bounds_of(told.removeprefix("each "), key.dimension) == own, key.words
+        _, comma, told = table[key.path].rpartition(", ")
+        if key.own_bounds:
+            bounds = (key.number.least, key.number.most)
+            assert bounds_of(told.removeprefix("each "), key.number.dimension) == bounds, key.path
         else:
             assert not comma or " to " not in told

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cli import fuzz
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import APART
 from safety_harness.search.searchers import SEARCHERS
+from safety_harness.search.session import MOST_SHRUNK, SHRINKING_RUNS
 from tests.search.planted import BUGS, BY_LOT, CUBE, FRESH
 
 TEXT = (Path(__file__).parents[2] / "docs/search.md").read_text()
@@ -37,7 +37,7 @@ def test_the_numbers_are_the_programs() -> None:
     assert CUBE.dimension == 17
     assert f"{len(Coverage().holes):,} cells" in TEXT
     assert f"at most {APART} apart" in " ".join(TEXT.split())
-    assert (fuzz._SHRINKING, fuzz._MOST_SHRUNK, DRAWS) == (200, 3, 10)
+    assert (SHRINKING_RUNS, MOST_SHRUNK, DRAWS) == (200, 3, 10)
     assert "200 runs at most" in " ".join(TEXT.split())
     assert "until there are three structures, or six groups were shrunk" in " ".join(TEXT.split())
     assert "in how many of ten draws" in " ".join(TEXT.split())

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from safety_harness.admission import trial
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.trial import judge, run_trial
+from safety_harness.admission.trial import judge, run_many, run_trial
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
-from safety_harness.search import trials as trials_module
-from safety_harness.search.confirm import Complaint, Confirm
+from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
 from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
-from safety_harness.search.draws import OtherDraws
 from safety_harness.search.explain import circumstances, ingredients, seen_of
 from safety_harness.search.outcomes import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
+from safety_harness.simulation.worlds import WorldEntry
 from safety_harness.space.read import parse_space
 from safety_harness.trace.trace import Trace
 from tests.search.short_space import CRASHING, SHORT, TEXT
@@ -220,11 +220,13 @@ def test_the_kinematic_world_leads_where_pybullet_does() -> None:
 
 
 def test_what_breaks_the_batch_costs_the_others_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(admitted: Sequence[Admitted]) -> list[Trace]:
-        raise SimulationError("the batch ended")
+    def broken(admitted: Sequence[Admitted], *, world: WorldEntry) -> Iterator[Trace]:
+        if len(admitted) > 1:
+            raise SimulationError("the batch ended")
+        return run_many(admitted, world=world)
 
     expected = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
-    monkeypatch.setattr(trials_module, "run_many", broken)
+    monkeypatch.setattr(trial, "run_many", broken)
     found = Trials(SHORT, in_kinematic, seed=3)(POINTS, 10)
     assert np.array_equal(found.margins, expected.margins)
     assert set(found.mishaps) == {""}

@@ -13,6 +13,7 @@ from examples import PassingGate, TowardsTheHand, hand, run, scenario
 from small import shipped, trials
 
 from safety_harness.admission.claims import property_of
+from safety_harness.certification.tools import FaultState
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.hand_distance import HAND_DISTANCE, HandDistance
 from safety_harness.properties.true_motion import capsules_of
@@ -25,7 +26,6 @@ from safety_harness.selftest import trial
 from safety_harness.selftest.catalogue import HARMLESS
 from safety_harness.selftest.fault import FaultyPart, SeededFault
 from safety_harness.selftest.geometry import BODIES, Kept, PyBulletArm, hand_distance_kept
-from safety_harness.selftest.outcome import FaultState
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import LEAST_M, SAME_TWICE, confirmed_by
 from safety_harness.selftest.work import try_out
@@ -44,11 +44,11 @@ def by_coal_m(trace: Trace, tick: int) -> float:
     """Least distance of any hand or forearm from the arm's capsules; within them any number below 0."""
     arm, settings = load_arm(trace.scenario.robot.arm_name), trace.scenario.settings
     capsules = capsules_of(trace)
-    links, radii = capsules.link_index, capsules.radius_m
+    radii = capsules.radius_m
     transforms, placed = np.empty((8, 4, 4)), np.empty((len(radii), 2, 3))
     row = trace.ticks[tick]
-    forward_kinematics(arm.joint_origins, arm.joint_axes, arm.flange, row["joint_position_rad"], transforms)
-    place_capsules(transforms, links, capsules.start_in_link, capsules.end_in_link, placed)
+    forward_kinematics(arm.chain[0], row["joint_position_rad"], transforms)
+    place_capsules(capsules.records, transforms, placed)
     least = np.inf
     for k in np.flatnonzero(row["hand_present"]):
         wrist, elbow = row["hand_position_in_base_m"][k], row["elbow_position_in_base_m"][k]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from small import shipped
 
-from safety_harness.admission.kinematic import run_kinematic
-from safety_harness.admission.trial import run_trial
+from safety_harness.admission.trial import run_kinematic, run_trial
 from safety_harness.avoidance.gate import Gate
 from safety_harness.selftest.system import ChangedSystem, Delayed, Records
 from safety_harness.settings import GateKind
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.compare import first_difference
 
 
@@ -24,7 +24,7 @@ def test_the_sound_system_gives_the_bits_of_a_plain_run() -> None:
 
 def test_in_pybullet_too() -> None:
     admitted = shipped("network-certain")
-    assert first_difference(ChangedSystem(admitted).run(in_pybullet=True), run_trial(admitted)) is None
+    assert first_difference(ChangedSystem(admitted).run(PYBULLET), run_trial(admitted)) is None
 
 
 def test_seams_that_change_nothing_change_no_bit() -> None:

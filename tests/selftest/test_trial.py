@@ -9,11 +9,12 @@ import pytest
 from small import shipped, trials
 
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.certification.tools import FaultState
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest import trial
 from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
-from safety_harness.selftest.outcome import FaultState, outcome_of
+from safety_harness.selftest.outcome import outcome_of
 from safety_harness.selftest.suite import Suite
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import RUN_FAILED, alarms_between

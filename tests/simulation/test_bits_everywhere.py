@@ -14,7 +14,7 @@ import pytest
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import NAMES
-from safety_harness.admission.kinematic import run_kinematic, run_many
+from safety_harness.admission.trial import run_kinematic, run_many
 from safety_harness.trace.trace import Trace
 from tests.examples import VISIT, scenario
 

@@ -15,8 +15,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.kinematic import run_kinematic, run_many
-from safety_harness.admission.trial import run_trial
+from safety_harness.admission.trial import run_kinematic, run_many, run_trial
 from safety_harness.avoidance.avoider import Proposal
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.controller.cycle import QUESTION, answer_after

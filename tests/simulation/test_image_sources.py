@@ -22,12 +22,12 @@ from safety_harness.robot.kinematics import TCP
 from safety_harness.servoing.features import features
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, Settings
 from safety_harness.simulation.cameras import sensors
-from safety_harness.simulation.cell import Bodies, build_cell, place_hands
+from safety_harness.simulation.cell import Bodies, build_cell, place_hands, render, rendered_object
 from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import exact_object
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.simulation.image_sources import render, rendered_object
 from safety_harness.simulation.pybullet_world import PyBulletWorld
+from tests.robot.arms import transforms_of
 
 Vector = tuple[float, float, float]
 CAMERA = DEFAULTS.camera
@@ -39,7 +39,7 @@ def joints_at(offset: Vector, tilt: Vector = (0.0, 0.0, 0.0)) -> np.ndarray:
 
 
 def pose_at(joints: np.ndarray) -> np.ndarray:
-    return kinematics()._forward(joints)[TCP].copy()
+    return transforms_of(kinematics().arm, joints)[TCP].copy()
 
 
 def a_dozen() -> list[np.ndarray]:

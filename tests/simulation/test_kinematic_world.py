@@ -9,7 +9,7 @@ import pytest
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.controller.records import COMMAND
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.scenario.faults import Joint, JointStuck

@@ -14,7 +14,7 @@ import pytest
 from examples import VISIT, hand, scenario
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.kinematic import run_kinematic
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.avoidance.asking import Answer, late_fault
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, GateDecision, Query

@@ -22,6 +22,7 @@ from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import TICK
 from safety_harness.trace.trace import Trace
+from tests.robot.arms import pose_in_the_engine, transforms_of
 
 PERIOD_S = DEFAULTS.clock.control_period_s
 
@@ -94,22 +95,11 @@ def test_the_pose_of_the_trace_is_the_engines_own() -> None:
     """Our kinematics against PyBullet's, which keeps them in single precision: within a micrometre."""
     with world_of(scenario()) as world:
         rates = command(0.5, -0.3, 0.2, 0.4, -0.6, 0.7)
-        names = [
-            pybullet.getJointInfo(world._robot, k, physicsClientId=world._client)[12].decode()
-            for k in range(pybullet.getNumJoints(world._robot, physicsClientId=world._client))
-        ]
         for _ in range(60):
             world.step(rates)
-            state = pybullet.getLinkState(
-                world._robot,
-                names.index("tool0"),
-                computeForwardKinematics=True,
-                physicsClientId=world._client,
-            )
-            rotation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
-            pose = truth(world)["transform_tcp_to_base"]
-            assert pose[:3, 3] == pytest.approx(np.array(state[4]), abs=1e-6)
-            assert pose[:3, :3] == pytest.approx(rotation, abs=2e-6)
+            expected, pose = pose_in_the_engine("tool0"), truth(world)["transform_tcp_to_base"]
+            assert pose[:3, 3] == pytest.approx(expected[:3, 3], abs=1e-6)
+            assert pose[:3, :3] == pytest.approx(expected[:3, :3], abs=2e-6)
 
 
 def test_the_tcp_speed_is_that_of_the_tcp() -> None:
@@ -261,7 +251,7 @@ def test_the_tcp_moves_as_its_joints_say(visit: Trace) -> None:
     """The twist of the true joint velocities has the speed that the trace says."""
     jacobian = np.empty((6, 6))
     for tick in visit.ticks[::50]:
-        transforms = kinematics()._forward(tick["joint_position_rad"])
+        transforms = transforms_of(kinematics().arm, tick["joint_position_rad"])
         geometric_jacobian(kinematics().arm.joint_axes, transforms, jacobian)
         speed = np.linalg.norm((jacobian @ tick["joint_velocity_radps"])[:3])
         assert tick["tcp_speed_mps"] == pytest.approx(speed, abs=1e-12)

@@ -14,15 +14,15 @@ from safety_harness.admission.admit import admit
 from safety_harness.controller.records import COMMAND
 from safety_harness.exceptions import InadmissibleError, ModelError, TraceError
 from safety_harness.properties.limits import JointSpeedLimits
-from safety_harness.properties.repulsive_pose import RepulsivePosesReachable
+from safety_harness.properties.positions import RepulsivePosesReachable
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.model import JointStart, OffsetStart, Robot, Scenario, Verdict
 from safety_harness.settings import DEFAULTS
-from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import TICK
+from tests.robot.arms import pose_in_the_engine
 
 FOLDER = Path(__file__).parents[2] / "scenarios"
 OTHERS = (Robot.UR5, Robot.UR3)
@@ -46,17 +46,11 @@ def test_the_pose_of_the_trace_is_the_engines_own(robot: Robot) -> None:
     command, tick = np.zeros(1, COMMAND), np.zeros(1, TICK)
     command["joint_velocity_radps"] = (0.5, -0.3, 0.2, 0.4, -0.6, 0.7)
     with PyBulletWorld(admitted.scenario, admitted.arm, admitted.joint_position_rad) as world:
-        links = [
-            pybullet.getJointInfo(world._robot, k, physicsClientId=world._client)[12].decode()
-            for k in range(pybullet.getNumJoints(world._robot, physicsClientId=world._client))
-        ]
         for _ in range(60):
             world.step(command)
-        state = pybullet.getLinkState(
-            world._robot, links.index("tool0"), computeForwardKinematics=True, physicsClientId=world._client
-        )
+        expected = pose_in_the_engine("tool0")
         world.true_state(tick)
-    assert tick[0]["transform_tcp_to_base"][:3, 3] == pytest.approx(np.array(state[4]), abs=1e-6)
+    assert tick[0]["transform_tcp_to_base"][:3, 3] == pytest.approx(expected[:3, 3], abs=1e-6)
 
 
 @pytest.mark.parametrize("robot", OTHERS)

@@ -30,6 +30,7 @@ from safety_harness.simulation.sensing import (
     push_object_frame,
 )
 from safety_harness.simulation.truth import cell_capsules
+from tests.robot.arms import transforms_of
 
 PERIOD_S = DEFAULTS.clock.control_period_s
 CENTRE_DEPTH_M = 1.2
@@ -210,16 +211,16 @@ def seen(
     """(k, 5) boxes of the hands, the arm standing at an offset from the desired pose."""
     settings = with_sensor(kind=kind)
     arm = kinematics().arm
-    transforms = kinematics()._forward(start_joint_position(scenario(offset=offset), arm)).copy()
+    transforms = transforms_of(arm, start_joint_position(scenario(offset=offset), arm))
     capsules = cell_capsules(load_capsules(arm.name), settings)
     placed = np.empty((len(capsules.names), 2, 3))
-    place_capsules(transforms, capsules.link_index, capsules.start_in_link, capsules.end_in_link, placed)
+    place_capsules(capsules.records, transforms, placed)
     state = hands_at_start(
         scenario(*(hand(at=tuple(position)) for position in hands), settings=settings)
     ).state
     cameras = sensors(settings, 1, 0, overhead_transform_sensor_to_base(settings))
     boxes = np.zeros((MAX_DETECTIONS, 5))
-    count = exact_boxes(cameras.state, state, transforms[TCP], placed, capsules.radius_m, boxes)
+    count = exact_boxes(cameras.state, state, transforms[TCP], capsules.records, placed, boxes)
     return boxes[:count]
 
 

@@ -12,10 +12,10 @@ import pytest
 from examples import VISIT, Displaced, hand, scenario
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.kinematic import run_kinematic, run_many, slower_because
+from safety_harness.admission.trial import run_kinematic, run_many, slower_because
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.exceptions import AvoiderError
-from safety_harness.properties.decision_time import DecisionTime
+from safety_harness.properties.answered import DecisionTime
 from safety_harness.properties.finite import FiniteTrace
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent, HandSensorBlind
 from safety_harness.scenario.model import Scenario, Verdict

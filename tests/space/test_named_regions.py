@@ -12,7 +12,7 @@ from safety_harness.avoidance.model_file import SeenSpace, load_model, save_mode
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import ModelError, RegionError
 from safety_harness.geometry.regions import Box
-from safety_harness.learning.spaces import SPACES, space_named
+from safety_harness.learning.dataset import SPACES, space_named
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.boxes import InRegion
 from safety_harness.space.read import parse_space

@@ -11,6 +11,7 @@ from streams import sample_of, violations
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.statistics.binomial import Method, Sides, bounds_of, violation_bounds
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -152,7 +153,7 @@ def test_a_stream_that_may_stop_early_has_bounds_of_its_own_kind() -> None:
 
 
 def test_a_bound_of_another_world_is_model_only_and_shows_nothing() -> None:
-    found = violation_bounds(violations(0, 5000, world="kinematic"), 0.95)
+    found = violation_bounds(violations(0, 5000, world=KINEMATIC), 0.95)
     assert found.model_only
     assert found.high < 1e-3
     assert not found.shows(1e-3)

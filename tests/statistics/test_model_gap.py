@@ -11,6 +11,7 @@ from streams import sample_of, violations
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
+from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.statistics.model_gap import bridged_bound
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -18,7 +19,7 @@ H, V, U, I, F = (int(outcome) for outcome in EpisodeOutcome)  # noqa: E741
 
 
 def kinematic(codes: Any, **changes: Any) -> Any:
-    return sample_of(codes, world="kinematic", **changes)
+    return sample_of(codes, world=KINEMATIC, **changes)
 
 
 def test_three_bounds_by_hand() -> None:
@@ -81,4 +82,4 @@ def test_samples_of_other_worlds_claims_or_episodes_are_refused() -> None:
     with pytest.raises(StatisticsError, match="stratum"):
         bridged_bound(kinematic([H] * 500, stratum="unseen"), *fine[1:])
     with pytest.raises(StatisticsError, match="stop at any time"):
-        bridged_bound(violations(0, 500, stop_early=True, world="kinematic"), *fine[1:])
+        bridged_bound(violations(0, 500, stop_early=True, world=KINEMATIC), *fine[1:])

@@ -12,6 +12,7 @@ from acceptance import misses_are_no_more_than
 from streams import sample_of, with_margins
 
 from safety_harness.exceptions import StatisticsError
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -109,7 +110,7 @@ def test_episodes_without_a_margin_are_left_out_and_counted() -> None:
     [
         {"seed": 2},
         {"stratum": "unseen"},
-        {"world": "kinematic"},
+        {"world": KINEMATIC},
         {"planned": 3},
         {"stop_early": True},
         {"draws_sha256": "2" * 64},
@@ -184,8 +185,8 @@ def test_a_margin_without_a_verdict_is_none() -> None:
     assert (other.pairs, other.mean) == (3, -2.0)
 
 
-@pytest.mark.parametrize(("world", "model_only"), [("kinematic", True), ("PyBullet", False)])
-def test_what_comes_of_a_simplified_world_says_so(world: str, model_only: bool) -> None:
+@pytest.mark.parametrize(("world", "model_only"), [(KINEMATIC, True), (PYBULLET, False)])
+def test_what_comes_of_a_simplified_world_says_so(world: WorldEntry, model_only: bool) -> None:
     samples = [with_margins([1.0, 2.0, 4.0], world=world) for _ in range(2)]
     assert compare(*samples).model_only is model_only
     assert compare_margins(*samples).model_only is model_only

@@ -184,12 +184,12 @@ def test_what_a_search_chose_is_refused_at_run_time(chosen: Any) -> None:
 
 
 SNIPPET = """
-from safety_harness.search.findings import Episode, Findings
+from safety_harness.search.findings import Findings, TriedPoint
 from safety_harness.search.outcomes import Outcomes
 from safety_harness.statistics.binomial import violation_bounds
 from safety_harness.statistics.sample import IndependentSample
 
-def estimate(sample: IndependentSample, a: Outcomes, b: Findings, c: Episode) -> None:
+def estimate(sample: IndependentSample, a: Outcomes, b: Findings, c: TriedPoint) -> None:
     violation_bounds(sample, 0.95)
     violation_bounds(a, 0.95)
     violation_bounds(b, 0.95)

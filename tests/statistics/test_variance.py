@@ -11,6 +11,7 @@ from acceptance import misses_are, misses_are_no_more_than
 from streams import declared, margins_of, told, violations
 
 from safety_harness.exceptions import StatisticsError
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.variance import NestedSample, variance_split, violation_split
 
@@ -97,8 +98,8 @@ def test_the_three_shares_hold_together_as_often_as_they_say() -> None:
     assert misses_are_no_more_than(missed, 600, 0.1)
 
 
-@pytest.mark.parametrize(("world", "model_only"), [("kinematic", True), ("PyBullet", False)])
-def test_what_comes_of_a_simplified_world_says_so(world: str, model_only: bool) -> None:
+@pytest.mark.parametrize(("world", "model_only"), [(KINEMATIC, True), (PYBULLET, False)])
+def test_what_comes_of_a_simplified_world_says_so(world: WorldEntry, model_only: bool) -> None:
     design = nested([[0.0, 2.0], [4.0, 6.0]], world=world)
     assert variance_split(design).model_only is model_only
     assert violation_split(design).model_only is model_only

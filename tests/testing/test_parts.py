@@ -19,8 +19,8 @@ from safety_harness.pytest_plugin.sending import judgements, junit_properties, p
 from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.testing import SafetyViolation, assert_holds, hand_distance, mm
+from safety_harness.testing.failure_text import picture
 from safety_harness.testing.kept import folder_of, keep, kept_for
-from safety_harness.testing.picture import picture
 from safety_harness.testing.session import Judgement, Run, Session, TestRun, begin
 from safety_harness.testing.simulating import Simulate, digest_of
 from safety_harness.trace.trace import Trace

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import sys
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -25,12 +26,9 @@ REPOSITORY = Path(__file__).parents[2]
 @pytest.fixture(autouse=True)
 def forgetful() -> Iterator[None]:
     """Packages that a test installs are seen, and forgotten after it."""
-    caches = (software._installed, software._owners, provenance)
-    for one in caches:
-        one.cache_clear()
+    forget()
     yield
-    for one in caches:
-        one.cache_clear()
+    forget()
 
 
 def installed(folder: Path, name: str, version: str, *, record: str = "", names: str = "") -> None:
@@ -85,7 +83,8 @@ def test_the_package_of_the_other_name_is_believed_where_its_file_is_the_loaded_
 def test_a_file_that_no_package_records_has_the_version_that_its_module_says(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(software, "_owners", lambda module: {})
+    monkeypatch.setattr(metadata, "distributions", lambda: iter(()))
+    forget()
     libraries = dict(provenance("world", "avoider").libraries)
     assert libraries["numpy"] == sys.modules["numpy"].__version__
     assert libraries["pybullet"] == "of a version that it does not say"
@@ -147,8 +146,9 @@ def test_a_campaign_s_identity_is_of_versions_and_not_of_a_machine_s_files() -> 
 
 
 def forget() -> None:
-    for one in (software._installed, software._owners, provenance):
-        one.cache_clear()
+    for one in vars(software).values():
+        if hasattr(one, "cache_clear") and one.__module__ == software.__name__:
+            one.cache_clear()
 
 
 assert safety_harness.simulation.pybullet_world

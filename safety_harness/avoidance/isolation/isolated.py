@@ -17,12 +17,7 @@ import numpy as np
 
 from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
 from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.isolation.host import (
-    Host,
-    Made,
-    RefusedError,
-    Wanted,
-)
+from safety_harness.avoidance.isolation.host import Host, Made, RefusedError, Wanted
 from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.exceptions import AvoiderError, NoAnswerError, SimulationError
 

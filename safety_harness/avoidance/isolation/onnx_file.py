@@ -10,8 +10,7 @@ from pathlib import Path
 from safety_harness.avoidance.isolation.host import RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.avoidance.json_fields import refuse
-from safety_harness.avoidance.model_file import model_bytes
+from safety_harness.avoidance.model_file import model_bytes, refuse
 from safety_harness.settings import Settings
 
 LARGEST_BYTES = 256 * 2**20

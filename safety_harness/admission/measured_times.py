@@ -1,0 +1,93 @@
+"""How long an avoider takes to answer on this machine, as a profile for scenarios."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import FIRST_ANSWER_S, answers_at_first, first_question
+from safety_harness.admission.avoiders import avoider_sha256, resolve_avoider, scenario_of_avoider
+from safety_harness.avoidance.asking import ask
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.exceptions import InadmissibleError, NoAnswerError, Place
+from safety_harness.scenario.fields import is_sentence
+from safety_harness.scenario.references import file_and_name
+from safety_harness.seeds import Branch, generator
+from safety_harness.settings import DEFAULTS, DecisionTimes, Measured
+
+QUANTILES = 101  # from the quickest answer to the slowest
+AROUND_M = 0.15  # the nominal hand and the desired TCP, on each axis
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredTimes:
+    """(n,) the times of the answers [s], how many were faults, and who answered."""
+
+    avoider_name: str
+    times_s: NDArray[np.float64]
+    faults: int
+    measured: Measured
+
+    @property
+    def profile(self) -> DecisionTimes:
+        """What a scenario draws its decision times from."""
+        quantiles_s = self.quantiles_s(*np.linspace(0.0, 1.0, QUANTILES))
+        return DecisionTimes(quantiles_s=tuple(quantiles_s), measured=self.measured)
+
+    def quantiles_s(self, *shares: float) -> list[float]:
+        """The times within which these shares of the answers came [s]."""
+        return [float(np.quantile(self.times_s, share)) for share in shares]
+
+
+def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
+    """Ask one question after another; a Python file is executed.
+
+    InadmissibleError for an avoider that there is not, or of which every answer is a fault; NoAnswerError
+    if its first answer does not come.
+    """
+    scenario, place = scenario_of_avoider(reference), Place(field="AVOIDER")
+    avoider = resolve_avoider(reference, scenario, folder=None, place=place)
+    if not answers_at_first(avoider, *first_question(DEFAULTS)):
+        raise NoAnswerError(avoider.name, FIRST_ANSWER_S)
+    times_s, faults = answer_times_s(avoider, questions, seed)
+    if faults == questions:
+        raise InadmissibleError(place=place, expected="an avoider that answers", got="faults alone")
+    file, name = file_and_name(reference)
+    own = (Path(file).name + (f":{name}" if name else "")) if file else reference
+    measured = Measured(avoider=own, sha256=avoider_sha256(scenario), machine=machine(), questions=questions)
+    return MeasuredTimes(avoider.name, times_s, faults, measured)
+
+
+def machine() -> str:
+    """Processor, system and Python, as reports name them."""
+    processor = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            found = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+        processor = found[0] if found else processor
+    except OSError:
+        pass
+    words = f"{processor}, {os.cpu_count()} CPUs, {platform.system()}, Python {platform.python_version()}"
+    return words if is_sentence(words) else platform.machine()
+
+
+def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray[np.float64], int]:
+    """(n,) the times of the answers [s], in the process in which they are made, and how many were faults."""
+    rng = generator(seed, Branch.DECISION_TIME, 0)
+    hand = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
+    tcp = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
+    answers = [
+        ask(
+            avoider,
+            hand_position_in_base_m=hand + rng.uniform(-AROUND_M, AROUND_M, 3),
+            tcp_position_in_base_m=tcp + rng.uniform(-AROUND_M, AROUND_M, 3),
+            seed=int(rng.integers(2**63)),
+        )
+        for _ in range(questions)
+    ]
+    return np.array([answer.latency_s for answer in answers]), sum(bool(one.fault) for one in answers)

@@ -1,0 +1,132 @@
+"""A declared plan made into a report: its campaign, its search, the folder with the evidence."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.session import LEDGER, carry_on, processes
+from safety_harness.certification.declaration import declared_sha256
+from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.folder import PAGE, PDF, write_folder, write_manifest
+from safety_harness.certification.gather import HarnessTrials, gather
+from safety_harness.certification.pdf import browser, write_pdf
+from safety_harness.certification.results import refuse_hopeless
+from safety_harness.certification.searched import searches_of
+from safety_harness.certification.tool_files import read_oracles, read_selftest
+from safety_harness.exceptions import SafetyHarnessError, explanation
+from safety_harness.interrupts import one_more_ctrl_c
+from safety_harness.report.search_files import write_search
+from safety_harness.search.default import Default
+from safety_harness.search.session import SearchOutput, search_space
+from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.space.read import read_space
+from safety_harness.trace.provenance import refuse_shared_modules
+
+WatchCampaign = Callable[[Plan], AbstractContextManager[Callable[[RunnerProgress], None]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Certification:
+    """One plan and the folder that its report goes to; ``command`` is what makes it again."""
+
+    plan: Plan
+    folder: Path
+    trials: HarnessTrials
+    command: str
+    declaration_sha256: str = ""
+    pdf: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        file: Path,
+        folder: Path | None,
+        command: str,
+        *,
+        selftest: Path | None,
+        oracles: Path | None,
+        declared: Path | None,
+        pdf: bool,
+    ) -> Certification:
+        """Everything that can be refused before anything is run; the folder is reports/NAME without one.
+
+        InputError for a plan that is not as declared or whose targets its runs cannot meet, for files that
+        cannot be read, for two packages that own one module, and for a PDF that no browser can print.
+        """
+        plan = read_plan(file)
+        declaration_sha256 = declared_sha256(plan, declared)
+        refuse_hopeless(plan)
+        refuse_shared_modules()
+        if pdf:
+            browser()
+        trials = HarnessTrials(
+            selftest=None if selftest is None else read_selftest(selftest),
+            oracles=() if oracles is None else read_oracles(oracles),
+            oracles_with="" if oracles is None else f"as {oracles.name} has it",
+        )
+        return cls(plan, folder or Path("reports") / plan.name, trials, command, declaration_sha256, pdf)
+
+    def run(self, workers: int | None, watch: WatchCampaign, output: SearchOutput) -> tuple[Evidence, bool]:
+        """All of it; what is there already is not made again.  The evidence, and whether it is complete."""
+        remark = "what is under way is finished and kept; Ctrl-C again drops it"
+        with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
+            path, crew = self.folder / LEDGER, processes(workers)
+            complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted)
+        complete = complete and self.search(output)
+        with Ledger.open(self.folder / LEDGER) as ledger:
+            gathered = gather(
+                self.plan,
+                ledger,
+                self.folder,
+                command=self.command,
+                trials=self.trials,
+                declaration=self.declaration_sha256,
+            )
+            evidence = write_folder(self.folder, gathered, ledger)
+        if self.pdf:
+            write_pdf(self.folder / PAGE, self.folder / PDF)
+        write_manifest(self.folder, evidence.files)
+        return evidence, complete
+
+    def search(self, output: SearchOutput) -> bool:
+        """The plan's search, shared among its strata; what was begun and not finished is begun anew.
+
+        False for Ctrl-C; what fails is said in the report.
+        """
+        for stratum, one in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):
+            if one.complete or stratum.space.file is None:
+                continue
+            output.say(f"searching {one.stratum} for counterexamples, {one.asked} runs")
+            shutil.rmtree(one.folder, ignore_errors=True)
+            try:
+                trials = Trials(
+                    read_space(stratum.space.file),
+                    in_kinematic,
+                    seed=self.plan.seed,
+                    avoider=self.plan.avoider_here,
+                    sentences=tuple(claim.sentence for claim in self.plan.claims),
+                )
+                made = search_space(
+                    trials,
+                    Default,
+                    out=one.folder,
+                    budget=one.asked,
+                    output=output,
+                    write_page=write_search,
+                )
+            except SafetyHarnessError as error:
+                output.say(f"error: {explanation(error)}")
+                continue
+            except KeyboardInterrupt:
+                output.say("interrupted before anything was tried")
+                return False
+            if made.interrupted and made.unwritable is None:
+                return False
+        return True

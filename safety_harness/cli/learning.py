@@ -1,0 +1,288 @@
+"""Commands about networks: their data, training, evaluation and export, and how fast they answer."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, result, say
+from safety_harness.cli.options import Seed, command
+from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError, Place
+
+if TYPE_CHECKING:
+    from safety_harness.learning.checkpoint import Epoch
+    from safety_harness.learning.recipes import Recipe
+
+MODEL = "model.safetensors"
+commands = typer.Typer()
+
+
+@command(commands, interrupted="interrupted: no data set was written")
+def dataset(
+    out: Annotated[Path, typer.Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
+    space: Annotated[
+        str, typer.Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")
+    ] = "seen",
+    tcps: Annotated[int, typer.Option(help="TCP positions.")] = 10_000,
+    candidates: Annotated[int, typer.Option(help="Repulsive candidates of each TCP.")] = 100,
+    hands: Annotated[int, typer.Option(help="Hand positions, joined with every TCP.")] = 500,
+    seed: Seed = 0,
+) -> int:
+    """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
+
+    The defaults are the paper's 5,000,000 samples, in a few seconds.
+    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    """
+    from safety_harness.cli.runs import bar_of
+    from safety_harness.learning.dataset import generate, space_named
+    from safety_harness.learning.manifest import data_hash, save_dataset
+    from safety_harness.settings import DEFAULTS
+
+    where = space_named(space, DEFAULTS)
+    with bar_of("TCPs") as bar:
+        if bar.disable:
+            say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
+        task = bar.add_task(where.name, total=tcps)
+        made = generate(
+            DEFAULTS,
+            where,
+            seed=seed,
+            tcps=tcps,
+            candidates=candidates,
+            hands=hands,
+            on_progress=lambda done: bar.update(task, completed=done),
+        )
+    save_dataset(made, out)
+    views, away = made.tcps * made.candidates, made.views_without_object
+    result(f"space       {made.space.name}")
+    result(f"samples     {len(made):,} = {made.tcps:,} TCPs x {made.hands:,} hands")
+    result(
+        f"candidates  {views:,}; object not wholly in view of {away:,} ({away / views:.2%}), "
+        "which are not selected"
+    )
+    result(
+        f"blind TCPs  {made.tcps_without_view:,}, with no candidate in view: "
+        "selected as if the image had no border"
+    )
+    result(f"seed        {made.seed}")
+    result(f"sha256      {data_hash(made)}")
+    say(f"data set: {out}")
+    return AS_EXPECTED
+
+
+@command(commands)
+def train(
+    recipe: Annotated[
+        str,
+        typer.Argument(
+            help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
+            "also with paper- or trial- before it."
+        ),
+    ],
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of a data set; without it the paper's is made on the spot.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
+        "models/new"
+    ),
+    seed: Seed = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
+) -> int:
+    """Train and calibrate a network; "trial-mc-dropout" takes under a minute.
+
+    Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
+    Needs PyTorch, the extra "learning" of this package.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    import shlex
+
+    from safety_harness.avoidance.model_file import save_model
+    from safety_harness.learning.dataset import generate, seen
+    from safety_harness.learning.manifest import load_dataset
+    from safety_harness.learning.recipes import recipe_named
+    from safety_harness.learning.samples import samples_for
+    from safety_harness.learning.trained_model import calibrate, model_of, split_for
+    from safety_harness.settings import DEFAULTS
+    from safety_harness.whole_file import writing
+
+    again = ["safety-harness", "train", recipe, "--seed", str(seed), "--out", str(out)]
+    again += ["--data", str(data)] if data else []
+    again += ["--device", device] if device != "cpu" else []
+    try:
+        chosen = recipe_named(recipe)
+        dataset = load_dataset(data) if data else generate(DEFAULTS, seen(DEFAULTS), seed=seed)
+        split = split_for(chosen, dataset)
+        try:
+            from safety_harness.learning.training import train as train_networks  # brings PyTorch
+        except ModuleNotFoundError as error:
+            raise ModelError(
+                place=Place(field="train"),
+                expected="PyTorch, which only training needs",
+                got=str(error),
+                hint="pip install 'safety-harness[learning]'",
+            ) from error
+        trained = train_networks(
+            chosen,
+            samples_for(chosen, dataset),
+            split.train,
+            split.validation,
+            seed=seed,
+            out=out,
+            resume=resume,
+            device=device,
+            on_epoch=_EpochLines(chosen),
+        )
+        say("calibrating on seen TCPs and hands that are new")
+        model = model_of(trained, dataset, split, shlex.join(again))
+        model = calibrate(model, chosen, dataset, seed=seed)
+        with writing(out / MODEL):
+            save_model(model, out / MODEL)
+    except KeyboardInterrupt:
+        say(f"stopped; to go on from the last whole epoch: {shlex.join([*again, '--resume'])}")
+        return INTERRUPTED
+    assert model.calibration is not None
+    multiplier, threshold_m = model.calibration.interval_multiplier, model.calibration.spread_threshold_m
+    result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
+    result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
+    result(f"model: {out / MODEL}")
+    return AS_EXPECTED
+
+
+class _EpochLines:
+    """One line an epoch: the losses, and how long the rest will take."""
+
+    def __init__(self, recipe: Recipe) -> None:
+        self._recipe = recipe
+        self._begun_s = time.monotonic()
+        self._epochs = 0
+
+    def __call__(self, epoch: Epoch) -> None:
+        self._epochs += 1
+        recipe = self._recipe
+        left = recipe.members * recipe.epochs - epoch.member * recipe.epochs - epoch.number - 1
+        left_s = left * (time.monotonic() - self._begun_s) / self._epochs
+        member = f"member {epoch.member + 1}/{recipe.members}, " if recipe.members > 1 else ""
+        say(
+            f"{member}epoch {epoch.number + 1}/{recipe.epochs}: loss {epoch.training_loss:.4f}, "
+            f"validation {epoch.validation_loss:.4f}, RMSE {1e3 * epoch.validation_rmse_m:.2f} mm"
+            f"{' (best)' if epoch.is_best else ''}, {left_s:.0f} s left"
+        )
+
+
+@command(commands, interrupted="interrupted: no evaluation was written")
+def evaluate(
+    models: Annotated[
+        list[str],
+        typer.Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
+    ],
+    samples: Annotated[int, typer.Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Also every figure, as JSON, to this file.")] = None,
+) -> int:
+    """Compare models on seen and unseen space: errors, intervals, coverage, doubt as a detector.
+
+    Every model answers the same questions; no sample was used in training or calibration.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.avoidance.learned import LearnedAvoider
+    from safety_harness.cli.evaluation_tables import tables
+    from safety_harness.learning.evaluation_file import figures_of, load_models, write_evaluation
+
+    loaded = load_models(models)
+    figures, remarks = figures_of(loaded, samples, seed, say)
+    if out is not None:
+        write_evaluation(out, loaded, figures, remarks, samples, seed)
+    for one in loaded:
+        result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
+    result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
+    for line in (*remarks, *tables(figures)):
+        result(line)
+    if out is not None:
+        say(f"figures: {out}")
+    return AS_EXPECTED
+
+
+@command(commands, "time", interrupted="interrupted: nothing was written")
+def time_avoider(
+    avoider: Annotated[
+        str,
+        typer.Argument(
+            help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            metavar="AVOIDER",
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="Also a profile for scenarios, to this file *.json.")
+    ] = None,
+    questions: Annotated[int, typer.Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
+    seed: Seed = 0,
+) -> int:
+    """Measure how long an avoider takes to answer on this machine: p50, p99, max.
+
+    A scenario that names the profile (settings: {avoidance: {decision time: FILE.json}}) draws what each
+    decision costs in simulated time from it.  A Python file is executed.
+    Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    """
+    from safety_harness.admission.measured_times import measured_times
+    from safety_harness.report.words import milliseconds_words
+    from safety_harness.scenario.decision_times import profile_text
+    from safety_harness.whole_file import write_text
+
+    if out is not None and out.suffix != ".json":
+        raise InadmissibleError(place=Place(field="--out"), expected="a file *.json", got=out.name)
+    try:
+        found = measured_times(avoider, questions, seed)
+    except NoAnswerError as error:
+        say(f"error: {error}; nothing was written")
+        return BAD_INPUT
+    if out is not None:
+        write_text(out, profile_text(found.profile))
+    p50, p99, most = map(milliseconds_words, found.quantiles_s(0.5, 0.99, 1.0))
+    who = f"{found.measured.avoider} ({found.avoider_name})"
+    result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
+    result(f"on {found.measured.machine}")
+    if found.faults:
+        say(f"note: {found.faults} of them were faults, no usable answers")
+    if out is not None:
+        say(f"profile: {out}; in a scenario: settings: {{avoidance: {{decision time: {out.name}}}}}")
+    return AS_EXPECTED
+
+
+@command(commands, interrupted="interrupted: nothing was exported")
+def export(
+    model: Annotated[
+        str, typer.Argument(help="A model file (*.safetensors), or a shipped model's name.", metavar="MODEL")
+    ],
+    out: Annotated[Path, typer.Option(help="The file to write.")],
+    seed: Seed = 0,
+) -> int:
+    """Write a model as ONNX, and try the file against the original on random questions.
+
+    Needs PyTorch, the extra "learning" of this package.
+    Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
+    """
+    from safety_harness.avoidance.model_file import load_model
+    from safety_harness.avoidance.shipped import model_file
+
+    path = model_file(str(model))
+    if seed < 0:
+        raise ModelError(place=Place(field="--seed"), expected="a seed of at least 0", got=str(seed))
+    loaded = load_model(path)
+    try:
+        from safety_harness.learning.export import write_export  # brings PyTorch
+
+        difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)
+    except ModuleNotFoundError as error:  # onnxscript is asked for by PyTorch, and late
+        raise ModelError(
+            place=Place(field="export"),
+            expected="PyTorch with its ONNX exporter, which only export needs",
+            got=str(error),
+            hint="pip install 'safety-harness[learning]'",
+        ) from error
+    result(f"onnx: {out}")
+    result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
+    return AS_EXPECTED

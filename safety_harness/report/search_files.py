@@ -1,0 +1,170 @@
+"""What a search writes at its end: findings.json for programs, the coverage as a picture, and the page."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from datetime import UTC, datetime
+
+from safety_harness.admission.agreement import measured_agreement
+from safety_harness.admission.avoiders import replay_command, told_avoider
+from safety_harness.exceptions import OutputError
+from safety_harness.interrupts import one_more_ctrl_c
+from safety_harness.properties.answered import fallback_words
+from safety_harness.report.computing_time import cost_words
+from safety_harness.report.coverage_map import coverage_map
+from safety_harness.report.page_parts import asset
+from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
+from safety_harness.report.svg import standalone
+from safety_harness.scenario.files import told
+from safety_harness.search.findings import Findings, Group
+from safety_harness.search.session import FINDINGS, SearchSession, WrittenCounterexample, complaint_of
+from safety_harness.search.trials import Trials
+from safety_harness.trace.provenance import provenance
+from safety_harness.whole_file import write_text
+
+PAGE, COVERAGE = "fuzz.html", "coverage.svg"
+
+
+def write_search(session: SearchSession) -> None:
+    """The three files, in the folder of the session, which keeps what the disk or Ctrl-C says to that."""
+    out, say = session.out, session.output.say
+    evidence = evidence_of(session)
+    try:
+        with one_more_ctrl_c(say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
+            write_text(out / FINDINGS, json.dumps(as_json(session.trials, evidence), indent=1) + "\n")
+            title = f"Coverage of {evidence.space}"
+            counts = evidence.violations.counts
+            drawn = coverage_map(evidence.coverage, counts, prefix="coverage-", title=title)
+            write_text(out / COVERAGE, standalone(drawn, style=asset("report.css")))
+            write_text(out / PAGE, render(evidence))
+        say(f"page: {out / PAGE} (for programs: {FINDINGS})")
+        session.findings.interrupted |= asked()
+    except OutputError as error:
+        session.unwritable = error
+    except KeyboardInterrupt:
+        session.findings.interrupted = True
+        say(f"no page was written; the files are in {out}")
+
+
+def evidence_of(session: SearchSession) -> SearchEvidence:
+    """Everything that the page shows."""
+    trials = session.trials
+    avoider = trials.avoider or trials.space.simplest.avoider
+    made = provenance("kinematic, confirmed in pybullet", avoider)
+    return SearchEvidence(
+        title=trials.space.title,
+        space=trials.space.name,
+        avoider=avoider,
+        computing_time=cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s),
+        seed=trials.seed,
+        budget=session.budget,
+        command=_command(session),
+        generated_at=datetime.now(UTC),
+        findings=session.findings,
+        fallback=fallback_words(trials.unanswered, trials.decisions),
+        baseline=session.baseline,
+        coverage=trials.coverage,
+        violations=trials.violations,
+        shown=tuple(map(_shown, session.written)),
+        confirmed=session.confirmed,
+        unconfirmed=tuple(session.unconfirmed),
+        agreement=measured_agreement(),
+        provenance=(
+            ("Package", f"safety-harness {made.package_version}"),
+            ("Source hash", made.source_hash),
+            ("World", made.world),
+            ("Seed", str(trials.seed)),
+            ("Python", made.python),
+            ("Platform", made.platform),
+            ("Libraries", ", ".join(f"{name} {version}" for name, version in made.libraries)),
+            *((name, f"sha256 {sha256}") for name, sha256 in made.files),
+        ),
+    )
+
+
+def _shown(written: WrittenCounterexample) -> ShownCounterexample:
+    trace = written.trace_file
+    return ShownCounterexample(
+        one=written.one,
+        groups=tuple(written.groups),
+        searcher=written.searcher,
+        file=written.path.name,
+        trace_file="" if trace is None else trace.name,
+        run_command=shlex.join(["safety-harness", "run", str(told(written.path))]),
+        replay_command="" if trace is None else replay_command(written.one.shrunk.scenario, trace),
+        text=written.text,
+    )
+
+
+def _command(session: SearchSession) -> str:
+    """The command line that makes all of this again."""
+    trials = session.trials
+    assert trials.space.file is not None
+    command = ["safety-harness", "fuzz", str(told(trials.space.file))]
+    command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
+    command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
+    command += [] if trials.avoider is None else ["--avoider", told_avoider(trials.avoider)]
+    command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
+    return shlex.join(command + ["--baseline"] * (session.baseline is not None))
+
+
+def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
+    """Counts, the nearest margins, distinct violations with their points, and the coverage; SI throughout."""
+    findings, baseline = evidence.findings, evidence.baseline
+    return {
+        "space": evidence.space,
+        "avoider": trials.avoider,
+        "computing time": evidence.computing_time,
+        "searcher": findings.searcher,
+        "seed": evidence.seed,
+        "budget": evidence.budget,
+        "tried": findings.tried,
+        "refused": dict(findings.refused.most_common()),
+        "interrupted": findings.interrupted,
+        "decisions": trials.decisions,
+        "unanswered": trials.unanswered,
+        "claims": _of_claims(findings),
+        "baseline": None
+        if baseline is None
+        else {"searcher": baseline.searcher, "tried": baseline.tried, "claims": _of_claims(baseline)},
+        "distinct": [
+            _of_group(trials, group) | {"counterexample": _file_of(group, evidence)}
+            for group in findings.groups
+        ],
+        "confirmed in PyBullet": evidence.confirmed,
+        "not confirmed in PyBullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
+        "counterexamples": [shown.file for shown in evidence.shown],
+        "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
+        "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
+    }
+
+
+def _of_claims(findings: Findings) -> list[dict[str, object]]:
+    return [
+        {
+            "sentence": goal.sentence,
+            "with a verdict": int(findings.evidence[k]),
+            "violated": int(findings.violated[k]),
+            "first violation after": int(findings.first_violation[k]) or None,
+            "least margin": None if near is None else float(near.margins[k]),
+            "least margins so far": findings.improvements[k],
+        }
+        for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
+    ]
+
+
+def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
+    """The counterexample that it shrank to; None for what was not shrunk, or not confirmed."""
+    return next((shown.file for shown in evidence.shown if group in shown.groups), None)
+
+
+def _of_group(trials: Trials, group: Group) -> dict[str, object]:
+    return {
+        "complaint": complaint_of(trials, group).sentence,
+        "kind": group.kind,
+        "runs": group.count,
+        "worst margin": None if group.claim is None else group.worst_margin(),
+        "worst point": group.worst.point.tolist(),
+        "number": group.worst.number,
+    }

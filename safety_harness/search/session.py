@@ -1,0 +1,334 @@
+"""A whole search of a space: find violations, shrink, confirm and explain them, write each one down.
+
+As findings come they are saved as found; at the end the worst of each kind is shrunk, until there are
+three structures, or six groups were shrunk.  Nothing that happens later loses what was found.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from safety_harness.admission.avoiders import as_seen_from
+from safety_harness.exceptions import OutputError, explanation
+from safety_harness.properties.answered import fallback_words
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.write import write_scenario
+from safety_harness.search.confirm import Complaint
+from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
+from safety_harness.search.coverage import Coverage
+from safety_harness.search.cube import Cube
+from safety_harness.search.disagreement import Disagreement, disagreement_of
+from safety_harness.search.findings import Findings, Group, TriedPoint
+from safety_harness.search.outcomes import RUN_FAILED
+from safety_harness.search.sampling import UniformSampling
+from safety_harness.search.search import find_violations
+from safety_harness.search.searchers import MakesSearcher
+from safety_harness.search.trials import ScenarioRunner, Trials, in_pybullet
+from safety_harness.trace.store import save_trace
+from safety_harness.trace.trace import Trace
+from safety_harness.whole_file import write_text, writing
+
+FINDINGS, AS_FOUND = "findings.json", "as-found"
+MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
+SHRINKING_RUNS = 200  # for each
+MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
+_MOST_AS_FOUND = 50  # files
+_BATCH = 64  # runs that go to their decisions together
+
+
+@dataclass(frozen=True)
+class SearchOutput:
+    """Where the words of a search go: remarks, results, and its findings after every batch of a budget."""
+
+    say: Callable[[str], None]
+    result: Callable[[str], None]
+    watch: Callable[[int], AbstractContextManager[Callable[[Findings], None]]]
+
+
+@dataclass(frozen=True, eq=False)
+class WrittenCounterexample:
+    """A counterexample, the groups of runs that shrank to it, the searcher of its first, and its files."""
+
+    one: Counterexample
+    groups: list[Group]
+    searcher: str
+    path: Path
+    trace_file: Path | None
+    text: str
+
+    @property
+    def lines(self) -> list[str]:
+        """What was found, once: however many groups of runs shrank to it."""
+        one, runs = self.one, sum(group.count for group in self.groups)
+        margin = "-" if one.evaluation is None else one.evaluation.margin_text()
+        apart = f" in {len(self.groups)} groups that lie apart" if len(self.groups) > 1 else ""
+        return [
+            f"violated {margin:>13}  {one.complaint.words}",
+            f"  {self.path}: {runs} runs led to it{apart}; shrunk in {one.shrunk.used} runs",
+            *(f"  {line}" for line in one.explanation),
+        ]
+
+
+@dataclass(eq=False)
+class SearchSession:
+    """One search and what becomes of its findings.  What cannot be written is printed instead.
+
+    ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
+    ``confirming`` shows as well, and ``unwritable`` is why no more is written.
+    """
+
+    trials: Trials
+    out: Path
+    budget: int
+    output: SearchOutput
+    confirming: ScenarioRunner = in_pybullet
+    baseline: Findings | None = None
+    written: list[WrittenCounterexample] = field(default_factory=list)
+    confirmed: int = 0
+    unwritable: OutputError | None = None
+    unconfirmed: list[Disagreement] = field(default_factory=list)
+
+    @property
+    def interrupted(self) -> bool:
+        """Was it ended by Ctrl-C?"""
+        return self.findings.interrupted
+
+    def search(self, make: MakesSearcher) -> None:
+        """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
+        self.findings = self._search(make, self.trials)
+
+    def sample(self) -> None:
+        """The baseline, with counts of its own; unless the search was interrupted."""
+        if not self.findings.interrupted and self.unwritable is None:
+            self.output.say("the baseline: uniform sampling with the same budget")
+            anew = replace(self.trials, coverage=Coverage(), violations=Coverage())
+            self.baseline = self._search(UniformSampling, anew, folder="baseline")
+            self.findings.interrupted = self.baseline.interrupted
+
+    def _search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
+        cube = Cube.of(trials.space)
+        saved = 0
+
+        def keep(findings: Findings) -> None:
+            nonlocal saved
+            for group in findings.groups[saved:_MOST_AS_FOUND]:
+                self._save_as_found(group, self.out / AS_FOUND / folder, saved, findings)
+                saved += 1
+            show(findings)
+
+        with self.output.watch(self.budget) as show:
+            return find_violations(
+                cube,
+                trials.goals,
+                trials,
+                make(cube, claims=len(trials.goals), seed=trials.seed),
+                budget=self.budget,
+                batch=_BATCH,
+                on_progress=keep,
+                enough=lambda findings: self.unwritable is not None,
+            )
+
+    def conclude(self, write_page: Callable[[SearchSession], None]) -> None:
+        """Shrink, unless the search was interrupted; say what was found, and write the page."""
+        findings, say = self.findings, self.output.say
+        fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
+        whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
+        lines = [*self.trials.space.notes, whole, *nearest_lines(findings)]
+        if self.baseline is not None:
+            lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
+        for line in lines:
+            say(line)
+        if findings.interrupted:
+            say("interrupted: what was found is kept as it was found, not shrunk")
+        elif self.unwritable is None:
+            for claim in (*range(len(findings.goals)), None):
+                self._shrink_groups(claim)
+        for line in remarks(self.trials, findings):
+            say(line)
+        if self.unconfirmed:
+            say(f"{len(self.unconfirmed)} findings were not confirmed in PyBullet; they are in {FINDINGS}")
+        if self.unwritable is None:
+            write_page(self)
+        if self.written:
+            say("again: " + shlex.join(["safety-harness", "run", *(str(one.path) for one in self.written)]))
+        if self.unwritable is not None:
+            say(f"error: {explanation(self.unwritable)}")
+
+    def _shrink_groups(self, claim: int | None) -> None:
+        """Of the search; what only the baseline met is worth as much."""
+        searches = [self.findings] if self.baseline is None else [self.findings, self.baseline]
+        findings = next((one for one in searches if one.of_claim(claim)), self.findings)
+        groups = _one_of_each_kind_first(findings.of_claim(claim))
+        told: list[WrittenCounterexample] = []
+        tried = shrunk = 0
+        for group in groups:
+            if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
+                break
+            one = self._counterexample(group, len(told) + 1)
+            tried, shrunk = tried + 1, shrunk + (one is not None)
+            if one is None:
+                continue
+            same = next((other for other in told if one.is_same_as(other.one)), None)
+            if same is None:
+                told.append(self._save(one, group, findings))
+            else:
+                same.groups.append(group)
+        for line in (line for written in told for line in written.lines):
+            self.output.result(line)
+        left = groups[tried:]
+        if left and not self.findings.interrupted:
+            runs = sum(group.count for group in left)
+            self.output.say(
+                f"{findings.sentence_of(left[0])}: {len(left)} more groups of violations ({runs} runs) were "
+                f"not shrunk; they may be the same or others ({FINDINGS}, {AS_FOUND})"
+            )
+
+    def _counterexample(self, group: Group, number: int) -> Counterexample | None:
+        complaint = complaint_of(self.trials, group)
+        path = self._file(self.out, complaint, number)
+        found = replace(self._found(self.out, group.worst), file=path, name=path.stem)
+        try:
+            one = counterexample_of(found, complaint, self.confirming, budget=SHRINKING_RUNS)
+        except KeyboardInterrupt:
+            self.findings.interrupted = True
+            return None
+        if one is None:
+            self.unconfirmed.append(
+                disagreement_of(group, complaint, found, self.trials.world, self.confirming)
+                if len(self.unconfirmed) < MOST_RUN_TWICE
+                else Disagreement(group, complaint)
+            )
+            self.output.say(f"not confirmed in PyBullet: {complaint.sentence}, point {group.worst.number}")
+            return None
+        self.confirmed += 1
+        self.findings.interrupted |= one.shrunk.interrupted
+        return one
+
+    def _file(self, folder: Path, complaint: Complaint, number: int) -> Path:
+        words = re.sub(r"[^a-z0-9]+", "-", complaint.sentence.lower()).strip("-")[:60].rstrip("-")
+        return folder / f"{self.trials.space.name}-{words}-{number}.yaml"
+
+    def _found(self, folder: Path, episode: TriedPoint) -> Scenario:
+        return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
+
+    def _origin(self, episode: TriedPoint, findings: Findings) -> list[str]:
+        trials = self.trials
+        return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
+
+    def _save(self, one: Counterexample, group: Group, findings: Findings) -> WrittenCounterexample:
+        path = one.shrunk.scenario.file
+        assert path is not None
+        trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
+        text = text_of(one, self._origin(group.worst, findings), trace_file)
+        if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
+            try:
+                with writing(trace_file):
+                    save_trace(one.run, trace_file)
+            except OutputError as error:
+                self.unwritable = error
+        self.written.append(WrittenCounterexample(one, [group], findings.searcher, path, trace_file, text))
+        return self.written[-1]
+
+    def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
+        """At once, so that nothing that happens later loses it."""
+        complaint = complaint_of(self.trials, group)
+        found = self._found(folder, group.first)
+        claims = (
+            replace(claim, expected=Verdict.VIOLATED) if claim == complaint.claim else claim
+            for claim in found.claims
+        )
+        head = [f"As found, not shrunk: {complaint.sentence}", *self._origin(group.first, findings)]
+        comments = "".join(f"# {line}\n" for line in head)
+        text = comments + "\n" + write_scenario(replace(found, claims=tuple(claims)))
+        self._write(self._file(folder, complaint, number + 1), text)
+
+    def _write(self, path: Path, text: str) -> bool:
+        try:
+            if self.unwritable is None:
+                write_text(path, text)
+                return True
+        except OutputError as error:
+            self.unwritable = error
+        self.output.result(f"# --- {path} (which could not be written)\n{text}# ---")
+        return False
+
+
+def search_space(
+    trials: Trials,
+    make: MakesSearcher,
+    *,
+    out: Path,
+    budget: int,
+    output: SearchOutput,
+    write_page: Callable[[SearchSession], None],
+    baseline: bool = False,
+) -> SearchSession:
+    """Search, shrink, confirm, explain, write to ``out``.
+
+    ``baseline`` samples the space uniformly as well, with the same budget, to compare with.  Raises
+    InadmissibleError for a space of which next to no point can be tried.
+    """
+    session = SearchSession(trials, out, budget, output)
+    session.search(make)
+    if baseline:
+        session.sample()
+    session.conclude(write_page)
+    return session
+
+
+def complaint_of(trials: Trials, group: Group) -> Complaint:
+    """What a group of violations or mishaps is about: a claim, what the avoider did, or why a run failed."""
+    if group.claim is not None:
+        return Complaint(trials.claims[group.claim])
+    return Complaint(None if group.kind.startswith(RUN_FAILED) else trials.answered, group.kind)
+
+
+def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
+    """The worst of each kind, then the others."""
+    firsts: dict[str, Group] = {}
+    for group in groups:
+        firsts.setdefault(group.kind, group)
+    return [*firsts.values(), *(group for group in groups if firsts[group.kind] is not group)]
+
+
+def nearest_lines(findings: Findings) -> list[str]:
+    """For each claim how near it came, and how often it was put to the test and violated."""
+    lines = []
+    for claim, goal in enumerate(findings.goals):
+        nearest = findings.nearest[claim]
+        near = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
+        counts = f"violated {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
+        lines.append(f"  {near:>14}  {goal.sentence}: {counts}")
+    return lines
+
+
+def summary(findings: Findings, budget: int) -> str:
+    """Tried, refused, found."""
+    violations = sum(group.claim is not None for group in findings.groups)
+    mishaps = len(findings.groups) - violations
+    return (
+        f"tried {findings.tried}/{budget}, refused {findings.refused.total()}, {violations} violations apart"
+        + (f", {mishaps} kinds of mishap" if mishaps else "")
+    )
+
+
+def remarks(trials: Trials, findings: Findings) -> list[str]:
+    """What a reader would otherwise get wrong."""
+    lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
+    for claim, goal in enumerate(findings.goals):
+        if findings.always_violated(claim):
+            lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
+        elif findings.tried and not findings.evidence[claim]:
+            lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
+    if not findings.found and findings.tried:
+        lines.append(
+            f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
+            "safety in the rest of the space"
+        )
+    lines.append("coverage: " + str(trials.coverage).replace("\n", "\n  "))
+    return lines

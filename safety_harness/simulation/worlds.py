@@ -1,0 +1,139 @@
+"""The worlds that there are, in one table: what each is called, what it can do, and what confirms it.
+
+A new one is a class (``RecordedWorld`` has what worlds share) and an entry of ``WORLDS``; a program may
+append an entry of its own.  Every other room is handed an entry and asks it.  Only names and labels in
+files are looked up.  Importing this loads no engine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import InstallationError, Place, TraceError
+
+if TYPE_CHECKING:
+    from safety_harness.perception.detector import BoundingBoxDetector
+    from safety_harness.robot.description import ArmModel
+    from safety_harness.scenario.model import Scenario
+    from safety_harness.simulation.world import World
+
+
+class OpensWorld(Protocol):
+    """The class of a world, or a function in its place."""
+
+    def __call__(
+        self,
+        scenario: Scenario,
+        arm: ArmModel,
+        joint_position_rad: NDArray[np.float64],
+        *,
+        detector: BoundingBoxDetector | None = None,
+    ) -> AbstractContextManager[World]:
+        """One scenario with the arm at joints (6,) [rad]; ``detector`` is for rendered images of hands."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorldEntry:
+    """One world.  ``name`` is its own in traces, ``label`` that in plans and on pages.
+
+    ``load`` imports its class, and its engine with it.  ``renders``: has it a camera's pictures, pixel by
+    pixel?  ``substeps``: does it divide a control period by ``physics_substeps``?  ``batch``: is it a
+    ``BatchWorld``, of which a great many run together?  What it shows is of the model only, bounds too,
+    until ``confirmed_by`` shows it; None for a reference.
+    """
+
+    name: str
+    label: str
+    load: Callable[[], OpensWorld] = field(repr=False)
+    renders: bool = False
+    substeps: bool = False
+    batch: bool = False
+    confirmed_by: WorldEntry | None = None
+
+    def __str__(self) -> str:
+        return f"the {self.label} world" if self.model_only else self.label
+
+    @property
+    def model_only(self) -> bool:
+        """Whether it says something of the model only, and nothing of the reference."""
+        return self.confirmed_by is not None
+
+    def opener(self) -> OpensWorld:
+        """Its class; InstallationError if its engine is not installed."""
+        try:
+            return self.load()
+        except ModuleNotFoundError as error:
+            place, expected = Place(field=f"the world {self.label}"), "its engine to be installed"
+            raise InstallationError(place=place, expected=expected, got=f"no module {error.name}") from error
+
+    def open(
+        self,
+        scenario: Scenario,
+        arm: ArmModel,
+        joint_position_rad: NDArray[np.float64],
+        *,
+        detector: BoundingBoxDetector | None = None,
+    ) -> AbstractContextManager[World]:
+        """As ``OpensWorld``; InadmissibleError as of ``refuse``, InstallationError as of ``opener``."""
+        self.refuse(scenario)
+        load_engines()
+        return self.opener()(scenario, arm, joint_position_rad, detector=detector)
+
+    def refuse(self, scenario: Scenario) -> None:
+        """InadmissibleError for rendered images in a world that has no renderer."""
+        if not self.renders:
+            from safety_harness.simulation.world import refuse_rendered
+
+            refuse_rendered(scenario, self.label)
+
+
+def _pybullet() -> OpensWorld:
+    from safety_harness.simulation.pybullet_world import PyBulletWorld
+
+    return PyBulletWorld
+
+
+def _kinematic() -> OpensWorld:
+    from safety_harness.simulation.kinematic_world import KinematicWorld
+
+    return KinematicWorld
+
+
+PYBULLET = WorldEntry(name="pybullet", label="PyBullet", load=_pybullet, renders=True, substeps=True)
+"""The reference world: rigid bodies, motors with torque limits, a renderer."""
+KINEMATIC = WorldEntry(
+    name="kinematic", label="kinematic", load=_kinematic, batch=True, confirmed_by=PYBULLET
+)
+"""Joints do what the drives are told; many episodes run together."""
+REFERENCE = PYBULLET  # where no world is named
+WORLDS = [PYBULLET, KINEMATIC]
+"""Every world; another is a class and an entry here."""
+
+
+@lru_cache(maxsize=1)
+def load_engines() -> None:
+    """All that are installed: which libraries a trace names must not depend on what ran before it."""
+    for world in WORLDS:
+        with suppress(InstallationError):
+            world.opener()
+
+
+def worlds_by_label() -> dict[str, WorldEntry]:
+    """As plans and ledgers name them."""
+    return {world.label: world for world in WORLDS}
+
+
+def world_of_trace(name: str) -> WorldEntry:
+    """The world that a trace names; TraceError for one that is not there."""
+    for world in WORLDS:
+        if world.name == name:
+            return world
+    names = " or ".join(world.name for world in WORLDS)
+    raise TraceError(place=Place(field="world"), expected=f"a trace made in {names}", got=name)

@@ -1,0 +1,123 @@
+"""Where the drawn values of a space end up in its scenario, and what has to hold of them.
+
+A scenario is read once for each structure, with a ``TracedNumber`` in place of every number that varies.
+That goes through the ordinary reader like the number that it has; it remembers how it was computed, and every
+comparison that it was part of.  Other values are then filled in at the same paths, as long as they answer all
+these comparisons alike.  What cannot be remembered (a conversion, an array, a text) is a TypeError, so that
+nothing is ever filled in wrongly.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+
+from safety_harness.scenario.model import Scenario
+from safety_harness.settings import DEFAULTS
+from safety_harness.space.paths import Path, form_of, leaves
+
+Values = Sequence[float]
+_Computed = Callable[[Values], Any]  # from a point's values
+_Check = tuple[_Computed, bool]  # a comparison, and how it has to come out
+
+_NEVER_DRAWN = frozenset(map(id, vars(DEFAULTS).values()))  # the groups of settings as they are by default
+
+
+def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Callable[[Any, Any], Any]:
+    """An operator of ``TracedNumber``: a bool for a comparison, which is noted down, else another one."""
+
+    def applied(self: TracedNumber, other: object) -> Any:
+        if not isinstance(other, TracedNumber | float | int):
+            return NotImplemented
+        of_other = other.of if isinstance(other, TracedNumber) else lambda values: other
+        left, right = (of_other, self.of) if mirrored else (self.of, of_other)
+
+        def of(values: Values) -> Any:
+            return apply(left(values), right(values))
+
+        result = of(self.values)
+        if not isinstance(result, bool):
+            return TracedNumber(of, self.values, self.checks)
+        self.checks.append((of, result))
+        return result
+
+    return applied
+
+
+class TracedNumber:
+    """A number that ``of`` computes from a point's values; ``values`` are those of the point being read.
+
+    All numbers of a reading share their ``checks``: every comparison so far.
+    """
+
+    __array_ufunc__ = None  # numpy makes nothing of it
+
+    def __init__(self, of: _Computed, values: Values, checks: list[_Check]) -> None:
+        self.of, self.values, self.checks = of, values, checks
+
+    __add__, __radd__ = _operator(operator.add), _operator(operator.add, mirrored=True)
+    __sub__, __rsub__ = _operator(operator.sub), _operator(operator.sub, mirrored=True)
+    __mul__, __rmul__ = _operator(operator.mul), _operator(operator.mul, mirrored=True)
+    __truediv__, __rtruediv__ = _operator(operator.truediv), _operator(operator.truediv, mirrored=True)
+    __lt__, __le__ = _operator(operator.lt), _operator(operator.le)
+    __gt__, __ge__ = _operator(operator.gt), _operator(operator.ge)
+    __eq__, __ne__ = _operator(operator.eq), _operator(operator.ne)
+    __hash__ = None  # type: ignore[assignment]
+
+    def __bool__(self) -> bool:
+        return bool(self != 0.0)
+
+    def __str__(self) -> str:
+        raise TypeError("the text of a traced number cannot be filled in")
+
+    __repr__ = __str__
+
+    def __reduce__(self) -> tuple[type[float], tuple[float]]:
+        """In another process it is the number that it has."""
+        return float, (self.of(self.values),)
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A scenario to fill in: all those of one structure, which differ in values, name and seed."""
+
+    checks: tuple[_Check, ...]
+    places: tuple[_Computed, ...]
+    fill: Callable[[Sequence[Any]], Scenario] | None
+
+    @classmethod
+    def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario], *, has_seed: bool) -> Form:
+        """From one point's values; InputError as the reader's.  ``has_seed``: the text fixes the seed.
+
+        Where the reader does more with the numbers than arithmetic, the form fits no point.
+        """
+        checks: list[_Check] = []
+        traced = [TracedNumber(itemgetter(column), row, checks) for column in range(len(row))]
+        try:
+            scenario = read(traced)
+        except TypeError:
+            return cls((), (), None)
+        numbers: dict[Path, int] = {("name",): -2}
+        if not has_seed:
+            numbers["seed",] = -1
+        places: list[_Computed] = []
+        for path, leaf in leaves(scenario, but=_NEVER_DRAWN):
+            if isinstance(leaf, TracedNumber):
+                numbers[path] = len(places)
+                places.append(leaf.of)
+            elif isinstance(leaf, np.ndarray) and leaf.dtype == object:
+                return cls((), (), None)
+        return cls(tuple(checks), tuple(places), form_of(scenario, numbers))
+
+    def filled(self, row: Values, name: str, seed: int) -> Scenario | None:
+        """The scenario of a point's values; None where only the reader can make it, or refuse it."""
+        if self.fill is None or not all(of(row) is answer for of, answer in self.checks):
+            return None
+        found = [of(row) for of in self.places]
+        return self.fill([*found, name, seed]) if all(map(isfinite, found)) else None

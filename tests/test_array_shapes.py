@@ -1,0 +1,93 @@
+"""Every array of floats that a function takes says its shape, beside the parameter or in the docstring.
+
+ends: NDArray[np.float64],  # (n, 2, 3) [m], both ends of each
+'''Distance [m] from ``point`` (3,) to the segment from ``start`` to ``end``, (3,) both.'''
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import safety_harness
+
+PACKAGE = Path(safety_harness.__file__).parent
+ROOMS = ("controller", "geometry", "learning", "perception", "servoing", "statistics")
+KERNEL = {"compiled", "inlined", "njit_no_nrt"}
+SHAPE = r"\((?:\.\.\.|[^().]*?,[^().]*?|\.\.\.,[^().]*?)\)"
+ALIAS = re.compile(r"^(\w+) = NDArray\[np\.float64\]$", re.MULTILINE)
+FLOATS = {"NDArray[np.float64]"} | {
+    name for file in PACKAGE.rglob("*.py") for name in ALIAS.findall(file.read_text(encoding="utf-8"))
+}
+
+
+def functions(node: ast.AST, about: str = "") -> Iterator[tuple[ast.FunctionDef, str]]:
+    """Public functions and methods, and compiled ones of any name, each with what may describe it."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.ClassDef) and not child.name.startswith("_"):
+            yield from functions(child, ast.get_docstring(child) or "")
+        elif isinstance(child, ast.FunctionDef):
+            kernel = any(isinstance(by, ast.Name) and by.id in KERNEL for by in child.decorator_list)
+            if kernel or child.name == "__init__" or not child.name.startswith("_"):
+                own = ast.get_docstring(child) or ""
+                yield child, about if child.name == "__init__" else own
+
+
+def without_shape(source: str) -> list[str]:
+    """The parameters of a file that are arrays of floats of a shape that is not said."""
+    lines, found = source.splitlines(), []
+    for function, docstring in functions(ast.parse(source)):
+        given = function.args
+        for one in given.posonlyargs + given.args + given.kwonlyargs:
+            if one.annotation is None or not FLOATS & set(ast.unparse(one.annotation).split(" | ")):
+                continue
+            beside = lines[(one.end_lineno or 0) - 1][one.end_col_offset or 0 :]
+            told = rf"``{one.arg}``[^;.]*?{SHAPE}"
+            if not (re.search("#.*" + SHAPE, beside) or re.search(told, docstring)):
+                found.append(f"{function.name}({one.arg})")
+    return found
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_array_of_floats_says_its_shape(room: str) -> None:
+    files = sorted((PACKAGE / room).rglob("*.py"))
+    missing = {file.name: found for file in files if (found := without_shape(file.read_text("utf-8")))}
+    assert missing == {}
+
+
+HEAD = "def move({}) -> None:\n    '''{}'''\n"
+FLOAT = "NDArray[np.float64]"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "docstring", "missing"),
+    [
+        (f"way: {FLOAT}", "Along ``way`` (3,) [m].", []),
+        (f"way: {FLOAT}", "Along ``way``, of shape\n    (..., 3).", []),
+        (f"way: {FLOAT}, by: {FLOAT}", "Along ``way`` and ``by`` (n, 3).", []),
+        (f"\n    way: {FLOAT},  # (n, 3)\n", "Along it.", []),
+        (f"\n    way: {FLOAT} | None = None,  # (n, 3)\n", "Along it.", []),
+        ("way: NDArray[np.int64], far: float", "Along ``way``.", []),
+        (f"way: {FLOAT}", "Along ``way`` (metres).", ["move(way)"]),
+        (f"way: {FLOAT}", "Along ``way``.  Others are (3,).", ["move(way)"]),
+        (f"way: {FLOAT}", "Along (3,).", ["move(way)"]),
+        (f"\n    way: {FLOAT},  # metres\n", "Along it.", ["move(way)"]),
+        (f"*, way: {FLOAT} | None = None", "Along it.", ["move(way)"]),
+    ],
+)
+def test_the_test_tells_a_shape_from_none(parameters: str, docstring: str, missing: list[str]) -> None:
+    assert without_shape(HEAD.format(parameters, docstring)) == missing
+
+
+def test_the_test_looks_at_kernels_of_any_name_and_at_constructors() -> None:
+    function = HEAD.format(f"way: {FLOAT}", "Along it.")
+    assert without_shape(function.replace("move", "_move")) == []
+    assert without_shape("@compiled\n" + function.replace("move", "_move")) == ["_move(way)"]
+    method = "    " + function.replace("move(", "__init__(self, ").replace("\n    ", "\n        ")
+    assert without_shape("class Mover:\n    '''Along a way.'''\n\n" + method) == ["__init__(way)"]
+    assert without_shape("class Mover:\n    '''Along ``way`` (3,).'''\n\n" + method) == []
+    assert without_shape("class _Mover:\n    '''Along a way.'''\n\n" + method) == []
