@@ -19,7 +19,7 @@ from safety_harness.learning.dataset import seen
 from safety_harness.learning.evaluation import leaf
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.properties.separation import ProtectiveSeparation
+from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.settings import GateKind, Settings
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace

@@ -15,7 +15,7 @@ from safety_harness.certification.evidence import CalibrationCheck, SeparationCa
 from safety_harness.certification.system import model_of
 from safety_harness.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.exceptions import TraceError
-from safety_harness.properties.separation import ProtectiveSeparation
+from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.search.coverage import Coverage as Cells

@@ -18,17 +18,17 @@ from safety_harness.properties.limits import (
     TCP_SPEED,
 )
 from safety_harness.properties.positions import PROPOSED_POSES, REPULSIVE_POSES
+from safety_harness.properties.protective_separation import (
+    PROTECTIVE_SEPARATION,
+    PROTECTIVE_SEPARATION_AT,
+    PROTECTIVE_SEPARATION_OWN,
+)
 from safety_harness.properties.reaction import (
     FALSE_ALARMS,
     FALSE_ALARMS_WITHIN,
     GIVES_WAY,
     GIVES_WAY_AT_MOST,
     GIVES_WAY_TO_TRUE_HAND,
-)
-from safety_harness.properties.separation import (
-    PROTECTIVE_SEPARATION,
-    PROTECTIVE_SEPARATION_AT,
-    PROTECTIVE_SEPARATION_OWN,
 )
 from safety_harness.properties.servoing import (
     CONVERGED,

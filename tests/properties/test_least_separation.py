@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.separation import ProtectiveSeparation, farthest_steps, least_separation
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import farthest_steps, least_separation
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.robot.capsules import Arm, load_capsules
 from safety_harness.robot.description import load_arm

@@ -16,7 +16,8 @@ from safety_harness.properties.hand_distance import instants
 from safety_harness.properties.hand_prediction import HandPredictions
 from safety_harness.properties.limits import TcpAcceleration
 from safety_harness.properties.positions import RepulsivePosesReachable, opposite_position, spare_m
-from safety_harness.properties.separation import ProtectiveSeparation, separation_terms
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import separation_terms
 from safety_harness.properties.servoing import Converged, GainSwitchIterations, GainSwitchReached
 from safety_harness.properties.spread_calibration import (
     IntervalRule,

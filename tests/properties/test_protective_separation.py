@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.separation import ProtectiveSeparation, separation_terms, times_left_s
+from safety_harness.properties.protective_separation import ProtectiveSeparation, times_left_s
+from safety_harness.properties.separation import separation_terms
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules

@@ -1,0 +1,242 @@
+"""The claim that the arm keeps the protective separation distance of ``separation``, with its entries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.controller.stack import STANDSTILL_RADPS
+from safety_harness.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    readable,
+    runs_of,
+    times_begun,
+)
+from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.separation import (
+    WALKING_MPS,
+    Separation,
+    farthest_steps,
+    least_separation,
+    lengths,
+    separation_terms,
+)
+from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
+from safety_harness.scenario.units import SPEED
+from safety_harness.settings import Settings
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace, once_a_trace
+
+GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProtectiveSeparation:
+    """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
+
+    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for WALKING_MPS.  With
+    ``own_speeds`` it is that of each hand's and forearm's own nearest point at that tick.  The robot's
+    v_r is that of the link's nearest point towards the human, never below zero.  Both are those of
+    the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
+    one that should be farther away.
+
+    T_r and T_s are the settings' (T_s at the TCP speed of that tick).  Once a protective stop is
+    under way only what is left of them counts: a stop that begins in time is no violation later on.
+
+    Exercised when a hand comes as near to the moving arm as S_p can be for an arm at its speed limit.
+    """
+
+    hand_speed_mps: float | None = None
+    own_speeds: bool = False
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        if self.own_speeds:
+            return "protective separation kept from hands at their own speeds"
+        if self.hand_speed_mps is None:
+            return "protective separation kept"
+        return f"protective separation kept at {self.hand_speed_mps:g} m/s"
+
+    @property
+    def assumed_mps(self) -> float:
+        """The v_h that is taken where the hands' own speeds are not."""
+        return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
+
+    @readable(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "tcp_speed_mps",
+        "hand_position_in_base_m",
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the pair that has least to spare."""
+        if not trace.scenario.hands:
+            return inconclusive(self, "there is no hand in this scenario")
+        worst = self.worst(trace)
+        if worst is None:
+            return inconclusive(self, "never exercised: the arm did not move while a hand was there")
+        near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
+        return judged(
+            self,
+            trace,
+            margin=worst.margin_m,
+            worst_time_s=float(trace.time_s[worst.tick]),
+            reason=described(trace, worst),
+            exercised=times_begun(near),
+        )
+
+    def worst(self, trace: Trace) -> Separation | None:
+        """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
+        settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
+        reaction_s, stop_s = times_left_s(trace)
+        which, what = least_separation(
+            arm_of(trace),
+            turns,
+            true.joints_rad,
+            true.rates_radps,
+            true.present,
+            true.hands_m,
+            reaction_s,
+            stop_s,
+            np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
+            np.nan if self.own_speeds else self.assumed_mps,
+            settings.clock.control_period_s,
+            *_steps_m(trace),
+            int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
+        )
+        tick, hand, capsule, body = (int(value) for value in which)
+        if tick < 0:
+            return None
+        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in what)
+        return Separation(
+            tick=tick,
+            hand=hand,
+            capsule=capsule,
+            forearm=body == 1,
+            distance_m=distance_m,
+            robot_speed_mps=robot_mps,
+            hand_speed_mps=hand_mps,
+            reaction_time_s=float(reaction_s[tick]),
+            stop_time_s=float(stop_s[tick]),
+            terms=separation_terms(
+                hand_speed_mps=hand_mps,
+                robot_speed_mps=robot_mps,
+                reaction_time_s=float(reaction_s[tick]),
+                stop_time_s=float(stop_s[tick]),
+                hand_moves_m=hand_moves_m,
+                robot_moves_m=robot_moves_m,
+            ),
+        )
+
+    def largest_m(self, settings: Settings) -> float:
+        """S_p for an arm that heads for a human at its speed limit: how near is near."""
+        fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+        braking = settings.braking
+        stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+        return sum(lengths(self.assumed_mps, fastest_mps, braking.reaction_time_s, stop_s, 0.0, 0.0))
+
+
+@once_a_trace
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``."""
+    true = true_motion(trace)
+    return farthest_steps(true.joints_rad, true.hands_m, true.present, arm_of(trace).reach_m)
+
+
+@once_a_trace
+def moving(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) does any joint turn, by the controller's own bound for a standstill?"""
+    return _moving(true_motion(trace).rates_radps)
+
+
+@compiled
+def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) is any |q'| of ``rates_radps`` (n, 6) at least STANDSTILL_RADPS?"""
+    turns = np.zeros(rates_radps.shape[0], np.bool_)
+    for k in range(rates_radps.shape[0]):
+        for joint in range(rates_radps.shape[1]):
+            turns[k] |= abs(rates_radps[k, joint]) >= STANDSTILL_RADPS
+    return turns
+
+
+@once_a_trace
+def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
+
+    All of both, but while a protective stop is carried out (the BRAKING flag of the drives): of an
+    arm that still moves when its ramp has been over for two ticks again all of both.
+    """
+    braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
+    speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
+    reaction_s = np.full(len(time_s), braking.reaction_time_s)
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    stopping = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    whole_s = stop_s.copy()
+    for first, after in zip(*runs_of(stopping), strict=True):
+        run = slice(first, after)
+        left_s = reaction_s[run] - (time_s[run] - time_s[first])
+        braked = left_s <= 1e-9
+        ramp_s = left_s + (whole_s[first + int(np.argmax(braked))] if braked.any() else 0.0)
+        late_s = ramp_s + GRACE_TICKS * period_s
+        ramped = braked & (late_s > 0.0)
+        reaction_s[run] = np.where(ramped, 0.0, np.where(braked, reaction_s[run], left_s))
+        stop_s[run] = np.where(ramped, np.maximum(late_s, 0.0), whole_s[run])
+    return reaction_s, stop_s
+
+
+def described(trace: Trace, found: Separation) -> str:
+    """The pair and its terms in a sentence."""
+    part = capsules_of(trace).names[found.capsule].replace("_", " ")
+    whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
+    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
+    return (
+        f"{whose} {found.distance_m * 1e3:.1f} mm from {part}; needed are {found.required_m * 1e3:.1f} mm = "
+        f"{terms} (arm {found.robot_speed_mps * 1e3:.0f} mm/s towards it, v_h {found.hand_speed_mps:.2f} m/s)"
+    )
+
+
+def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> CatalogueEntry:
+    return CatalogueEntry(
+        prop=prop,
+        rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
+        "either comes: this is the distance at which stopping still helps",
+        source="ISO/TS 15066, 5.5.4 (now in ISO 10218-2:2025): S_p = S_h + S_r + S_s + C + Z_d + Z_r",
+        margin=margin,
+        parameters=parameters,
+        exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
+        inconclusive="the arm did not move while a hand was there",
+        scenario="hand-visits-and-leaves",
+        broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+    )
+
+
+_TIMES = "reaction time, stop time and hand sizes of the settings"
+_MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
+
+PROTECTIVE_SEPARATION = _entry(ProtectiveSeparation(), parameters=f"v_h = 1.6 m/s; {_TIMES}", margin=_MARGIN)
+
+
+PROTECTIVE_SEPARATION_AT = replace(
+    _entry(
+        ProtectiveSeparation(hand_speed_mps=2.0),
+        parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
+        margin=_MARGIN,
+    ),
+    pattern=r"protective separation kept at (.+)",
+    make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
+)
+PROTECTIVE_SEPARATION_OWN = _entry(
+    ProtectiveSeparation(own_speeds=True),
+    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
+    margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
+)
