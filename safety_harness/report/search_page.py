@@ -77,26 +77,6 @@ class SearchEvidence:
     provenance: tuple[tuple[str, str], ...]
 
 
-@dataclass(frozen=True)
-class ClaimLine:
-    """A claim in one search: how often and how soon it was violated, and the least margin."""
-
-    violated: str
-    first: str
-    least: str
-
-
-@dataclass(frozen=True)
-class PartLine:
-    """An evaluation or one of its conjuncts, ``depth`` steps below the claim."""
-
-    depth: int
-    verdict: str
-    margin: str
-    when: str
-    sentence: str
-
-
 def render(evidence: SearchEvidence) -> str:
     """The page as text; the same evidence gives the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline

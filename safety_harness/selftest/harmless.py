@@ -18,7 +18,6 @@ from safety_harness.selftest.system import ChangedSystem, Records
 from safety_harness.servoing.control import DESIRED
 
 NOISE_M = 1e-7
-FAR_ASIDE_PX = 3000.0
 
 
 def _mutating(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
