@@ -22,9 +22,7 @@ from ratios import Ratio, say
 
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
-from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
-from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_avoider, isolated_onnx
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.exceptions import Place
 from safety_harness.settings import DEFAULTS
@@ -49,7 +47,7 @@ class Upwards:
 def one_by_one(avoider: Avoider) -> None:
     """As a run asks."""
     for seed in range(ONE_BY_ONE):
-        ask(avoider, hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=seed)
+        ask(avoider, Question(HAND, TCP, seed))
 
 
 def microseconds(what: Callable[[], object], count: int) -> float:
@@ -63,7 +61,7 @@ def here_and_there(onnx: Path | None = None) -> tuple[Avoider, IsolatedAvoider]:
     """The same avoider in this process and in another."""
     if onnx is None:
         return Upwards(), isolated_avoider(FILE, "Upwards", Place())
-    return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)[0]
+    return OnnxAvoider.of(onnx, onnx.read_bytes(), hand=HAND, tcp=TCP), isolated_onnx(onnx, DEFAULTS)
 
 
 def measured(here: Avoider, there: IsolatedAvoider) -> list[tuple[float, float, float]]:

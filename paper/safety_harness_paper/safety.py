@@ -14,7 +14,7 @@ from safety_harness.admission.spaces import draw_admissible
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.learning.dataset import seen
 from safety_harness.learning.evaluation import leaf
 from safety_harness.properties.base import Property

@@ -15,7 +15,7 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.learning.image_error import ImageErrors
 from safety_harness.scenario.model import OffsetStart, Scenario
 from safety_harness.settings import ImageSource, Settings

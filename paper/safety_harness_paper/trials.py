@@ -22,7 +22,7 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.poses import kinematics
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate, Query
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.controller.records import (
     ANSWER,
     COMMAND,

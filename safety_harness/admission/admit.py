@@ -31,7 +31,7 @@ from safety_harness.admission.poses import (
     kinematics,
     start_joint_position,
 )
-from safety_harness.avoidance.asking import ask
+from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
@@ -224,13 +224,7 @@ def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: V
     Whatever comes is thrown away: a fault belongs to the run, which will meet it.  False if nothing does.
     """
     try:
-        ask(
-            avoider,
-            hand_position_in_base_m=np.array(hand_in_base_m),
-            tcp_position_in_base_m=np.array(tcp_in_base_m),
-            seed=0,
-            limit_s=FIRST_ANSWER_S,
-        )
+        ask(avoider, Question(np.array(hand_in_base_m), np.array(tcp_in_base_m), 0, FIRST_ANSWER_S))
     except NoAnswerError:
         return False
     return True

@@ -17,13 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
-from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
 from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
-from safety_harness.avoidance.nearest_candidate import NearestCandidate
-from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.python_text import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, Replaced, is_sentence
 from safety_harness.scenario.files import resolved, told

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import FIRST_ANSWER_S, answers_at_first, first_question
 from safety_harness.admission.avoiders import avoider_sha256, resolve_avoider, scenario_of_avoider
-from safety_harness.avoidance.asking import ask
+from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, Place
 from safety_harness.scenario.fields import is_sentence
@@ -84,9 +84,11 @@ def answer_times_s(avoider: Avoider, questions: int, seed: int) -> tuple[NDArray
     answers = [
         ask(
             avoider,
-            hand_position_in_base_m=hand + rng.uniform(-AROUND_M, AROUND_M, 3),
-            tcp_position_in_base_m=tcp + rng.uniform(-AROUND_M, AROUND_M, 3),
-            seed=int(rng.integers(2**63)),
+            Question(
+                hand + rng.uniform(-AROUND_M, AROUND_M, 3),
+                tcp + rng.uniform(-AROUND_M, AROUND_M, 3),
+                int(rng.integers(2**63)),
+            ),
         )
         for _ in range(questions)
     ]

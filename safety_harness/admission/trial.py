@@ -10,9 +10,8 @@ from typing import cast
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.asking import OutOfProcessAvoider
+from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.batches import takes_many
 from safety_harness.controller.controller import Controller
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.perception.detector import BoundingBoxDetector

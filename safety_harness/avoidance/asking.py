@@ -1,4 +1,4 @@
-"""Asking an avoider: whatever it does, an answer or a fault in words comes back.
+"""Asking an avoider, once or many times in one call: an answer or a fault in words comes back.
 
 What a decision costs in simulated time is declared (``decision_times``); how long an answer takes on the
 wall's clock is measured and changes nothing, unless it never comes: that ends the run.
@@ -15,15 +15,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import FrameType
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.avoidance.asked import DelayedQuery
 from safety_harness.avoidance.avoider import (
     Avoider,
     Proposal,
     Vector,
+    Vectors,
     checked,
     described,
     printable,
@@ -33,6 +34,7 @@ from safety_harness.exceptions import AvoiderError, NoAnswerError
 from safety_harness.settings import DEFAULTS
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
+EACH_S = 1.0  # the more that each of many questions may take
 NAN_PROPOSAL = Proposal(np.full(3, np.nan), np.full(3, np.nan))
 
 
@@ -52,12 +54,12 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """One question, and how long its answer is waited for on the wall's clock."""
+    """One question, and how long its answer is waited for on the wall's clock.  Positions are (3,)."""
 
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
     seed: int
-    limit_s: float
+    limit_s: float = WALL_LIMIT_S
 
 
 class OutOfProcessAvoider(ABC):
@@ -77,37 +79,19 @@ class _Hangs(BaseException):
     """Raised within an avoider at the wall limit; not an Exception, which it might catch."""
 
 
-def ask(
-    avoider: Avoider,
-    *,
-    hand_position_in_base_m: Vector,  # (3,)
-    tcp_position_in_base_m: Vector,  # (3,)
-    seed: int,
-    limit_s: float = WALL_LIMIT_S,
-) -> Answer:
+def ask(avoider: Avoider, question: Question) -> Answer:
     """One avoider's answer.
 
     Whatever it raises becomes a fault in words; only the interpreter's own exits pass.  NoAnswerError if
-    it takes longer than ``limit_s`` on the wall's clock: where it runs Python on the main thread it is
-    interrupted then, anything else in this process is waited for.
+    it takes longer than the question's limit on the wall's clock: where it runs Python on the main thread it
+    is interrupted then, anything else in this process is waited for.
     """
-    one, hand, tcp = addressed(avoider, hand_position_in_base_m, tcp_position_in_base_m)
-    if isinstance(one, OutOfProcessAvoider):
-        return one.answers([Question(hand, tcp, seed, limit_s)], together=False)[0]
+    if isinstance(avoider, OutOfProcessAvoider):
+        return avoider.answers([question], together=False)[0]
     begun_s = time.perf_counter()
-    with interrupted_after(limit_s, avoider.name):
-        answer = _ask(avoider, hand_position_in_base_m.copy(), tcp_position_in_base_m.copy(), seed)
+    with interrupted_after(question.limit_s, avoider.name):
+        answer = _ask(avoider, question)
     return replace(answer, latency_s=time.perf_counter() - begun_s)
-
-
-def addressed(avoider: Avoider, hand: Vector, tcp: Vector) -> tuple[Avoider, Vector, Vector]:
-    """Who is asked, and of which hand and TCP, where a fault has the answer to an earlier question count.
-
-    ``hand`` and ``tcp`` (3,).
-    """
-    if isinstance(avoider, DelayedQuery):
-        return avoider.avoider, avoider.hand_position_in_base_m, avoider.tcp_position_in_base_m
-    return avoider, hand, tcp
 
 
 def late_fault(deadline_s: float) -> str:
@@ -115,11 +99,13 @@ def late_fault(deadline_s: float) -> str:
     return f"no answer within {deadline_s * 1e3:g} ms"
 
 
-def _ask(avoider: Avoider, hand_in_base_m: Vector, tcp_in_base_m: Vector, seed: int) -> Answer:
+def _ask(avoider: Avoider, question: Question) -> Answer:
     try:
         threshold_m = spread_threshold_of(avoider)
         proposal = avoider.propose(
-            hand_position_in_base_m=hand_in_base_m, tcp_position_in_base_m=tcp_in_base_m, seed=seed
+            hand_position_in_base_m=question.hand_position_in_base_m.copy(),
+            tcp_position_in_base_m=question.tcp_position_in_base_m.copy(),
+            seed=question.seed,
         )
         return answer_of(proposal, threshold_m)
     except NoAnswerError:  # of an avoider that it asks
@@ -162,3 +148,51 @@ def interrupted_after(limit_s: float, name: str) -> Iterator[None]:
             signal.signal(signal.SIGALRM, before)
     if time.perf_counter() - begun_s > limit_s:
         raise NoAnswerError(name, limit_s)
+
+
+class BatchAvoider(Avoider, Protocol):
+    """An avoider that answers many questions in one call, each with the bits that ``propose`` gives."""
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).  ``seeds`` (n,)."""
+        ...
+
+
+def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
+    """Can the avoider be asked many questions at once?"""
+    return callable(getattr(avoider, "propose_many", None))
+
+
+def limit_of(questions: Sequence[Question]) -> float:
+    """How long the answers to questions asked together are waited for; then they are asked in turn."""
+    return max(question.limit_s for question in questions) + EACH_S * len(questions)
+
+
+def answers_together(avoider: Avoider, questions: Sequence[Question]) -> list[Answer]:
+    """The answers to questions asked together; none where they have to be asked in turn.
+
+    That is where the avoider does not take many, raises, hangs, or does not return two arrays (n, 3): whose
+    fault it is shows then.
+    """
+    if isinstance(avoider, OutOfProcessAvoider):
+        return avoider.answers(questions, together=True)
+    if not takes_many(avoider):
+        return []
+    try:
+        threshold_m = spread_threshold_of(avoider)
+        with interrupted_after(limit_of(questions), avoider.name):
+            positions, spreads = avoider.propose_many(
+                np.array([question.hand_position_in_base_m for question in questions]),
+                np.array([question.tcp_position_in_base_m for question in questions]),
+                np.array([question.seed for question in questions], dtype=np.uint64),
+            )
+        if np.shape(positions) != (len(questions), 3) or np.shape(spreads) != (len(questions), 3):
+            return []
+        return [
+            replace(answer_of(Proposal(position, spread), threshold_m), latency_s=np.nan)
+            for position, spread in zip(positions, spreads, strict=True)
+        ]
+    except Exception:  # a user's code may raise anything
+        return []

@@ -20,7 +20,9 @@ from safety_harness.exceptions import AvoiderError
 from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
+Vectors = NDArray[np.float64]  # (n, 3)
 MOST_WORDS = 1_000
+LARGEST = float(np.finfo(np.float64).max)
 
 
 def _no_spread() -> Vector:
@@ -61,18 +63,34 @@ class Avoider(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class AvoiderAround:
+    """An avoider around another: all is that ``avoider``'s own but ``propose``, which heirs give."""
+
+    avoider: Avoider
+
+    @property
+    def name(self) -> str:
+        """The avoider's own."""
+        return self.avoider.name
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The avoider's own; AvoiderError as there."""
+        return spread_threshold_of(self.avoider)
+
+    @property
+    def decision_time_s(self) -> float:
+        """The avoider's own; AvoiderError as there."""
+        return decision_time_of(self.avoider)
+
+
 def spread_threshold_of(avoider: Avoider) -> float | None:
     """The largest spread [m] with which the avoider's proposals may be used; None for any.
 
     AvoiderError for what is no such length: zero is one (only what is certain), infinity is not.
     """
-    threshold = getattr(avoider, "spread_threshold_m", None)
-    if threshold is None:
-        return None
-    number = isinstance(threshold, int | float | np.integer | np.floating)
-    if not number or isinstance(threshold, bool) or not 0.0 <= threshold < np.inf:
-        raise AvoiderError(f"spread_threshold_m must be a length in metres, or None; got {threshold!r}")
-    return float(threshold)
+    return _declared(avoider, "spread_threshold_m", "a length in metres", most=LARGEST)
 
 
 def decision_time_of(avoider: Avoider) -> float:
@@ -80,15 +98,18 @@ def decision_time_of(avoider: Avoider) -> float:
 
     AvoiderError for what is no such time.
     """
-    time_s = getattr(avoider, "decision_time_s", None)
-    if time_s is None:
-        return 0.0
-    number = isinstance(time_s, int | float | np.integer | np.floating)
-    if not number or isinstance(time_s, bool) or not 0.0 <= time_s <= LONGEST_S:
-        raise AvoiderError(
-            f"decision_time_s must be a time from 0 s to {LONGEST_S:g} s, or None; got {time_s!r}"
-        )
-    return float(time_s)
+    return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
+
+
+def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:
+    """A number from 0 to ``most`` that the avoider may have; None for nothing declared, else AvoiderError."""
+    value = getattr(avoider, name, None)
+    if value is None:
+        return None
+    number = isinstance(value, int | float | np.integer | np.floating)
+    if not number or isinstance(value, bool) or not 0.0 <= value <= most:
+        raise AvoiderError(f"{name} must be {kind}, or None; got {value!r}")
+    return float(value)
 
 
 def printable(text: str) -> str:
@@ -136,20 +157,3 @@ def checked(proposal: object) -> Proposal:
     if np.any(cleaned[1] < 0.0):
         raise AvoiderError(f"a spread is never negative; got {cleaned[1].tolist()}")
     return Proposal(cleaned[0], cleaned[1])
-
-
-def proposed_in_turn(
-    avoider: Avoider,
-    hands_in_base_m: NDArray[np.float64],  # (n, 3)
-    tcps_in_base_m: NDArray[np.float64],  # (n, 3)
-    seeds: NDArray[np.uint64],  # (n,)
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """``propose_many`` of an avoider that is quick enough: positions and spreads (n, 3) [m], one by one."""
-    proposals = [
-        avoider.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=int(seed))
-        for hand, tcp, seed in zip(hands_in_base_m, tcps_in_base_m, seeds, strict=True)
-    ]
-    return (
-        np.array([proposal.position_in_base_m for proposal in proposals]).reshape(-1, 3),
-        np.array([proposal.spread_m for proposal in proposals]).reshape(-1, 3),
-    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asking import Answer, ask
+from safety_harness.avoidance.asking import Answer, Question, ask
 from safety_harness.avoidance.avoider import Avoider, Vector
 from safety_harness.exceptions import FlakyAvoiderError
 from safety_harness.scenario.faults import AvoiderNaN
@@ -25,13 +25,8 @@ def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
         if int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
             continue
         hand_in_base_m, tcp_in_base_m = _question(trace, decision)
-        answer = ask(
-            avoider,
-            hand_position_in_base_m=hand_in_base_m,
-            tcp_position_in_base_m=tcp_in_base_m,
-            seed=int(decision["seed"]),
-            limit_s=trace.scenario.settings.clock.wall_limit_s,
-        )
+        limit_s = trace.scenario.settings.clock.wall_limit_s
+        answer = ask(avoider, Question(hand_in_base_m, tcp_in_base_m, int(decision["seed"]), limit_s))
         if not _same(decision, answer):
             raise FlakyAvoiderError(_difference(trace, number, decision, answer))
 
@@ -48,15 +43,12 @@ def _question(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
 
 
 def _same(decision: np.void, answer: Answer) -> bool:
+    position_m, spread_m = decision["proposed_position_in_base_m"], decision["proposed_spread_m"]
     return (
-        _bits(decision["proposed_position_in_base_m"]) == _bits(answer.proposal.position_in_base_m)
-        and _bits(decision["proposed_spread_m"]) == _bits(answer.proposal.spread_m)
+        position_m.tobytes() == answer.proposal.position_in_base_m.tobytes()
+        and spread_m.tobytes() == answer.proposal.spread_m.tobytes()
         and str(decision["fault"]) == answer.fault[:FAULT_CHARACTERS]
     )
-
-
-def _bits(array: NDArray[np.float64]) -> bytes:
-    return np.ascontiguousarray(array).tobytes()
 
 
 def _difference(trace: Trace, number: int, decision: np.void, answer: Answer) -> str:

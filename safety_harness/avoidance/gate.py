@@ -7,15 +7,25 @@ limits along the whole straight way, not a radius.)
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import ceil
 
 import numpy as np
 
-from safety_harness.avoidance.asking import NAN_PROPOSAL, WALL_LIMIT_S, Answer, ask
+from safety_harness.avoidance.asking import (
+    NAN_PROPOSAL,
+    WALL_LIMIT_S,
+    Answer,
+    OutOfProcessAvoider,
+    Question,
+    answers_together,
+    ask,
+    takes_many,
+)
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import GateKind, Settings
@@ -31,6 +41,7 @@ class Query:
     """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed.
 
     ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it.
+    ``asked_of``: the hand and the TCP (3,) of an earlier question, where a fault has its answer count.
     """
 
     hand_position_in_base_m: Vector
@@ -41,6 +52,13 @@ class Query:
     seed: int
     late: str = ""  # why there is no answer in simulated time; empty if there is one
     limit_s: float = WALL_LIMIT_S
+    asked_of: tuple[Vector, Vector] | None = None
+
+    @property
+    def question(self) -> Question:
+        """What the avoider is asked."""
+        hand, tcp = self.asked_of or (self.hand_position_in_base_m, self.tcp_position_in_base_m)
+        return Question(hand, tcp, self.seed, self.limit_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +89,6 @@ class Gate:
     min_singular_value: float
     lowest_tcp_height_m: float
     kind: GateKind = GateKind.FULL
-    reach_margin_m: float = REACH_MARGIN_M
-    own_clearance_m: float = OWN_CLEARANCE_M
     capsules: CapsuleSet = field(default_factory=load_capsules)
 
     @classmethod
@@ -93,7 +109,7 @@ class Gate:
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """Check the avoider's answer, fall back to the opposite pose, else stop."""
-        opposite = answer_to(self.fallback, replace(query, late=""))
+        opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
         proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not proposed_failed:
             outcome, chosen = DecisionOutcome.PROPOSED, proposed.proposal
@@ -148,7 +164,7 @@ class Gate:
         length_m = float(np.linalg.norm(way))
         if not length_m > 0.0:
             return failed
-        wanted_m = length_m + (self.reach_margin_m if full else 0.0)
+        wanted_m = length_m + (REACH_MARGIN_M if full else 0.0)
         reach_m = self.kinematics.reach_along(
             query.joint_position_rad, way / length_m, wanted_m, min_singular_value=self.min_singular_value
         )
@@ -164,7 +180,7 @@ class Gate:
         """Does the wrist come too near to the body on the way?  It may always leave where it is."""
         arm, capsules = self.kinematics.arm, self.capsules
         joints = query.joint_position_rad
-        least_m = min(self.own_clearance_m, own_distance(arm, capsules, joints))
+        least_m = min(OWN_CLEARANCE_M, own_distance(arm, capsules, joints))
         target = query.transform_tcp_to_base.copy()
         steps = ceil(length_m / WAY_STEP_M)
         for step in range(1, steps + 1):
@@ -180,13 +196,29 @@ def answer_to(avoider: Avoider, query: Query) -> Answer:
     """The avoider's answer, or the fault of one that comes too late in simulated time; NoAnswerError."""
     if query.late:
         return Answer(fault=query.late, late=True)
-    return ask(
-        avoider,
-        hand_position_in_base_m=query.hand_position_in_base_m,
-        tcp_position_in_base_m=query.tcp_position_in_base_m,
-        seed=query.seed,
-        limit_s=query.limit_s,
-    )
+    return ask(avoider, query.question)
+
+
+def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
+    """The answers, in order; those of ``ask`` bit for bit, but for their latency.
+
+    A question of a batch has no time of its own on the clock: its latency is NaN, not timed.  Questions
+    that are asked in turn are timed.  An avoider in another process gets all its questions in one
+    message, and does either there.  NoAnswerError for one that hangs.
+    """
+    answers = [Answer()] * len(queries)
+    together: dict[int, list[int]] = {}  # by avoider
+    for k, (avoider, query) in enumerate(zip(avoiders, queries, strict=True)):
+        if (takes_many(avoider) or isinstance(avoider, OutOfProcessAvoider)) and not query.late:
+            together.setdefault(id(avoider), []).append(k)
+        else:
+            answers[k] = answer_to(avoider, query)
+    for numbers in together.values():
+        avoider = avoiders[numbers[0]]
+        found = answers_together(avoider, [queries[k].question for k in numbers])
+        for row, k in enumerate(numbers):
+            answers[k] = found[row] if found else answer_to(avoider, queries[k])
+    return answers
 
 
 def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) -> bool:

@@ -3,14 +3,19 @@
 Tensors are named "{member}/{name}", the name as in a PyTorch state dict of the architecture that
 ``tensor_shapes`` spells out.  Everything a user can get wrong is refused with the field at fault;
 what ``save_model`` writes, ``load_model`` takes.
+
+Of an ONNX file the metadata are read from its bytes: no runtime loads it, nothing in it is computed.  A model
+is one message of protocol buffers (onnx.proto, ModelProto), whose field 14 is the metadata, each a message of
+two texts: 1 the key, 2 the value.  Fields: https://protobuf.dev/programming-guides/encoding
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from enum import Enum
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
@@ -35,6 +40,10 @@ LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
 CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
+LARGEST_ONNX_BYTES = 256 * 2**20
+GRAPH, METADATA = 7, 14
+MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read
+FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
 FARTHEST_M = 10.0  # a seen space beyond it is not in metres, or not around a robot's base
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
@@ -298,3 +307,48 @@ def _tensors(
             refuse(path, name, "variances of at least 0", f"{tensor.min():g}")
         tensors[name] = tensor
     return tensors
+
+
+def onnx_bytes(path: Path) -> bytes:
+    """The whole of an ONNX file; ModelError for none, or one that is too large."""
+    return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES)
+
+
+def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
+    """Of the file ``path`` with the contents ``data``; ModelError for what is no ONNX file."""
+    try:
+        fields = list(islice(_fields(memoryview(data)), MOST_FIELDS))
+        pairs = [dict(islice(_fields(value), 2)) for number, value in fields if number == METADATA]
+        found = {bytes(pair.get(1, b"")).decode(): bytes(pair.get(2, b"")).decode() for pair in pairs}
+    except (ValueError, IndexError):
+        fields = []
+    if GRAPH not in [number for number, _ in fields]:
+        refuse(path, None, "an ONNX file", "something else, or a part of one")
+    return found
+
+
+def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Number and value of each field of a message; ValueError or IndexError for what is none."""
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        if key & 7 == 2:
+            length, at = _varint(data, at)
+        elif key & 7 == 0:
+            length = _varint(data, at)[1] - at
+        else:
+            length = FIXED.get(key & 7, len(data))
+        if at + length > len(data):
+            raise ValueError("a field beyond the end")
+        yield key >> 3, data[at : at + length]
+        at += length
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, the lowest first, and where it ends."""
+    number = 0
+    for shift in range(0, 70, 7):
+        number |= (data[at + shift // 7] & 0x7F) << shift
+        if data[at + shift // 7] < 0x80:
+            return number, at + shift // 7 + 1
+    raise ValueError("a number without an end")

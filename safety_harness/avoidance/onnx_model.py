@@ -13,7 +13,7 @@ Metadata
 A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
 them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
 and no other file is opened.  Those operators have loops and make tensors of any size: a stranger's file is
-loaded and asked in a process of its own (``isolation.onnx_file``); what is here runs where it is called.
+loaded and asked in a process of its own (``isolation.isolated``); what is here runs where it is called.
 """
 
 from __future__ import annotations

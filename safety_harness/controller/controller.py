@@ -14,11 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asked import DelayedQuery
 from safety_harness.avoidance.asking import Answer, late_fault
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.faulty import faulty
 from safety_harness.avoidance.gate import Gate, GateDecision, Query, answer_to
+from safety_harness.avoidance.simple import faulty
 from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
 from safety_harness.controller.decision_times import NOTHING
 from safety_harness.controller.records import (
@@ -168,24 +167,14 @@ class AvoidingServo:
 
     def asked(self) -> Avoider:
         """Who answers the question that counts now: the avoider, as its faults leave it."""
-        question = self.records.question[0]
-        avoider = faulty(self.records.faults, self.avoider, float(question["asked_s"]))
-        if not question["delayed"]:
-            return avoider
-        hand_in_base_m, tcp_in_base_m = (
-            question[name].copy() for name in ("hand_position_in_base_m", "tcp_position_in_base_m")
-        )
-        return DelayedQuery(avoider, hand_in_base_m, tcp_in_base_m)
+        return faulty(self.records.faults, self.avoider, float(self.records.question[0]["asked_s"]))
 
     def query(self, observation: NDArray[np.void]) -> Query:
         """The decision that counts now, as the gate wants it.  ``observation`` (1,) OBSERVATION."""
         state, question = self.records.state[0], self.records.question[0]
         number, nearest = len(self._decisions), state["nearest_track"]
-        hand = (
-            state["predicted_hand_in_base_m"][nearest]
-            if nearest >= 0
-            else question["hand_position_in_base_m"]
-        )
+        asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
+        hand = state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else asked_hand
         return Query(
             hand_position_in_base_m=hand.copy(),
             tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
@@ -195,6 +184,7 @@ class AvoidingServo:
             seed=seed(self._root_seed, Branch.DECISION, number),
             late=self._late if question["late"] else self._recorded_words,
             limit_s=self._limit_s,
+            asked_of=(asked_hand.copy(), asked_tcp.copy()) if question["delayed"] else None,
         )
 
     @property

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import continuous_optimum
 from safety_harness.avoidance.model_file import Model, load_model
-from safety_harness.avoidance.nearest_candidate import NearestCandidate
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.avoidance.simple import NearestCandidate
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import Proportion
 from safety_harness.scenario.model import Verdict

@@ -12,8 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from safety_harness.avoidance.around import AvoiderAround
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.avoidance.avoider import Avoider, AvoiderAround, Proposal, Vector
 from safety_harness.exceptions import AvoiderError
 from safety_harness.seeds import Branch, generator
 from safety_harness.selftest.fault import FaultyPart, Precondition, SeededFault, SeverityLevels

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asking_many import ask_many
+from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.world import BatchWorld, World

@@ -21,16 +21,15 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.avoidance.isolation.onnx_file import LARGEST_BYTES
 from safety_harness.avoidance.model_file import (
     KEY,
     NetworkUse,
     SeenSpace,
     load_model,
-    model_bytes,
     network_use,
+    onnx_bytes,
+    onnx_metadata,
 )
-from safety_harness.avoidance.onnx_metadata import onnx_metadata
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import ModelError, Place, RegionError
 from safety_harness.geometry.regions import Box, Region
@@ -109,7 +108,7 @@ def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
 
 def exported_seen(path: Path) -> SeenSpace | None:
     """What an ONNX file of ours says it has seen; None for one of others."""
-    text = onnx_metadata(path, model_bytes(path, "an ONNX file", most=LARGEST_BYTES)).get(KEY)
+    text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None
     return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True).seen

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.asking import Answer, ask
+from safety_harness.avoidance.asking import Answer, Question, ask
 from safety_harness.avoidance.avoider import Proposal, decision_time_of
 from safety_harness.exceptions import AvoiderError, NoAnswerError
 
@@ -34,7 +34,7 @@ class Thinker:
 
 
 def answer_of(avoider: Thinker, limit_s: float = 0.05) -> Answer:
-    return ask(avoider, hand_position_in_base_m=HERE, tcp_position_in_base_m=HERE, seed=1, limit_s=limit_s)
+    return ask(avoider, Question(HERE, HERE, 1, limit_s))
 
 
 def sleeps() -> None:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from safety_harness.admission.admit import kinematics, start_joint_position
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, GateDecision, Query, leads_away
-from safety_harness.avoidance.opposite import OppositePose
 from safety_harness.avoidance.own_body import own_distance
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.robot.kinematics import TCP
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import FAULT_CHARACTERS, Check, DecisionOutcome

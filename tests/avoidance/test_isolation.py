@@ -18,14 +18,12 @@ from threading import Timer
 import numpy as np
 import pytest
 
-from safety_harness.avoidance import batches
+from safety_harness.avoidance import asking
 from safety_harness.avoidance.asking import Answer, Question, ask
-from safety_harness.avoidance.asking_many import ask_many
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.gate import Query
-from safety_harness.avoidance.isolation import python_program
-from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
-from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.gate import Query, ask_many
+from safety_harness.avoidance.isolation import isolated
+from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_avoider
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, Place, SimulationError
 from safety_harness.search.confirm import OtherDraws
 
@@ -63,7 +61,7 @@ def make(tmp_path: Path) -> Make:
 
 
 def asked(avoider: Avoider, seed: int = GOOD, limit_s: float = 30.0) -> Answer:
-    return ask(avoider, hand_position_in_base_m=HAND, tcp_position_in_base_m=HERE, seed=seed, limit_s=limit_s)
+    return ask(avoider, Question(HAND, HERE, seed, limit_s))
 
 
 def count(answer: Answer) -> int:
@@ -298,7 +296,7 @@ def test_it_does_not_outlive_us(make: Make, tmp_path: Path) -> None:
     program = f"""
 import numpy as np
 from pathlib import Path
-from safety_harness.avoidance.isolation.python_program import isolated_avoider
+from safety_harness.avoidance.isolation.isolated import isolated_avoider
 from safety_harness.exceptions import Place
 avoider = isolated_avoider(Path({str(tmp_path / "mine.py")!r}), "Mine", Place())
 avoider.propose(hand_position_in_base_m=np.ones(3), tcp_position_in_base_m=np.ones(3), seed=1)
@@ -348,7 +346,7 @@ def test_what_is_no_answer_there_is_none_here(make: Make, monkeypatch: pytest.Mo
 def test_many_asked_together_that_hang_are_asked_in_turn_and_end_the_run(
     make: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batches, "EACH_S", 0.1)
+    monkeypatch.setattr(asking, "EACH_S", 0.1)
     more = "    def propose_many(self, hands_in_base_m, tcps_in_base_m, seeds): time.sleep(60)\n"
     avoider = make(STUBBORN, more=more)
     limited = [replace(query(seed), limit_s=0.5) for seed in (GOOD, BAD)]
@@ -358,6 +356,6 @@ def test_many_asked_together_that_hang_are_asked_in_turn_and_end_the_run(
 
 
 def test_a_file_that_is_never_imported_is_refused(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(python_program, "LONGEST_S", 1.0)
+    monkeypatch.setattr(isolated, "PROGRAM_S", 1.0)
     with pytest.raises(InadmissibleError, match="to give an avoider Mine within 1 s; got its time was over"):
         make(before="import time\nwhile True: time.sleep(1)\n")

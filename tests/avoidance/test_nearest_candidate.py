@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.avoidance.nearest_candidate import NearestCandidate
+from safety_harness.avoidance.simple import NearestCandidate
 from safety_harness.controller.desired import desired_transform_tcp_to_base, view_of
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.perception.moments import MOMENT_COUNT

@@ -14,12 +14,11 @@ from random_models import SEEN
 from test_onnx_model import INPUTS, counts_kept, exported, model
 
 from safety_harness.admission.avoiders import resolve_avoider
-from safety_harness.avoidance.asking import ask
-from safety_harness.avoidance.asking_many import ask_many
-from safety_harness.avoidance.gate import Query
-from safety_harness.avoidance.isolation import onnx_file
-from safety_harness.avoidance.isolation.isolated import IsolatedAvoider
-from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
+from safety_harness.avoidance import model_file
+from safety_harness.avoidance.asking import Question, ask
+from safety_harness.avoidance.gate import Query, ask_many
+from safety_harness.avoidance.isolation import isolated
+from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_onnx
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.exceptions import ModelError, NoAnswerError, Place
 from safety_harness.settings import DEFAULTS
@@ -90,12 +89,7 @@ def always(made: onnx.ModelProto) -> onnx.ModelProto:
 
 def asked(avoider: IsolatedAvoider | OnnxAvoider, seed: int) -> str:
     """The fault, or the position's bits."""
-    answer = ask(
-        avoider,
-        hand_position_in_base_m=HAND,
-        tcp_position_in_base_m=TCP,
-        seed=seed,
-    )
+    answer = ask(avoider, Question(HAND, TCP, seed))
     return answer.fault or answer.proposal.position_in_base_m.tobytes().hex()
 
 
@@ -115,7 +109,7 @@ def test_a_model_that_never_answers_is_refused_when_its_time_is_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert asked(load(tmp_path, always(looping(3))), GOOD) == TCP.tobytes().hex()
-    monkeypatch.setattr(onnx_file, "LONGEST_S", 2.0)
+    monkeypatch.setattr(isolated, "ONNX_S", 2.0)
     with pytest.raises(ModelError, match="answers twice within 2 s; got its time was over") as raised:
         load(tmp_path, always(looping(FOR_EVER)))
     assert raised.value.place.file == tmp_path / "mine.onnx"
@@ -168,6 +162,6 @@ def test_a_file_that_is_not_there_or_too_large_is_refused_unread(
     for path in (tmp_path / "none.onnx", tmp_path):
         with pytest.raises(ModelError, match="can be read"):
             isolated_onnx(path, DEFAULTS)
-    monkeypatch.setattr(onnx_file, "LARGEST_BYTES", 100)
+    monkeypatch.setattr(model_file, "LARGEST_ONNX_BYTES", 100)
     with pytest.raises(ModelError, match="at most 100 bytes"):
         load(tmp_path, model())

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.exceptions import AvoiderError
 
 RADIUS_M = 0.1

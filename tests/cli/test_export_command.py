@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from avoidance.random_models import SEEN, random_model
 
-from safety_harness.avoidance.isolation.onnx_file import isolated_onnx
+from safety_harness.avoidance.isolation.isolated import isolated_onnx
 from safety_harness.avoidance.model_file import Dropout, save_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
 from safety_harness.cli.learning import export

@@ -8,7 +8,7 @@ from examples import Displaced
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import Mode
 

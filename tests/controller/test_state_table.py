@@ -11,7 +11,7 @@ from examples import Displaced, hand, run, scenario
 
 from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate, Query
-from safety_harness.avoidance.opposite import OppositePose
+from safety_harness.avoidance.simple import OppositePose
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check, DecisionOutcome, Limit, Mode, Trigger

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.isolation.onnx_file import LARGEST_BYTES
-from safety_harness.avoidance.model_file import model_bytes
+from safety_harness.avoidance.model_file import onnx_bytes
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, load_checkpoint, save_checkpoint
 from safety_harness.learning.recipes import OURS_DETERMINISTIC
@@ -21,7 +20,7 @@ from safety_harness.testing.session import begin, session
 
 def onnx_read(path: Path) -> object:
     """As the process of the file does it, which would take too long to begin for each of these."""
-    data = model_bytes(path, "an ONNX file", most=LARGEST_BYTES)
+    data = onnx_bytes(path)
     return OnnxAvoider.of(path, data, hand=np.array([0.8, -0.3, 0.1]), tcp=np.array([0.7, 0.0, 0.35]))
 
 

@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
-from safety_harness.avoidance.asking import Answer, Question, ask
+from safety_harness.avoidance.asking import Answer, Question, answers_together, ask, takes_many
 from safety_harness.avoidance.avoider import (
     Avoider,
     decision_time_of,
@@ -27,21 +28,23 @@ from safety_harness.avoidance.avoider import (
     printable,
     spread_threshold_of,
 )
-from safety_harness.avoidance.batches import answers_together, takes_many
 from safety_harness.avoidance.isolation.frames import (
     HEADER,
-    Frame,
-    FrameKind,
-    answer_as_bytes,
+    MOST_QUESTION_BYTES,
+    Answered,
+    Ask,
+    Drop,
+    Made,
+    Make,
+    Refused,
+    length_of,
     packed,
-    questions_from,
-    unpacked_header,
+    to_the_child,
 )
 from safety_harness.avoidance.python_file import PythonFile
 from safety_harness.exceptions import InputError, Place
 
 MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
-MOST_QUESTION_BYTES = 1 << 30
 
 
 def main(question_fd: int, answer_fd: int) -> None:
@@ -88,20 +91,17 @@ class _Child:
         self._avoiders: dict[int, tuple[Avoider, str]] = {}  # and their file
 
     def serve(self) -> None:
-        """One frame after another."""
+        """One message after another."""
         while True:
-            frame = self._read()
-            if frame.kind is FrameKind.MAKE:
-                self._write(self._make(frame))
-            elif frame.kind is FrameKind.DROP:
-                self._avoiders.pop(frame.number, None)
+            length = length_of(self._read_bytes(HEADER.size), MOST_QUESTION_BYTES)
+            told = to_the_child.decode(self._read_bytes(length))
+            if isinstance(told, Make):
+                self._write(self._make(told))
+            elif isinstance(told, Drop):
+                self._avoiders.pop(told.number, None)
             else:
-                for k, answer in enumerate(self._answers(frame)):
-                    self._write(packed(FrameKind.ANSWER, k, answer_as_bytes(answer)))
-
-    def _read(self) -> Frame:
-        kind, number, length = unpacked_header(self._read_bytes(HEADER.size), MOST_QUESTION_BYTES)
-        return Frame(kind, number, self._read_bytes(length))
+                for k, answer in enumerate(self._answers(told)):
+                    self._write(Answered.of(k, answer))
 
     def _read_bytes(self, count: int) -> bytes:
         parts = []
@@ -113,58 +113,46 @@ class _Child:
             count -= len(part)
         return b"".join(parts)
 
-    def _write(self, frame: bytes) -> None:
+    def _write(self, message: Struct) -> None:
         if os.getpid() != self._process:
             os._exit(0)  # a fork of the avoider's that came back from it
         _flush()
-        view = memoryview(frame)
+        view = memoryview(packed(message))
         while view:
             view = view[os.write(self._answer_fd, view) :]
 
-    def _make(self, frame: Frame) -> bytes:
-        """An avoider under the number of the frame."""
-        header, source = frame.payload.split(b"\0", 1)
-        asked = json.loads(header)
+    def _make(self, told: Make) -> Made | Refused:
+        """An avoider under the number that is told."""
+        asked = json.loads(told.wanted)
         path = Path(asked["path"])
         sys.path[:] = asked["sys_path"]
         try:
             os.chdir(asked["folder"])
-            avoider = _avoider(path, source, asked)
-            self._avoiders[frame.number] = avoider, str(path)
-            made = {
-                "name": str(avoider.name),
-                "spread_threshold_m": spread_threshold_of(avoider),
-                "decision_time_s": decision_time_of(avoider),
-                "takes_many": takes_many(avoider),
-            }
-            return packed(FrameKind.MADE, frame.number, json.dumps(made).encode())
+            avoider = _avoider(path, told.source, asked)
+            self._avoiders[told.number] = avoider, str(path)
+            return Made(
+                str(avoider.name),
+                spread_threshold_of(avoider),
+                decision_time_of(avoider),
+                takes_many(avoider),
+            )
         except InputError as error:
-            expected, got, hint, field = error.expected, error.got, error.hint, error.place.field
+            words = error.expected, error.got, error.hint, error.place.field or ""
         except BaseException as error:  # a user's code may raise anything
             what = asked.get("attribute", path.name)
-            expected, got, hint, field = f"{what} to be an avoider", described(error, str(path)), "", None
-        words = {
-            "expected": printable(expected),
-            "got": printable(got),
-            "hint": printable(hint),
-            "field": printable(field or ""),
-        }
-        return packed(FrameKind.REFUSED, frame.number, json.dumps(words).encode())
+            words = f"{what} to be an avoider", described(error, str(path)), "", ""
+        return Refused(*map(printable, words))
 
-    def _answers(self, frame: Frame) -> Iterator[Answer]:
+    def _answers(self, told: Ask) -> Iterator[Answer]:
         """All together if that is asked and it can, else each as soon as it is there."""
-        avoider, file = self._avoiders[frame.number]
-        questions = questions_from(frame.payload)
-        if frame.kind is FrameKind.ASK_TOGETHER and takes_many(avoider):
+        avoider, file = self._avoiders[told.number]
+        questions, found = told.asked(), []
+        if told.together:
             try:
                 found = answers_together(avoider, questions)
             except BaseException:  # what raises shows when they are asked in turn
                 found = []
-            if found:
-                yield from found
-                return
-        for question in questions:
-            yield _answer(avoider, question, file)
+        yield from found or (_answer(avoider, question, file) for question in questions)
 
 
 def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
@@ -178,13 +166,7 @@ def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
     try:
-        return ask(
-            avoider,
-            hand_position_in_base_m=question.hand_position_in_base_m,
-            tcp_position_in_base_m=question.tcp_position_in_base_m,
-            seed=question.seed,
-            limit_s=np.inf,  # the other side keeps it
-        )
+        return ask(avoider, question._replace(limit_s=np.inf))  # the other side keeps it
     except BaseException as error:  # SystemExit, or the user's own: no reason to end
         return Answer(fault=described(error, file))
 

@@ -1,134 +1,130 @@
-"""What is said between us and the process of a user's avoider: frames of fixed layout, no pickle.
+"""What is said between us and the process of a user's avoider: MessagePack of known kinds, no pickle.
 
-A frame is a header and a payload whose length the header tells.  Questions and answers are arrays of
-records; what has words is JSON, at most ``MOST_WORDS`` bytes of it.
+A message goes in a frame, behind a header that tells its length.  Each side decodes what the other may say
+and nothing else.
 """
 
 from __future__ import annotations
 
-import json
 import struct
-from enum import IntEnum
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct, msgpack
 
 from safety_harness.avoidance.asking import Answer, Question
-from safety_harness.avoidance.avoider import Proposal, printable
+from safety_harness.avoidance.avoider import LARGEST, Proposal, printable
+from safety_harness.scenario.decision_times import LONGEST_S
 
-HEADER = struct.Struct("<4sBxxxIQ")  # MAGIC, kind, bytes of payload, number
-MAGIC = b"AVO1"
-MOST_WORDS = 65_536
+HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
+MAGIC = b"AVO2"
+MOST_QUESTION_BYTES = 1 << 30
+MOST_ANSWER_BYTES = 131_072
 MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
 
-QUESTION = np.dtype(
-    [
-        ("hand_position_in_base_m", "<f8", (3,)),
-        ("tcp_position_in_base_m", "<f8", (3,)),
-        ("seed", "<u8"),
-        ("limit_s", "<f8"),
-    ]
-)
-ANSWER = np.dtype(
-    [
-        ("position_in_base_m", "<f8", (3,)),
-        ("spread_m", "<f8", (3,)),
-        ("spread_threshold_m", "<f8"),
-        ("latency_s", "<f8"),
-        ("fault", f"S{MOST_ANSWER_WORDS}"),
-    ]
-)
+Position = tuple[float, float, float]
 
 
-class FrameKind(IntEnum):
-    """What a frame says; its number is that of an avoider, or of an answer among those asked for."""
+class Make(Struct, tag=True):
+    """Make an avoider of that number: ``wanted`` says which in JSON, ``source`` is its file."""
 
-    MAKE = 1  # JSON, a zero byte, the source
-    ASK_IN_TURN = 2  # (n,) QUESTION
-    ASK_TOGETHER = 3  # the same, in one call if the avoider takes many
-    DROP = 4  # nothing
-    MADE = 5  # JSON
-    REFUSED = 6  # JSON
-    ANSWER = 7  # (1,) ANSWER
-
-
-class Frame(NamedTuple):
-    """One message."""
-
-    kind: FrameKind
     number: int
-    payload: bytes
+    wanted: bytes
+    source: bytes
 
 
-class NonsenseError(Exception):
-    """What came is no frame of ours."""
+class Ask(Struct, tag=True):
+    """Questions of hand and TCP with seed and limit; ``together``: in one call if the avoider takes many."""
+
+    number: int
+    questions: list[tuple[Position, Position, int, float]]
+    together: bool
+
+    @classmethod
+    def of(cls, number: int, questions: Sequence[Question], *, together: bool) -> Ask:
+        """To the avoider of that number."""
+        return cls(number, [(hand.tolist(), tcp.tolist(), *rest) for hand, tcp, *rest in questions], together)
+
+    def asked(self) -> list[Question]:
+        """Every array is a copy of its own, so that what is written into it changes nothing."""
+        return [
+            Question(np.array(hand), np.array(tcp), seed, limit_s)
+            for hand, tcp, seed, limit_s in self.questions
+        ]
 
 
-def packed(kind: FrameKind, number: int, payload: bytes = b"") -> bytes:
-    """A frame, as bytes."""
-    return HEADER.pack(MAGIC, kind, len(payload), number) + payload
+class Drop(Struct, tag=True):
+    """Nobody needs the avoider of that number any more."""
+
+    number: int
 
 
-def unpacked_header(header: bytes, most: int) -> tuple[FrameKind, int, int]:
-    """Kind, number and the length of the payload, which is at most ``most``; NonsenseError otherwise."""
-    magic, kind, length, number = HEADER.unpack(header)
-    if magic != MAGIC or kind not in set(FrameKind) or length > most:
-        raise NonsenseError
-    return FrameKind(kind), number, length
+class Made(Struct, tag=True):
+    """What an avoider says of itself."""
+
+    name: str
+    spread_threshold_m: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None
+    decision_time_s: Annotated[float, Meta(ge=0.0, le=LONGEST_S)]
+    takes_many: bool
 
 
-def questions_as_bytes(questions: list[Question]) -> bytes:
-    """(n,) QUESTION."""
-    records = np.zeros(len(questions), QUESTION)
-    for record, question in zip(records, questions, strict=True):
-        for name, value in question._asdict().items():
-            record[name] = value
-    return records.tobytes()
+class Refused(Struct, tag=True):
+    """The file gives no avoider: what was expected, what came, where to read on, and in which field."""
+
+    expected: str
+    got: str
+    hint: str
+    field: str
 
 
-def questions_from(payload: bytes) -> list[Question]:
-    """Every array is a copy of its own, so that what is written into it changes nothing."""
-    return [
-        Question(
-            record["hand_position_in_base_m"].astype(np.float64),
-            record["tcp_position_in_base_m"].astype(np.float64),
-            int(record["seed"]),
-            float(record["limit_s"]),
+class Answered(Struct, tag=True):
+    """The answer to the question of that number, among those asked for."""
+
+    number: int
+    position_in_base_m: Position
+    spread_m: Position
+    spread_threshold_m: float
+    latency_s: float
+    fault: bytes
+
+    @classmethod
+    def of(cls, number: int, answer: Answer) -> Answered:
+        """As much of the fault as there is room for."""
+        return cls(
+            number,
+            answer.proposal.position_in_base_m.tolist(),
+            answer.proposal.spread_m.tolist(),
+            float(answer.spread_threshold_m),
+            answer.latency_s,
+            answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS],
         )
-        for record in np.frombuffer(payload, QUESTION)
-    ]
+
+    def answer(self) -> Answer:
+        """As it was sent, not yet looked at."""
+        return Answer(
+            Proposal(np.array(self.position_in_base_m), np.array(self.spread_m)),
+            self.spread_threshold_m,
+            printable(self.fault.decode(errors="ignore")),
+            latency_s=self.latency_s,
+        )
 
 
-def answer_as_bytes(answer: Answer) -> bytes:
-    """(1,) ANSWER; of the fault as many words as there is room for."""
-    record = np.zeros(1, ANSWER)
-    record["position_in_base_m"] = answer.proposal.position_in_base_m
-    record["spread_m"] = answer.proposal.spread_m
-    for name in ("spread_threshold_m", "latency_s"):
-        record[name] = getattr(answer, name)
-    record["fault"] = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS]
-    return record.tobytes()
+Told = Make | Ask | Drop
+Said = Made | Refused | Answered
+to_the_child: msgpack.Decoder[Told] = msgpack.Decoder(Told)
+from_the_child: msgpack.Decoder[Said] = msgpack.Decoder(Said)
 
 
-def answer_from(payload: bytes) -> Answer:
-    """The answer as it was sent, not yet looked at; NonsenseError for another length."""
-    if len(payload) != ANSWER.itemsize:
-        raise NonsenseError
-    record = np.frombuffer(payload, ANSWER)[0]
-    return Answer(
-        Proposal(record["position_in_base_m"].copy(), record["spread_m"].copy()),
-        float(record["spread_threshold_m"]),
-        printable(bytes(record["fault"]).decode(errors="ignore")),
-        latency_s=float(record["latency_s"]),
-    )
+def packed(message: Struct) -> bytes:
+    """A frame, as bytes."""
+    payload = msgpack.encode(message)
+    return HEADER.pack(MAGIC, len(payload)) + payload
 
 
-def words_from(payload: bytes) -> dict[str, Any]:
-    """A JSON object; NonsenseError if it is none."""
-    try:
-        found = json.loads(payload)
-    except (ValueError, RecursionError) as error:
-        raise NonsenseError from error
-    if not isinstance(found, dict):
-        raise NonsenseError
-    return found
+def length_of(header: bytes, most: int) -> int:
+    """How long the message is, which is at most ``most`` bytes; ValueError otherwise."""
+    magic, length = HEADER.unpack(header)
+    if magic != MAGIC or length > most:
+        raise ValueError("no frame of ours")
+    return int(length)

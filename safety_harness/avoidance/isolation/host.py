@@ -14,36 +14,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.avoidance.asking import Answer, Question
+from msgspec import Struct
+
+from safety_harness.avoidance.asking import Answer, Question, limit_of
 from safety_harness.avoidance.avoider import printable
-from safety_harness.avoidance.batches import limit_of
-from safety_harness.avoidance.isolation.frames import (
-    FrameKind,
-    NonsenseError,
-    answer_from,
-    packed,
-    questions_as_bytes,
-    words_from,
-)
-from safety_harness.avoidance.isolation.process import GoneError, Process
-from safety_harness.scenario.decision_times import LONGEST_S as LONGEST_DECISION_S
+from safety_harness.avoidance.isolation.frames import Answered, Ask, Drop, Made, Make, Refused
+from safety_harness.avoidance.isolation.process import GoneError, NonsenseError, Process
 from safety_harness.scenario.fields import is_sentence
 
-LONGEST_S = 300.0  # for a program to be imported, and to answer for the first time
 SEND_S = 10.0
 MOST_LINES, MOST_CHARACTERS = 5, 200
 KEPT = 2  # processes that are kept though no avoider lives in them
 LOGGER = logging.getLogger("safety_harness.avoider")
-
-
-@dataclass(frozen=True)
-class Made:
-    """What an avoider says of itself."""
-
-    name: str
-    spread_threshold_m: float | None
-    decision_time_s: float
-    takes_many: bool
 
 
 @dataclass(frozen=True)
@@ -57,9 +39,10 @@ class Wanted:
 class RefusedError(Exception):
     """The file gives no avoider: what was expected, what came, where to read on, and in which field."""
 
-    def __init__(self, expected: str, got: str, hint: str, field: str) -> None:
-        self.expected, self.got, self.hint, self.field = expected, got, hint, field
-        super().__init__(f"expected {expected}; got {got}")
+    def __init__(self, said: Refused) -> None:
+        words = (said.expected, said.got, said.hint, said.field)
+        self.expected, self.got, self.hint, self.field = map(printable, words)
+        super().__init__(f"expected {self.expected}; got {self.got}")
 
 
 class Host:
@@ -102,32 +85,24 @@ class Host:
                 raise GoneError(f"no process could be started: {error}") from error
             self.generation += 1
         asked = {"path": str(self.path), "folder": os.getcwd(), "sys_path": sys.path, **wanted.words}
-        self._send(packed(FrameKind.MAKE, number, json.dumps(asked).encode() + b"\0" + self._source))
+        self._send(Make(number, json.dumps(asked).encode(), self._source))
         assert self._process is not None
-        frame = self._process.receive(wanted.within_s)
-        try:
-            words = words_from(frame.payload)
-            if frame.kind is FrameKind.REFUSED:
-                raise RefusedError(
-                    *(printable(str(words[key])) for key in ("expected", "got", "hint", "field"))
-                )
-            return _made(words)
-        except (NonsenseError, KeyError):
-            raise GoneError("its process answered nonsense") from None
+        said = self._process.receive(wanted.within_s)
+        if isinstance(said, Refused):
+            raise RefusedError(said)
+        if not isinstance(said, Made) or not is_sentence(said.name):
+            raise NonsenseError
+        return said
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        kind = FrameKind.ASK_TOGETHER if together else FrameKind.ASK_IN_TURN
-        self._send(packed(kind, number, questions_as_bytes(questions)))
+        self._send(Ask.of(number, questions, together=together))
         assert self._process is not None
         for k, question in enumerate(questions):
-            frame = self._process.receive(limit_of(questions) if together else question.limit_s)
-            if frame.kind is not FrameKind.ANSWER or frame.number != k:
-                raise GoneError("its process answered nonsense")
-            try:
-                yield answer_from(frame.payload)
-            except NonsenseError:
-                raise GoneError("its process answered nonsense") from None
+            said = self._process.receive(limit_of(questions) if together else question.limit_s)
+            if not isinstance(said, Answered) or said.number != k:
+                raise NonsenseError
+            yield said.answer()
 
     def drop(self, number: int) -> None:
         """Forget an avoider, before the next thing is asked: this may be called amid another message."""
@@ -139,11 +114,11 @@ class Host:
             self._process.end()
             self._process = None
 
-    def _send(self, frame: bytes) -> None:
+    def _send(self, message: Struct) -> None:
         assert self._process is not None
         while self._dropped:
-            self._process.send(packed(FrameKind.DROP, self._dropped.popleft()), SEND_S)
-        self._process.send(frame, SEND_S)
+            self._process.send(Drop(self._dropped.popleft()), SEND_S)
+        self._process.send(message, SEND_S)
 
     def _hear(self, written: bytes) -> None:
         """Say the first lines that the avoider writes, once: not again what a new process repeats."""
@@ -159,18 +134,6 @@ class Host:
                 return
             text = printable(line.decode(errors="replace")[:MOST_CHARACTERS])
             LOGGER.warning("%s wrote: %s", self.path.name, text)
-
-
-def _made(words: dict[str, object]) -> Made:
-    keys = ("name", "spread_threshold_m", "decision_time_s", "takes_many")
-    name, threshold_m, time_s, many = (words[key] for key in keys)
-    if not isinstance(name, str) or not is_sentence(name) or not isinstance(many, bool):
-        raise NonsenseError
-    if threshold_m is not None and not (isinstance(threshold_m, float) and 0.0 <= threshold_m < float("inf")):
-        raise NonsenseError
-    if not (isinstance(time_s, float) and 0.0 <= time_s <= LONGEST_DECISION_S):
-        raise NonsenseError
-    return Made(name, threshold_m, time_s, many)
 
 
 executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words

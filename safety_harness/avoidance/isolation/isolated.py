@@ -12,16 +12,23 @@ import time
 import weakref
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
 from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.isolation.host import Host, Made, RefusedError, Wanted
+from safety_harness.avoidance.isolation.frames import Made
+from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.exceptions import AvoiderError, NoAnswerError, SimulationError
+from safety_harness.avoidance.model_file import onnx_bytes, refuse
+from safety_harness.avoidance.python_text import source_of
+from safety_harness.exceptions import AvoiderError, InadmissibleError, NoAnswerError, Place, SimulationError
+from safety_harness.settings import Settings
 
 ATTEMPTS = 3  # to make it anew, one after another
+PROGRAM_S = 300.0  # to be imported, and to answer for the first time
+ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what depends on no input
 
 
 class IsolatedAvoider(OutOfProcessAvoider):
@@ -135,3 +142,41 @@ def _looked_at(answer: Answer) -> Answer:
     if not (np.isnan(threshold_m) or 0.0 <= threshold_m < np.inf):
         return Answer(fault=f"spread_threshold_m must be a length; got {threshold_m}", latency_s=latency_s)
     return replace(answer_of(answer.proposal, threshold_m), latency_s=latency_s)
+
+
+def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
+    """The avoider called ``name`` in a Python file, which is executed in another process.
+
+    InadmissibleError at ``place`` if there is none, or the process does not live to say so.
+    """
+    source = source_of(path, place)
+    try:
+        return IsolatedAvoider.of(host_of(path, source), Wanted({"attribute": name}, PROGRAM_S))
+    except RefusedError as error:
+        raise InadmissibleError(
+            place=place, expected=error.expected, got=error.got, hint=error.hint
+        ) from error
+    except GoneError as error:
+        within = f" within {PROGRAM_S:g} s" if error.hung else ""
+        raise InadmissibleError(
+            place=place, expected=f"{path.name} to give an avoider {name}{within}", got=str(error)
+        ) from error
+
+
+def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
+    """The avoider of an ONNX file, which may loop or fill the memory; ModelError says what is wrong.
+
+    It is tried with the cell's own desired TCP and nominal hand.
+    """
+    host = host_of(path, onnx_bytes(path))
+    question = {
+        "hand": settings.avoidance.nominal_hand_position_in_base_m,
+        "tcp": settings.cell.desired_tcp_position_in_base_m,
+    }
+    try:
+        return IsolatedAvoider.of(host, Wanted(question, ONNX_S))
+    except RefusedError as error:
+        refuse(path, error.field or None, error.expected, error.got, error.hint)
+    except GoneError as error:
+        within = f" within {ONNX_S:g} s" if error.hung else ""
+        refuse(path, None, f"an ONNX file that can be loaded and answers twice{within}", str(error))

@@ -13,20 +13,21 @@ import time
 import weakref
 from collections.abc import Callable
 
+from msgspec import Struct
+
 from safety_harness.avoidance.isolation.frames import (
-    ANSWER,
     HEADER,
-    MOST_WORDS,
-    Frame,
-    NonsenseError,
-    unpacked_header,
+    MOST_ANSWER_BYTES,
+    Said,
+    from_the_child,
+    length_of,
+    packed,
 )
 
 BOOT = (
     "import sys, json; sys.path[:] = json.loads(sys.argv[3]); "
     "from safety_harness.avoidance.isolation.child import main; main(int(sys.argv[1]), int(sys.argv[2]))"
 )
-MOST_PAYLOAD = max(ANSWER.itemsize, 2 * MOST_WORDS)
 
 
 class GoneError(Exception):
@@ -35,6 +36,13 @@ class GoneError(Exception):
     def __init__(self, why: str, *, hung: bool = False) -> None:
         self.hung = hung
         super().__init__(why)
+
+
+class NonsenseError(GoneError):
+    """What came is nothing that the process has to say, and it has to be ended."""
+
+    def __init__(self) -> None:
+        super().__init__("its process answered nonsense")
 
 
 class Process:
@@ -78,10 +86,10 @@ class Process:
             self._hear(b"")
         self._finish()
 
-    def send(self, frame: bytes, limit_s: float) -> None:
-        """GoneError if it has not taken the whole of the frame within the limit."""
+    def send(self, message: Struct, limit_s: float) -> None:
+        """GoneError if it has not taken the whole of the message within the limit."""
         until_s = time.monotonic() + limit_s
-        view = memoryview(frame)
+        view = memoryview(packed(message))
         while view:
             try:
                 view = view[os.write(self._question, view) :]
@@ -90,17 +98,16 @@ class Process:
             except BrokenPipeError:
                 raise self._ended() from None
 
-    def receive(self, limit_s: float) -> Frame:
-        """The next frame; GoneError if there is none within the limit, or another kind of thing."""
+    def receive(self, limit_s: float) -> Said:
+        """What it says next; GoneError if that is nothing within the limit, or another kind of thing."""
         until_s = time.monotonic() + limit_s
         try:
-            header = self._read(HEADER.size, until_s)
-            kind, number, length = unpacked_header(header, MOST_PAYLOAD)
-        except NonsenseError:
-            raise GoneError("its process answered nonsense") from None
-        frame = Frame(kind, number, self._read(length, until_s))
+            length = length_of(self._read(HEADER.size, until_s), MOST_ANSWER_BYTES)
+            said = from_the_child.decode(self._read(length, until_s))
+        except (ValueError, RecursionError):
+            raise NonsenseError from None
         self._drain()
-        return frame
+        return said
 
     def _read(self, count: int, until_s: float) -> bytes:
         parts = []
