@@ -26,9 +26,9 @@ from safety_harness.learning.dataset import (
     generate,
     label_floor,
     seen,
+    space_named,
     split_by_sample,
     split_by_tcp,
-    unseen_tcp,
 )
 from safety_harness.learning.image_error import ImageErrors
 from safety_harness.perception.camera import transform_camera_to_tcp
@@ -78,8 +78,8 @@ def paper_scale() -> CompactDataset:
 
 def spaces() -> None:
     """Print what is out of view, and the floor, in the seen and the unseen TCPs."""
-    for make in (seen, unseen_tcp):
-        dataset = generate(DEFAULTS, make(DEFAULTS), seed=SEED)
+    for name in ("seen", "unseen tcp"):
+        dataset = generate(DEFAULTS, space_named(name, DEFAULTS), seed=SEED)
         print(
             f"{dataset.space.name}: object not wholly in view of {dataset.views_without_object:,} of "
             f"{dataset.tcps * dataset.candidates:,} candidates (not selected), and of all candidates of "

@@ -59,7 +59,7 @@ def _selections(settings: Settings, tcps: int, seed: int) -> list[Json]:
     rng = np.random.default_rng(seed)
     cap, errors = CandidateCap.of(settings), ImageErrors.of(settings)
     desired = np.array(settings.cell.desired_tcp_position_in_base_m)
-    starts = seen(settings).draw_tcps(rng, tcps)
+    starts = seen(settings).tcp.draw(rng, tcps)
     candidates = starts[:, None] + cap.draw_many([rng] * tcps)  # (tcps, 100, 3)
     by_pose = np.linalg.norm(candidates - desired, axis=2)
     found = []

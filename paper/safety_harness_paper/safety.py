@@ -77,7 +77,7 @@ def leading_away(models: tuple[Task, ...], *, pairs: int, root: int, k: int, set
 def measure_ways(folder: Path, *models: Done, pairs: int, draw_seed: int, settings: Settings) -> Json:
     """{system: {"all" and "near": counts}}; near are pairs within the critical distance."""
     space, rng = seen(settings), np.random.default_rng(draw_seed)
-    tcps, hands = space.draw_tcps(rng, pairs), space.draw_hands(rng, pairs)
+    tcps, hands = space.tcp.draw(rng, pairs), space.hand.draw(rng, pairs)
     before_m = np.linalg.norm(tcps - hands, axis=1)
     near = before_m < settings.avoidance.critical_distance_m
     found: dict[str, Any] = {}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.learning.dataset import unseen_tcp
+from safety_harness.learning.dataset import space_named
 from safety_harness.learning.evaluation import leaf
 from safety_harness.learning.recipes import Recipe
 from safety_harness.settings import Settings
@@ -87,7 +87,7 @@ def measure(
 def _iterations(settings: Settings, dnn: Done, bayesian: Done, count: int, seed: int) -> dict[str, float]:
     """Mean of ln(d / 70.7 mm) / (lambda dt), none below zero, from each pose; the hand as in table 5."""
     rng = np.random.default_rng(seed)
-    tcps = unseen_tcp(settings).draw_tcps(rng, count)
+    tcps = space_named("unseen tcp", settings).tcp.draw(rng, count)
     hand = np.array(settings.avoidance.nominal_hand_position_in_base_m)
     goal = np.array(settings.cell.desired_tcp_position_in_base_m)
     servo, period_s = settings.servo, settings.clock.control_period_s

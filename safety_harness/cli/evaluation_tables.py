@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from safety_harness.learning.dataset import LabelFloor
-from safety_harness.learning.evaluation import LEVELS, RESIDUALS, Figures
-from safety_harness.learning.metrics import Errors, IntervalCoverage
+from safety_harness.learning.evaluation import LEVELS, Figures
+from safety_harness.learning.metrics import RESIDUALS, Errors, IntervalCoverage
 from safety_harness.proportions import Proportion
 
 NONE = "-"

@@ -22,7 +22,7 @@ from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.recipes import Recipe
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.typed_json import plain, typed
-from safety_harness.whole_file import replacing
+from safety_harness.whole_file import replacing, writing
 
 FORMAT = "safety-harness checkpoint 1"
 KEY = "safety_harness"  # of the metadata
@@ -82,10 +82,8 @@ def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume:
             got="a checkpoint of one",
             hint="resume it, or choose another folder",
         )
-    try:
+    with writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError.of(path.parent, error) from error
     return None
 
 
@@ -102,11 +100,8 @@ def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
         {f"{group}/{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()},
         metadata={KEY: json.dumps(text, sort_keys=True)},
     )
-    try:
-        with replacing(path) as unfinished:
-            unfinished.write_bytes(content)
-    except OSError as error:
-        raise OutputError.of(path, error) from error
+    with writing(path), replacing(path) as unfinished:
+        unfinished.write_bytes(content)
 
 
 def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:

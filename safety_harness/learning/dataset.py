@@ -30,7 +30,8 @@ from safety_harness.learning.image_error import ImageErrors
 from safety_harness.settings import Settings
 from safety_harness.space.regions import paper_seen, region_named
 
-Vector = NDArray[np.float64]
+Vector = NDArray[np.float64]  # (3,)
+Vectors = NDArray[np.float64]  # (..., 3)
 
 
 @dataclass(frozen=True)
@@ -41,44 +42,16 @@ class Space:
     tcp: Region
     hand: Region
 
-    def draw_tcps(self, rng: np.random.Generator, count: int) -> Vector:
-        """(count, 3) TCP positions in the base frame [m], uniform."""
-        return self.tcp.draw(rng, count)
-
-    def draw_hands(self, rng: np.random.Generator, count: int) -> Vector:
-        """(count, 3) hand positions in the base frame [m], uniform."""
-        return self.hand.draw(rng, count)
-
-    def contains(self, *, hand_in_base_m: Vector, tcp_in_base_m: Vector) -> NDArray[np.bool_]:
+    def contains(self, *, hand_in_base_m: Vectors, tcp_in_base_m: Vectors) -> NDArray[np.bool_]:
         """``hand_in_base_m`` and ``tcp_in_base_m`` (..., 3) -> (...): which pairs belong to the space."""
         return self.hand.contains(hand_in_base_m) & self.tcp.contains(tcp_in_base_m)
 
 
-def seen(settings: Settings) -> Space:
-    """Where training happens: TCPs about the desired one, hands about the nominal one."""
-    return _space("seen", settings, hand="seen hand", tcp="seen tcp")
-
-
-def unseen_hand(settings: Settings) -> Space:
-    """Seen TCPs with hands that were not."""
-    return _space("unseen hand", settings, hand="unseen hand", tcp="seen tcp")
-
-
-def unseen_tcp(settings: Settings) -> Space:
-    """Seen hands with TCPs that were not."""
-    return _space("unseen tcp", settings, hand="seen hand", tcp="unseen tcp")
-
-
-def unseen_both(settings: Settings) -> Space:
-    """Neither the hand nor the TCP was seen."""
-    return _space("unseen both", settings, hand="unseen hand", tcp="unseen tcp")
-
-
-SPACES: dict[str, Callable[[Settings], Space]] = {
-    "seen": seen,
-    "unseen hand": unseen_hand,
-    "unseen tcp": unseen_tcp,
-    "unseen both": unseen_both,
+SPACES = {  # by name, the regions of hands and of TCPs
+    "seen": ("seen hand", "seen tcp"),
+    "unseen hand": ("unseen hand", "seen tcp"),
+    "unseen tcp": ("seen hand", "unseen tcp"),
+    "unseen both": ("unseen hand", "unseen tcp"),
 }
 
 
@@ -88,15 +61,16 @@ def space_named(name: str, settings: Settings) -> Space:
         raise DatasetError(
             place=Place(field="space"), expected=f"one of {', '.join(map(repr, SPACES))}", got=repr(name)
         )
-    return SPACES[name](settings)
-
-
-def _space(name: str, settings: Settings, *, hand: str, tcp: str) -> Space:
     bounds = paper_seen(settings)
-    return Space(name, tcp=region_named(tcp, bounds, settings), hand=region_named(hand, bounds, settings))
+    hand, tcp = (region_named(region, bounds, settings) for region in SPACES[name])
+    return Space(name, tcp=tcp, hand=hand)
 
 
-Vectors = NDArray[np.float64]
+def seen(settings: Settings) -> Space:
+    """Where training happens: TCPs about the desired one, hands about the nominal one."""
+    return space_named("seen", settings)
+
+
 Index = NDArray[np.integer]
 
 VIEWS_AT_A_TIME = 100_000  # bounds the memory; the result does not depend on it
@@ -226,7 +200,7 @@ def generate(
     if seed < 0:
         raise DatasetError(place=Place(field="seed"), expected="a seed of at least 0", got=str(seed))
     settings = replace(settings, avoidance=replace(settings.avoidance, candidate_count=candidates))
-    tcp_in_base = space.draw_tcps(stream(seed, Stream.TCPS), tcps)
+    tcp_in_base = space.tcp.draw(stream(seed, Stream.TCPS), tcps)
     errors = ImageErrors.of(settings)
     selected, in_view = np.empty((tcps, 3)), np.empty(tcps, np.int64)
     step = max(1, VIEWS_AT_A_TIME // candidates)
@@ -245,8 +219,21 @@ def generate(
         selected_in_base=selected,
         optimum_in_base=continuous_optimum(settings, tcp_in_base),
         candidates_in_view=in_view,
-        hand_in_base=space.draw_hands(stream(seed, Stream.HANDS), hands),
+        hand_in_base=space.hand.draw(stream(seed, Stream.HANDS), hands),
     )
+
+
+def fresh_pairs(
+    settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
+) -> tuple[CompactDataset, NDArray[np.int64]]:
+    """New data with the numbers of ``samples`` independent rows: every TCP and every hand is in one only."""
+    drawn = generate(settings, space, seed=seed, tcps=samples, candidates=candidates, hands=samples)
+    return drawn, np.arange(samples) * (samples + 1)  # TCP k with hand k
+
+
+def seed_below(seed: int, *path: int) -> int:
+    """A 64-bit seed for a consumer that makes its own generators."""
+    return int(np.random.SeedSequence(seed, spawn_key=path).generate_state(1, np.uint64)[0])
 
 
 def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
@@ -260,12 +247,12 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
     return positions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LabelFloor:
     """What the random candidates leave of any regressor's error on TCPs that it has not seen, by axis [m]."""
 
-    rmse_m: tuple[float, float, float]
-    mae_m: tuple[float, float, float]
+    rmse_m: Vector  # (3,)
+    mae_m: Vector  # (3,)
     redraws: int
 
 
@@ -299,12 +286,7 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
         _furthest_along(cap.draw_many([rng] * redraws), way[group], labels)
         variances[group] = labels.var(axis=1, ddof=1)
         deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
-    rmse, mae = np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0)
-    return LabelFloor(
-        (float(rmse[0]), float(rmse[1]), float(rmse[2])),
-        (float(mae[0]), float(mae[1]), float(mae[2])),
-        redraws,
-    )
+    return LabelFloor(np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0), redraws)
 
 
 @compiled
@@ -359,6 +341,9 @@ def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
         for tcps in _parts(dataset.tcps, "TCPs", seed, 1)
     )
     return Split("by TCP", train, validation, test)
+
+
+SPLITS = {"by TCP": split_by_tcp, "by sample": split_by_sample}
 
 
 def _parts(

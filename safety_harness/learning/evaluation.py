@@ -26,16 +26,19 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.dataset import (
     SPACES,
+    SPLITS,
     CompactDataset,
     LabelFloor,
+    fresh_pairs,
     generate,
     label_floor,
+    seed_below,
     seen,
-    split_by_sample,
-    split_by_tcp,
+    space_named,
 )
 from safety_harness.learning.manifest import data_hash
 from safety_harness.learning.metrics import (
+    RESIDUALS,
     Errors,
     IntervalCoverage,
     auroc,
@@ -59,7 +62,6 @@ _DECISIONS, _CHOICE = 0, 1  # below the branch and a set's number: seeds of its 
 FLOOR_TCPS = 10_000  # the first ones, at most: 7 s
 SEEN_NAME, TEST_NAME = "seen, new TCPs", "seen, test part"
 MOST_VIEWS = 20_000_000  # of a data set that is made again: TCPs times candidates; the paper's has a million
-SPLITS = {"by TCP": split_by_tcp, "by sample": split_by_sample}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,8 +116,7 @@ class DataCard:
 
 def leaf(seed: int, *path: int) -> int:
     """A 64-bit seed on the evaluation's own branch."""
-    words = np.random.SeedSequence(seed, spawn_key=(BRANCH, *path)).generate_state(1, np.uint64)
-    return int(words[0])
+    return seed_below(seed, BRANCH, *path)
 
 
 def fresh_sets(
@@ -131,17 +132,12 @@ def fresh_sets(
     ``on_set`` is told the name of each before it is drawn.
     """
     sets = []
-    for number, (name, space_of) in enumerate(SPACES.items(), start=1):
+    for number, name in enumerate(SPACES, start=1):
         on_set(name)
-        drawn = generate(
-            settings,
-            space_of(settings),
-            seed=leaf(seed, number),
-            tcps=samples,
-            candidates=candidates,
-            hands=samples,
+        space = space_named(name, settings)
+        drawn, pairs = fresh_pairs(
+            settings, space, seed=leaf(seed, number), samples=samples, candidates=candidates
         )
-        pairs = np.arange(samples) * (samples + 1)  # TCP k with hand k
         is_seen = name == "seen"
         called = SEEN_NAME if is_seen else name
         about = f"{samples} TCPs and as many hands, drawn afresh in the space {name!r}"
@@ -204,7 +200,6 @@ def _set(
 
 LEVELS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 PAPER_PRECISION_PER_MM2 = 1e-6
-RESIDUALS = "spread and residuals"  # the variant of the PICP that only a calibrated model has
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -333,17 +328,9 @@ def _picp(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> d
     per_mm2 = _recipe(model).get("precision_per_mm2")
     known = isinstance(per_mm2, int | float) and per_mm2 > 0.0
     precision_per_m2 = 1e6 * (float(per_mm2) if known else PAPER_PRECISION_PER_MM2)  # type: ignore[arg-type]
-    residual_std = _residual_std(model)
-    variants = picp_variants(
-        positions,
-        labels,
-        spreads,
-        precision=precision_per_m2,
-        residual_std=np.zeros(3) if residual_std is None else residual_std,
+    return picp_variants(
+        positions, labels, spreads, precision=precision_per_m2, residual_std=_residual_std(model)
     )
-    if residual_std is None:
-        del variants[RESIDUALS]
-    return variants
 
 
 def _curves(model: Model, positions: Floats, labels: Floats, spreads: Floats) -> dict[str, Floats]:

@@ -28,8 +28,9 @@ from safety_harness.learning.evaluation import (
     learns_noise_free,
     test_part,
 )
-from safety_harness.learning.metrics import Errors, IntervalCoverage
+from safety_harness.learning.metrics import IntervalCoverage
 from safety_harness.proportions import Proportion
+from safety_harness.scenario.typed_json import plain
 from safety_harness.settings import DEFAULTS
 from safety_harness.whole_file import write_whole
 
@@ -148,16 +149,14 @@ def write_evaluation(
                 "file": str(one.path),
                 "sha256": one.sha256,
                 "name": LearnedAvoider.of(one.model).name,
-                "calibration": None
-                if one.model.calibration is None
-                else asdict(one.model.calibration) | {"more": dict(one.model.calibration.more)},
+                "calibration": plain(one.model.calibration),
                 "sets": [_json_of(f) for f in figures if f.model == one.label],
             }
             for one in loaded
         ],
     }
     try:
-        write_whole(out, json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_whole(out, json.dumps(document, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
     except OSError as error:
         raise OutputError(
             place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
@@ -172,10 +171,10 @@ def _json_of(figures: Figures) -> dict[str, Any]:
         "seen": one.seen,
         "rows": len(one),
         "label_floor_m": None if one.floor is None else asdict(one.floor),
-        "errors_m": _errors(figures.errors),
-        "errors_without_noise_m": _errors(figures.noise_free),
+        "errors_m": asdict(figures.errors),
+        "errors_without_noise_m": asdict(figures.noise_free),
         "picp_95": {name: _coverage(value) for name, value in figures.picp.items()},
-        "calibration_curves": {name: curve.tolist() for name, curve in figures.curves.items()},
+        "calibration_curves": figures.curves,
         "median_largest_spread_m": figures.median_largest_spread_m,
         "auroc_against_seen": figures.auroc,
         "unreachable": _proportion(figures.unreachable),
@@ -188,21 +187,8 @@ def _json_of(figures: Figures) -> dict[str, Any]:
     }
 
 
-def _errors(found: Errors) -> dict[str, Any]:
-    return {
-        "rmse": found.rmse.tolist(),
-        "mae": found.mae.tolist(),
-        "overall_rmse": found.overall_rmse,
-        "overall_mae": found.overall_mae,
-    }
-
-
 def _coverage(found: IntervalCoverage) -> dict[str, Any]:
-    return {
-        "picp": found.picp.tolist(),
-        "joint": found.joint,
-        "mean_width_m": found.mean_width.tolist(),
-    }
+    return {"picp": found.picp, "joint": found.joint, "mean_width_m": found.mean_width}
 
 
 def _proportion(found: Proportion) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+RESIDUALS = "spread and residuals"  # the variant of the PICP that only a calibrated model has
 NORMAL_95 = 1.96  # the paper's intervals: mean +- 1.96 standard deviations
 
 
@@ -49,29 +50,9 @@ def half_width_of_spread(spreads: Floats) -> Floats:
     return NORMAL_95 * spreads
 
 
-def half_width_with_precision(spreads: Floats, precision: float) -> Floats:
-    """1.96 sqrt(s^2 + 1/tau): the inverse model precision added to the variance (Gal and Ghahramani 2016).
-
-    s is ``spreads`` (n, 3), tau ``precision``.  At the paper's tau of 1e-6 per mm^2, 1/tau is a variance of
-    one square metre.
-    """
-    return NORMAL_95 * np.sqrt(spreads**2 + 1.0 / precision)
-
-
-def half_width_of_eq_11(spreads: Floats, predictions: Floats) -> Floats:
-    """1.96 sqrt(s^2 + y^2): eq. 11 as it is printed, the mean of the squares, the squared mean not taken off.
-
-    s is ``spreads`` (n, 3), y ``predictions`` (n, 3).
-    """
-    return NORMAL_95 * np.sqrt(spreads**2 + predictions**2)
-
-
-def half_width_with_residuals(spreads: Floats, residual_std: Floats) -> Floats:
-    """1.96 sqrt(s^2 + r^2): with the variance of validation residuals added, the labels' own noise.
-
-    s is ``spreads`` (n, 3), r ``residual_std`` (3,).
-    """
-    return NORMAL_95 * np.sqrt(spreads**2 + residual_std**2)
+def half_width_with(spreads: Floats, added_variance: Floats | float) -> Floats:
+    """1.96 sqrt(s^2 + v): s is ``spreads`` (n, 3), v the ``added_variance``, of each axis or of all."""
+    return NORMAL_95 * np.sqrt(spreads**2 + added_variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,20 +81,26 @@ def coverage(predictions: Floats, targets: Floats, half_widths: Floats) -> Inter
 
 
 def picp_variants(
-    predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats
+    predictions: Floats, targets: Floats, spreads: Floats, *, precision: float, residual_std: Floats | None
 ) -> dict[str, IntervalCoverage]:
     """The readings of the paper's PICP side by side, by name.
 
     ``predictions`` and ``targets`` are (n, 3), ``spreads`` (n, 3) standard deviations over the passes;
     ``precision`` is tau and ``residual_std`` (3,) that of validation residuals, in the unit of the
-    predictions.
+    predictions.  Half the width of an interval is 1.96 times s, or with
+
+    * the inverse model precision added to the variance, sqrt(s^2 + 1/tau) (Gal and Ghahramani 2016); at the
+      paper's tau of 1e-6 per mm^2, 1/tau is a variance of one square metre;
+    * eq. 11 as it is printed, the mean of the squares, the squared mean not taken off, sqrt(s^2 + y^2);
+    * the variance of validation residuals, the labels' own noise, sqrt(s^2 + r^2); without them left out.
     """
     half_widths = {
         "spread": half_width_of_spread(spreads),
-        "spread and 1/tau": half_width_with_precision(spreads, precision),
-        "eq. 11 as printed": half_width_of_eq_11(spreads, predictions),
-        "spread and residuals": half_width_with_residuals(spreads, residual_std),
+        "spread and 1/tau": half_width_with(spreads, 1.0 / precision),
+        "eq. 11 as printed": half_width_with(spreads, predictions**2),
     }
+    if residual_std is not None:
+        half_widths[RESIDUALS] = half_width_with(spreads, residual_std**2)
     return {name: coverage(predictions, targets, width) for name, width in half_widths.items()}
 
 

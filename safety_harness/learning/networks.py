@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, STAGES, WIDTH, Dropout
 from safety_harness.learning.recipes import Recipe
 
@@ -43,17 +44,17 @@ class _NextMask:
 class Block(nn.Module):
     """Three fully connected layers beside a shortcut (figure 4): dense, or identity."""
 
-    def __init__(self, inputs: int, width: int, *, dense: bool) -> None:
+    def __init__(self, inputs: int, *, dense: bool) -> None:
         super().__init__()
-        self.fc1, self.bn1 = nn.Linear(inputs, width), nn.BatchNorm1d(width)
-        self.fc2, self.bn2 = nn.Linear(width, width), nn.BatchNorm1d(width)
-        self.fc3, self.bn3 = nn.Linear(width, width), nn.BatchNorm1d(width)
+        self.fc1, self.bn1 = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
+        self.fc2, self.bn2 = nn.Linear(WIDTH, WIDTH), nn.BatchNorm1d(WIDTH)
+        self.fc3, self.bn3 = nn.Linear(WIDTH, WIDTH), nn.BatchNorm1d(WIDTH)
         self.dense = dense
         if dense:
-            self.fcs, self.bns = nn.Linear(inputs, width), nn.BatchNorm1d(width)
+            self.fcs, self.bns = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
 
     def forward(self, x: Tensor, drop: Drop) -> Tensor:
-        """(n, inputs) to (n, width); ``drop`` acts before fc1, fc2, fc3, fcs, in this order.
+        """(n, inputs) to (n, WIDTH); ``drop`` acts before fc1, fc2, fc3, fcs, in this order.
 
         relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), the shortcut bns fcs x or x itself.
         """
@@ -77,51 +78,38 @@ class RegressionResNet(nn.Module):
         *,
         dropout: Dropout = Dropout.NONE,
         probability: float = 0.1,
-        width: int = WIDTH,
-        stages: int = STAGES,
-        blocks: int = BLOCKS,
     ) -> None:
         super().__init__()
         if not 0.0 <= probability < 1.0:
             raise ValueError(f"a dropout probability lies in [0, 1): {probability}")
-        self.dropout, self.probability, self.width = dropout, probability, width
+        self.dropout, self.probability = dropout, probability
         self.stages = nn.ModuleList(
-            nn.ModuleList(Block(INPUTS if s == b == 0 else width, width, dense=b == 0) for b in range(blocks))
-            for s in range(stages)
+            nn.ModuleList(Block(INPUTS if s == b == 0 else WIDTH, dense=b == 0) for b in range(BLOCKS))
+            for s in range(STAGES)
         )
-        self.bn_out = nn.BatchNorm1d(width)
-        self.fc_out = nn.Linear(width, OUTPUTS)
+        self.bn_out = nn.BatchNorm1d(WIDTH)
+        self.fc_out = nn.Linear(WIDTH, OUTPUTS)
 
     @property
-    def places(self) -> tuple[str, ...]:
-        """Where dropout acts, in the order of the masks: a stage (its output), or an FC (its input)."""
-        if self.dropout is Dropout.NONE:
-            return ()
-        if self.dropout is Dropout.INTER:
-            return tuple(f"stages.{s}" for s in range(len(self.stages)))
-        layers = [
-            f"stages.{s}.{b}.{layer}"
-            for s, stage in enumerate(self.stages)
-            for b in range(len(stage))  # type: ignore[arg-type]
-            for layer in ("fc1", "fc2", "fc3") + (("fcs",) if b == 0 else ())
-        ]
-        return (*layers, "fc_out")
+    def places(self) -> int:
+        """At how many dropout acts, in the order of the masks: a stage (its output), or an FC (its input)."""
+        return PLACES[self.dropout]
 
     def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
-        """(places, rows, width) of 1 (keep) and 0 (drop), on the generator's device."""
-        masks = torch.empty((len(self.places), rows, self.width), device=generator.device)
+        """(places, rows, WIDTH) of 1 (keep) and 0 (drop), on the generator's device."""
+        masks = torch.empty((self.places, rows, WIDTH), device=generator.device)
         return masks.bernoulli_(1.0 - self.probability, generator=generator)
 
     def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
         """(n, 7) to (n, 3); without ``masks`` there is no dropout.
 
         ``masks``: for each of ``places`` what to keep (1 or true) of the units, of shape
-        (n, width), or (width,) for all rows alike.  At a place with fewer units than ``width``
+        (n, WIDTH), or (WIDTH,) for all rows alike.  At a place with fewer units than ``WIDTH``
         (the first layers' seven inputs) the first ones count.  A network without places takes none,
         or an empty set of them.
         """
-        if masks is not None and len(masks) != len(self.places):
-            raise ValueError(f"expected {len(self.places)} dropout masks, got {len(masks)}")
+        if masks is not None and len(masks) != self.places:
+            raise ValueError(f"expected {self.places} dropout masks, got {len(masks)}")
         drop: Drop = _NextMask(masks, self.probability) if masks is not None and self.places else _keep
         inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
         for stage in self.stages:

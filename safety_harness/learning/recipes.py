@@ -62,15 +62,21 @@ class Recipe:
         return (1.0 - drop) * self.length_scale**2 / (2.0 * samples * precision)
 
 
-PAPER_DETERMINISTIC = Recipe(name="paper-deterministic")
-PAPER_MC_DROPOUT = replace(PAPER_DETERMINISTIC, name="paper-mc-dropout", dropout=Dropout.INTER)
-PAPER_MC_DROPOUT_FULL = replace(
-    PAPER_DETERMINISTIC, name="paper-mc-dropout-full", dropout=Dropout.FULL, epochs=1200
-)
-PAPER_ENSEMBLE = replace(PAPER_DETERMINISTIC, name="paper-ensemble", members=5)
+def _family(base: Recipe, *, full_epochs: int) -> tuple[Recipe, Recipe, Recipe, Recipe]:
+    """The paper's networks: deterministic, dropout after each stage, before every layer, an ensemble."""
+    return (
+        replace(base, name=f"{base.name}deterministic"),
+        replace(base, name=f"{base.name}mc-dropout", dropout=Dropout.INTER),
+        replace(base, name=f"{base.name}mc-dropout-full", dropout=Dropout.FULL, epochs=full_epochs),
+        replace(base, name=f"{base.name}ensemble", members=5),
+    )
 
-OURS_DETERMINISTIC = Recipe(
-    name="deterministic",
+
+PAPER = _family(Recipe(name="paper-"), full_epochs=1200)
+PAPER_DETERMINISTIC, PAPER_MC_DROPOUT, PAPER_MC_DROPOUT_FULL, _ = PAPER
+
+_BASE = Recipe(
+    name="",
     training_samples=300_000,
     validation_samples=20_000,
     epochs=20,  # beyond some 15 a network begins to remember the labels' noise of the training TCPs
@@ -79,38 +85,17 @@ OURS_DETERMINISTIC = Recipe(
     normalise=True,
     split="by TCP",
 )
-OURS_MC_DROPOUT = replace(OURS_DETERMINISTIC, name="mc-dropout", dropout=Dropout.INTER)
-OURS_MC_DROPOUT_FULL = replace(OURS_DETERMINISTIC, name="mc-dropout-full", dropout=Dropout.FULL)
-OURS_ENSEMBLE = replace(OURS_DETERMINISTIC, name="ensemble", members=5)
-OURS_OPTIMUM = replace(OURS_DETERMINISTIC, name="optimum", target="continuous", epochs=40)
+OURS = _family(_BASE, full_epochs=20)
+OURS_DETERMINISTIC, OURS_MC_DROPOUT, OURS_MC_DROPOUT_FULL, OURS_ENSEMBLE = OURS
+OURS_OPTIMUM = replace(_BASE, name="optimum", target="continuous", epochs=40)
 
-TRIAL_DETERMINISTIC = replace(
-    OURS_DETERMINISTIC,
-    name="trial-deterministic",
-    training_samples=40_000,
-    validation_samples=10_000,
-    epochs=8,
-    batch_size=1000,
+_TRIAL = replace(
+    _BASE, name="trial-", training_samples=40_000, validation_samples=10_000, epochs=8, batch_size=1000
 )
-TRIAL_MC_DROPOUT = replace(TRIAL_DETERMINISTIC, name="trial-mc-dropout", dropout=Dropout.INTER)
-TRIAL_MC_DROPOUT_FULL = replace(TRIAL_DETERMINISTIC, name="trial-mc-dropout-full", dropout=Dropout.FULL)
-TRIAL_ENSEMBLE = replace(TRIAL_DETERMINISTIC, name="trial-ensemble", members=5)
+TRIAL = _family(_TRIAL, full_epochs=8)
+TRIAL_MC_DROPOUT = TRIAL[1]
 
-RECIPES = (
-    PAPER_DETERMINISTIC,
-    PAPER_MC_DROPOUT,
-    PAPER_MC_DROPOUT_FULL,
-    PAPER_ENSEMBLE,
-    OURS_DETERMINISTIC,
-    OURS_MC_DROPOUT,
-    OURS_MC_DROPOUT_FULL,
-    OURS_ENSEMBLE,
-    OURS_OPTIMUM,
-    TRIAL_DETERMINISTIC,
-    TRIAL_MC_DROPOUT,
-    TRIAL_MC_DROPOUT_FULL,
-    TRIAL_ENSEMBLE,
-)
+RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, *TRIAL)
 
 
 def recipe_named(name: str) -> Recipe:

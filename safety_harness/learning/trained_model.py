@@ -8,30 +8,26 @@ afresh and used once, as two samples of one TCP would share the noise of its lab
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.avoidance.model_file import Dropout, Model, SeenSpace
-from safety_harness.learning.dataset import CompactDataset, Split, split_by_sample, split_by_tcp
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import Calibration, Dropout, Model, SeenSpace
+from safety_harness.learning.dataset import SPLITS, CompactDataset, Split, fresh_pairs, seed_below
 from safety_harness.learning.manifest import data_hash
+from safety_harness.learning.metrics import conformal_multiplier, spread_threshold
 from safety_harness.learning.recipes import Recipe
+from safety_harness.learning.samples import samples_for
 from safety_harness.scenario.typed_json import plain
 
 if TYPE_CHECKING:
     from safety_harness.learning.training import Trained  # which brings PyTorch
 
-
-from dataclasses import replace
-
-from numpy.typing import NDArray
-
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Calibration
-from safety_harness.learning.dataset import generate
-from safety_harness.learning.metrics import conformal_multiplier, spread_threshold
-from safety_harness.learning.samples import samples_for
+Floats = NDArray[np.float64]
 
 LIMITS = (
     "made for the cell, camera and tool orientation of the data set's settings, and no others",
@@ -42,8 +38,7 @@ LIMITS = (
 
 def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
     """The data set's split of the kind that the recipe names, from the data set's own seed."""
-    split = split_by_tcp if recipe.split == "by TCP" else split_by_sample
-    return split(dataset, seed=dataset.seed)
+    return SPLITS[recipe.split](dataset, seed=dataset.seed)
 
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
@@ -107,11 +102,9 @@ def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str)
     }
 
 
-def _floats(array: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, ...]:
-    return tuple(float(x) for x in array)
+def _floats(array: Floats) -> tuple[float, ...]:
+    return tuple(array.tolist())
 
-
-Floats = NDArray[np.float64]
 
 SAMPLES = 10_000
 COVERAGE_LEVEL = 0.95  # of the intervals, jointly over the three axes
@@ -161,16 +154,10 @@ def _decisions(
     avoider: LearnedAvoider, recipe: Recipe, dataset: CompactDataset, seed: int, purpose: int, samples: int
 ) -> tuple[Floats, Floats, Floats]:
     """Predictions, labels and spreads (n, 3) [m] on ``samples`` fresh pairs of a TCP and a hand."""
-    leaf = np.random.SeedSequence(seed, spawn_key=(BRANCH, purpose)).generate_state(1, np.uint64)
-    fresh = generate(
-        dataset.settings,
-        dataset.space,
-        seed=int(leaf[0]),
-        tcps=samples,
-        candidates=dataset.candidates,
-        hands=samples,
+    leaf = seed_below(seed, BRANCH, purpose)
+    fresh, pairs = fresh_pairs(
+        dataset.settings, dataset.space, seed=leaf, samples=samples, candidates=dataset.candidates
     )
-    pairs = np.arange(samples) * (samples + 1)  # TCP k with hand k
     inputs = fresh.inputs(pairs)
     predictions, spreads = avoider.propose_many(
         inputs[:, :3], inputs[:, 3:], np.arange(samples, dtype=np.uint64)

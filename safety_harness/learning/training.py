@@ -21,6 +21,7 @@ from torch import Tensor
 from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, Tensors, begin_or_resume, save_checkpoint
+from safety_harness.learning.dataset import seed_below
 from safety_harness.learning.networks import RegressionResNet, fresh_network, load_tensors, to_tensors
 from safety_harness.learning.recipes import Recipe
 from safety_harness.learning.samples import Index, Moments, Normalisation, Samples, network_samples
@@ -154,8 +155,7 @@ class _Run:
 
     def begin(self, member: int) -> int:
         """A fresh member; returns its first epoch."""
-        weights_seed = int(self._leaf(_WEIGHTS, member).generate_state(1, np.uint64)[0])
-        self._use(fresh_network(self.recipe, weights_seed))
+        self._use(fresh_network(self.recipe, seed_below(self.seed, _WEIGHTS, member)))
         return 0
 
     def restore(self, state: Checkpoint) -> int:
@@ -268,17 +268,13 @@ class _Run:
         return float(error.abs().mean()), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
-        seed = int(self._leaf(*leaf).generate_state(1, np.uint64)[0])
-        return torch.Generator(self.device).manual_seed(seed)
+        return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))
 
     def _chosen(self, index: Index, count: int | None, *leaf: int) -> Index:
         """``count`` of ``index`` (all, if ``None`` or more than there are), none twice, in random order."""
-        rng = np.random.Generator(np.random.PCG64(self._leaf(*leaf)))
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]
-
-    def _leaf(self, *path: int) -> np.random.SeedSequence:
-        return np.random.SeedSequence(self.seed, spawn_key=path)
 
 
 def _l1(prediction: Tensor, target: Tensor) -> Tensor:

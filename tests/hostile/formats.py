@@ -31,7 +31,7 @@ from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
 from safety_harness.certification.searched import FINDINGS, read_findings
 from safety_harness.certification.tool_files import read_oracles, read_selftest
-from safety_harness.learning.dataset import generate, unseen_both
+from safety_harness.learning.dataset import generate, space_named
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.read import read_scenario
@@ -163,7 +163,10 @@ def dataset_bytes() -> dict[str, bytes]:
         avoidance=replace(DEFAULTS.avoidance, hand_pull=0.1 / 3.0),
     )
     folder = _folder() / "data"
-    save_dataset(generate(settings, unseen_both(settings), seed=2, tcps=10, candidates=20, hands=4), folder)
+    save_dataset(
+        generate(settings, space_named("unseen both", settings), seed=2, tcps=10, candidates=20, hands=4),
+        folder,
+    )
     return {name: (folder / name).read_bytes() for name in (ARRAYS, MANIFEST)}
 
 

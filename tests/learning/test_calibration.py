@@ -82,7 +82,7 @@ def test_calibration_uses_no_tcp_that_was_trained_on(
         drawn.append(generate(*args, **options))  # type: ignore[arg-type]
         return drawn[-1]
 
-    monkeypatch.setattr("safety_harness.learning.trained_model.generate", watched)
+    monkeypatch.setattr("safety_harness.learning.dataset.generate", watched)
     calibrate(replace(shipped, calibration=None), recipe_named("mc-dropout"), paper, seed=0, samples=500)
     tcps = np.concatenate([one.tcp_in_base for one in drawn] + [paper.tcp_in_base])
     assert len(np.unique(tcps, axis=0)) == len(tcps) == 2 * 500 + 10_000

@@ -16,7 +16,7 @@ from safety_harness.learning.dataset import (
     generate,
     label_floor,
     seen,
-    unseen_tcp,
+    space_named,
 )
 from safety_harness.learning.image_error import ImageErrors
 from safety_harness.servoing.features import feature_error, features
@@ -43,7 +43,7 @@ def same(first: CompactDataset, second: CompactDataset) -> bool:
 def test_image_errors_are_those_of_the_simulated_camera(source: ImageSource) -> None:
     """An independent way to the same number: polygon in base, camera pose in base, as a world does it."""
     settings = replace(DEFAULTS, camera=replace(DEFAULTS.camera, source=source))
-    positions = unseen_tcp(settings).draw_tcps(np.random.default_rng(5), 300)
+    positions = space_named("unseen tcp", settings).tcp.draw(np.random.default_rng(5), 300)
     errors, in_view = ImageErrors.of(settings).at(positions, raster=source is ImageSource.RASTER)
     view, state = view_of(settings), sensors(settings, 0, 0, np.eye(4)).state
     polygon = object_polygon_in_base(settings)
@@ -60,7 +60,7 @@ def test_image_errors_are_those_of_the_simulated_camera(source: ImageSource) -> 
 
 
 def test_the_image_error_of_an_upright_view_is_the_squared_distance_even_beyond_the_border() -> None:
-    positions = unseen_tcp(DEFAULTS).draw_tcps(np.random.default_rng(6), 2_000)
+    positions = space_named("unseen tcp", DEFAULTS).tcp.draw(np.random.default_rng(6), 2_000)
     errors, in_view = ImageErrors.of(DEFAULTS).at(positions)
     assert not in_view.all()
     assert errors == pytest.approx(np.sum((positions - DESIRED) ** 2, axis=1), abs=1e-12)
@@ -205,7 +205,7 @@ def test_the_continuous_optimum_is_the_nearest_point_of_the_cap(cone_deg: float)
         DEFAULTS, avoidance=replace(DEFAULTS.avoidance, candidate_cone_rad=np.radians(cone_deg))
     )
     cap = CandidateCap.of(settings)
-    tcps = SEEN.draw_tcps(np.random.default_rng(9), 200)
+    tcps = SEEN.tcp.draw(np.random.default_rng(9), 200)
     optimum = continuous_optimum(settings, tcps)
     offsets = optimum - tcps
     assert np.linalg.norm(offsets, axis=1) == pytest.approx(cap.radius_m, abs=1e-14)
@@ -238,7 +238,7 @@ def test_where_no_point_is_nearest_the_optimum_is_still_one_of_the_nearest() -> 
 
 def test_the_label_floor_is_what_redrawing_through_the_image_leaves() -> None:
     """The same floor by brute force: fresh data sets for the same TCPs, selected by image error."""
-    tcps = SEEN.draw_tcps(np.random.default_rng(10), 40)
+    tcps = SEEN.tcp.draw(np.random.default_rng(10), 40)
     floor = label_floor(DEFAULTS, tcps, seed=1)
     errors, rows = ImageErrors.of(DEFAULTS), np.arange(40)
     labels = []
@@ -254,7 +254,7 @@ def test_the_label_floor_is_what_redrawing_through_the_image_leaves() -> None:
 
 def test_no_prediction_from_the_tcp_alone_beats_the_floor() -> None:
     """The mean label over other draws, and the optimum, against labels drawn afresh."""
-    tcps = SEEN.draw_tcps(np.random.default_rng(11), 150)
+    tcps = SEEN.tcp.draw(np.random.default_rng(11), 150)
     floor = label_floor(DEFAULTS, tcps, seed=2)
     rows = np.arange(150)
     labels = np.array(
@@ -270,7 +270,7 @@ def test_no_prediction_from_the_tcp_alone_beats_the_floor() -> None:
 
 
 def test_more_candidates_lower_the_floor() -> None:
-    tcps = SEEN.draw_tcps(np.random.default_rng(12), 20)
+    tcps = SEEN.tcp.draw(np.random.default_rng(12), 20)
     many = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, candidate_count=1000))
     few = label_floor(DEFAULTS, tcps, seed=1, redraws=200)
     assert np.all(np.array(label_floor(many, tcps, seed=1, redraws=200).rmse_m) < 0.6 * np.array(few.rmse_m))

@@ -16,11 +16,10 @@ from safety_harness.avoidance.model_file import Calibration, Dropout, Model, loa
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning import metrics, trained_model
-from safety_harness.learning.dataset import SPACES, generate, seen, split_by_sample, split_by_tcp
+from safety_harness.learning.dataset import SPACES, SPLITS, generate, seen, space_named
 from safety_harness.learning.evaluation import (
     BRANCH,
     LEVELS,
-    RESIDUALS,
     DataCard,
     EvaluationSet,
     Figures,
@@ -34,6 +33,7 @@ from safety_harness.learning.evaluation import (
     test_part as make_test_part,
 )
 from safety_harness.learning.manifest import data_hash
+from safety_harness.learning.metrics import RESIDUALS
 from safety_harness.settings import DEFAULTS
 
 SAMPLES = 400
@@ -76,12 +76,9 @@ def constant(position_in_base_m: tuple[float, float, float]) -> Model:
 def test_each_set_lies_in_its_space_and_uses_no_tcp_or_hand_twice(sets: list[EvaluationSet]) -> None:
     assert [one.name for one in sets] == NAMES
     assert [one.seen for one in sets] == [True, False, False, False]
-    for one, space_of in zip(sets, SPACES.values(), strict=True):
-        assert (
-            space_of(DEFAULTS)
-            .contains(hand_in_base_m=one.hands_in_base, tcp_in_base_m=one.tcps_in_base)
-            .all()
-        )
+    for one, name in zip(sets, SPACES, strict=True):
+        space = space_named(name, DEFAULTS)
+        assert space.contains(hand_in_base_m=one.hands_in_base, tcp_in_base_m=one.tcps_in_base).all()
         for points in (one.hands_in_base, one.tcps_in_base):
             assert len(np.unique(points, axis=0)) == SAMPLES
         assert len(np.unique(one.decision_seeds)) == SAMPLES
@@ -131,7 +128,7 @@ def test_the_test_part_is_the_training_s_own_with_one_row_a_tcp(kind: str) -> No
     part, why = make_test_part(DEFAULTS, card, samples=100, seed=1)
     assert part is not None
     assert why == ""
-    split = (split_by_tcp if kind == "by TCP" else split_by_sample)(data, seed=6)
+    split = SPLITS[kind](data, seed=6)
     inputs = data.inputs(split.test)
     rows = np.concatenate([part.hands_in_base, part.tcps_in_base], axis=1)
     where = [np.flatnonzero((inputs == row).all(axis=1)) for row in rows]

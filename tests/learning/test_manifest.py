@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import DatasetError, OutputError
-from safety_harness.learning.dataset import CompactDataset, generate, seen, unseen_both
+from safety_harness.learning.dataset import CompactDataset, generate, seen, space_named
 from safety_harness.learning.manifest import (
     ARRAYS,
     MANIFEST,
@@ -27,7 +27,7 @@ SETTINGS = replace(
     servo=replace(DEFAULTS.servo, object_kind=ObjectKind.DISCRETE),
     avoidance=replace(DEFAULTS.avoidance, hand_pull=0.1 / 3.0),
 )
-DATASET = generate(SETTINGS, unseen_both(SETTINGS), seed=2, tcps=40, candidates=20, hands=6)
+DATASET = generate(SETTINGS, space_named("unseen both", SETTINGS), seed=2, tcps=40, candidates=20, hands=6)
 NAMES = ("tcp_in_base", "selected_in_base", "optimum_in_base", "candidates_in_view", "hand_in_base")
 
 

@@ -51,17 +51,17 @@ def test_coverage_counts_the_ends_of_an_interval_and_nothing_beyond() -> None:
 
 def test_eq_11_as_printed_is_the_mean_of_the_squared_passes(rng: np.random.Generator) -> None:
     passes = rng.normal(3.0, 1.0, (10, 5, 3))
-    half = metrics.half_width_of_eq_11(passes.std(axis=0), passes.mean(axis=0))
+    half = metrics.half_width_with(passes.std(axis=0), passes.mean(axis=0) ** 2)
     assert half == pytest.approx(1.96 * np.sqrt((passes**2).sum(axis=0) / 10))
 
 
 def test_precision_and_residuals_are_variances_that_add(rng: np.random.Generator) -> None:
     spreads = rng.uniform(1.0, 2.0, (4, 3))
     noise_std = np.array([3.0, 4.0, 5.0])
-    assert metrics.half_width_with_residuals(spreads, noise_std) == pytest.approx(
+    assert metrics.half_width_with(spreads, noise_std**2) == pytest.approx(
         1.96 * np.hypot(spreads, noise_std)
     )
-    assert metrics.half_width_with_precision(spreads, 1 / 9.0) == pytest.approx(1.96 * np.hypot(spreads, 3.0))
+    assert metrics.half_width_with(spreads, 9.0) == pytest.approx(1.96 * np.hypot(spreads, 3.0))
 
 
 def test_variants_of_the_picp_differ_as_their_intervals_do(rng: np.random.Generator) -> None:
