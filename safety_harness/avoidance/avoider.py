@@ -25,10 +25,6 @@ MOST_WORDS = 1_000
 LARGEST = float(np.finfo(np.float64).max)
 
 
-def _no_spread() -> Vector:
-    return np.zeros(3)
-
-
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """A repulsive position in the base frame and its predictive spread, both (3,) in metres.
@@ -37,7 +33,7 @@ class Proposal:
     """
 
     position_in_base_m: Vector
-    spread_m: Vector = field(default_factory=_no_spread)
+    spread_m: Vector = field(default_factory=lambda: np.zeros(3))
 
 
 class Avoider(Protocol):

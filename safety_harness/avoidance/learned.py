@@ -7,12 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.folding import PLACES, FoldedNetwork, fold
-from safety_harness.avoidance.model_file import Dropout, Model
-from safety_harness.avoidance.resnet_kernel import decide
-
-Vectors = NDArray[np.float64]  # (n, 3)
+from safety_harness.avoidance.avoider import Proposal, Vector, Vectors
+from safety_harness.avoidance.model_file import PLACES, Dropout, Model
+from safety_harness.avoidance.resnet_kernel import FoldedNetwork, decide, fold
 
 
 @dataclass(frozen=True, eq=False)

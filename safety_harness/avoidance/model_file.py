@@ -29,7 +29,7 @@ from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
-from safety_harness.settings import Settings
+from safety_harness.settings import Settings, Vector3
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness model 1"
@@ -51,6 +51,9 @@ OUTPUTS = 3
 WIDTH = 32
 STAGES = 3
 BLOCKS = 3  # a stage: one dense block, then identity blocks
+STAGE_LAYERS = 3 * BLOCKS + 1  # a stage's one dense block has a layer in its shortcut too
+LAYERS = STAGES * STAGE_LAYERS
+NORM = ("weight", "bias", "running_mean", "running_var")  # of a batch norm
 
 Corner = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
@@ -67,6 +70,9 @@ class Dropout(Enum):
     FULL = "full"
 
 
+PLACES = {Dropout.NONE: 0, Dropout.INTER: STAGES, Dropout.FULL: LAYERS + 1}  # of masks in one pass
+
+
 @dataclass(frozen=True, kw_only=True)
 class SeenSpace:
     """The boxes that the training data filled: corners in the base frame [m]."""
@@ -76,11 +82,13 @@ class SeenSpace:
     tcp_low_m: tuple[Corner, Corner, Corner]
     tcp_high_m: tuple[Corner, Corner, Corner]
 
+    @property
+    def boxes(self) -> dict[str, tuple[Vector3, Vector3]]:
+        """The low and the high corner of the box of hands and of that of TCPs."""
+        return {"hand": (self.hand_low_m, self.hand_high_m), "tcp": (self.tcp_low_m, self.tcp_high_m)}
+
     def __post_init__(self) -> None:
-        for name, low_m, high_m in (
-            ("hand", self.hand_low_m, self.hand_high_m),
-            ("tcp", self.tcp_low_m, self.tcp_high_m),
-        ):
+        for name, (low_m, high_m) in self.boxes.items():
             if not all(low < high for low, high in zip(low_m, high_m, strict=True)):
                 raise ValueError(f"{name}_low_m below {name}_high_m in every axis")
 
@@ -160,32 +168,26 @@ def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = ""
     raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
 
 
+def layer_names() -> list[tuple[str, str]]:
+    """(block, number) of every layer before fc_out, in the order of the tensors and of the masks."""
+    return [
+        (f"stages.{stage}.{block}", number)
+        for stage in range(STAGES)
+        for block in range(BLOCKS)
+        for number in (("1", "2", "3", "s") if block == 0 else ("1", "2", "3"))
+    ]
+
+
 def tensor_shapes() -> dict[str, tuple[int, ...]]:
     """Name and shape of every tensor of one member, in the order of the layers (figures 3 and 4)."""
     shapes: dict[str, tuple[int, ...]] = {}
-
-    def layer(prefix: str, number: str, inputs: int) -> None:
-        shapes[f"{prefix}.fc{number}.weight"] = (WIDTH, inputs)
-        shapes[f"{prefix}.fc{number}.bias"] = (WIDTH,)
-        norm(f"{prefix}.bn{number}")
-
-    def norm(prefix: str) -> None:
-        for part in ("weight", "bias", "running_mean", "running_var"):
-            shapes[f"{prefix}.{part}"] = (WIDTH,)
-
-    for stage in range(STAGES):
-        for block in range(BLOCKS):
-            inputs = INPUTS if stage == block == 0 else WIDTH
-            prefix = f"stages.{stage}.{block}"
-            layer(prefix, "1", inputs)
-            layer(prefix, "2", WIDTH)
-            layer(prefix, "3", WIDTH)
-            if block == 0:
-                layer(prefix, "s", inputs)
-    norm("bn_out")
-    shapes["fc_out.weight"] = (OUTPUTS, WIDTH)
-    shapes["fc_out.bias"] = (OUTPUTS,)
-    return shapes
+    for block, number in layer_names():
+        inputs = INPUTS if block == "stages.0.0" and number in ("1", "s") else WIDTH
+        shapes[f"{block}.fc{number}.weight"] = (WIDTH, inputs)
+        shapes[f"{block}.fc{number}.bias"] = (WIDTH,)
+        shapes |= {f"{block}.bn{number}.{part}": (WIDTH,) for part in NORM}
+    shapes |= {f"bn_out.{part}": (WIDTH,) for part in NORM}
+    return shapes | {"fc_out.weight": (OUTPUTS, WIDTH), "fc_out.bias": (OUTPUTS,)}
 
 
 def load_model(path: Path) -> Model:
@@ -223,11 +225,11 @@ def save_model(model: Model, path: Path) -> None:
 
 def refuse_foreign_seen_space(seen: SeenSpace, settings: Settings, path: Path) -> None:
     """ModelError if a model never saw the cell's own desired TCP or its nominal hand position."""
-    nominal_hand_m = settings.avoidance.nominal_hand_position_in_base_m
-    for name, low_m, high_m, point_m in (
-        ("tcp", seen.tcp_low_m, seen.tcp_high_m, settings.cell.desired_tcp_position_in_base_m),
-        ("hand", seen.hand_low_m, seen.hand_high_m, nominal_hand_m),
+    for name, point_m in (
+        ("tcp", settings.cell.desired_tcp_position_in_base_m),
+        ("hand", settings.avoidance.nominal_hand_position_in_base_m),
     ):
+        low_m, high_m = seen.boxes[name]
         if not all(low <= x <= high for low, x, high in zip(low_m, point_m, high_m, strict=True)):
             refuse(
                 path,

@@ -29,11 +29,11 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector, described
-from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import (
     CARD_TIME,
     KEY,
+    PLACES,
     WIDTH,
     Dropout,
     NetworkUse,
@@ -62,16 +62,6 @@ class Exported(NetworkUse):
         """From their JSON; ModelError for the first field that is wrong."""
         found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
         return network_use(found, cls, path, others=True)
-
-    @property
-    def mask_shape(self) -> tuple[int, int, int]:
-        """Passes, places, units."""
-        return self.passes, PLACES[self.dropout], WIDTH
-
-    def masks(self, seed: int) -> NDArray[np.bool_]:
-        """(1, passes, places, units): those that ``LearnedAvoider`` has for this seed."""
-        drawn: NDArray[np.bool_] = masks(np.uint64(seed), *self.mask_shape, self.dropout_probability)
-        return drawn[None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +124,7 @@ class OnnxAvoider:
         if SEED in self._dtypes:
             feed[SEED] = np.array([seed], dtype=np.uint64).view(self._dtypes[SEED])
         if self._exported is not None and MASKS in self._dtypes:
-            feed[MASKS] = self._exported.masks(seed)
+            feed[MASKS] = drawn_masks(self._exported, np.array([seed], dtype=np.uint64))
         answers: list[NDArray[Any]] = self._session.run(self._outputs, feed)
         return answers
 
@@ -157,6 +147,16 @@ class OnnxAvoider:
                 )
 
 
+def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
+    """Passes, places, units."""
+    return use.passes, PLACES[use.dropout], WIDTH
+
+
+def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """(n, passes, places, units) of what ``LearnedAvoider`` keeps for these seeds (n,)."""
+    return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
+
+
 def open_session(path: Path, data: bytes) -> Any:
     """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
     options = onnxruntime.SessionOptions()
@@ -176,14 +176,13 @@ def open_session(path: Path, data: bytes) -> Any:
 
 def _inputs(path: Path, session: Any, exported: Exported | None) -> dict[str, str]:
     """The numpy dtype of each input; ModelError for one that is missing, unknown or of another shape."""
-    expected: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {HAND: ((3,), FLOATS), TCP: ((3,), FLOATS)}
-    optional: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {SEED: ((), INTEGERS)}
+    known: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {HAND: ((3,), FLOATS), TCP: ((3,), FLOATS)}
     if exported is not None and exported.dropout is not Dropout.NONE:
-        expected[MASKS] = (exported.mask_shape, BOOLEANS)
+        known[MASKS] = (mask_shape(exported), BOOLEANS)
+    known[SEED] = ((), INTEGERS)
     there = {one.name: one for one in session.get_inputs()}
-    known = expected | optional
-    for name in expected:
-        if name not in there:
+    for name in known:
+        if name != SEED and name not in there:
             refuse(path, name, "an input of this name", f"the inputs {', '.join(there) or 'none'}")
     for name, one in there.items():
         if name not in known:

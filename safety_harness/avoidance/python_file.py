@@ -14,16 +14,16 @@ from safety_harness.avoidance.avoider import Avoider, decision_time_of, describe
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 
+AVOIDER = Place(field="avoider")  # who asked for it knows the place of the reference to it
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m", "seed")  # the keywords of propose
 
 
 class PythonFile:
-    """One file of a user's, and its text; every failure names the place of the reference to it."""
+    """One file of a user's, and its text."""
 
-    def __init__(self, path: Path, source: bytes, place: Place) -> None:
+    def __init__(self, path: Path, source: bytes) -> None:
         self._path = path
         self._source = source
-        self._place = place
 
     def avoider(self, name: str) -> Avoider:
         """The avoider called ``name``: an object, or an instance of a class without required arguments."""
@@ -87,8 +87,8 @@ class PythonFile:
 
     def _raised(self, expected: str, error: BaseException) -> NoReturn:
         raise InadmissibleError(
-            place=self._place, expected=expected, got=described(error, str(self._path))
+            place=AVOIDER, expected=expected, got=described(error, str(self._path))
         ) from error
 
     def _refuse(self, expected: str, got: str) -> NoReturn:
-        raise InadmissibleError(place=self._place, expected=expected, got=got, hint="see docs/avoiders.md")
+        raise InadmissibleError(place=AVOIDER, expected=expected, got=got, hint="see docs/avoiders.md")

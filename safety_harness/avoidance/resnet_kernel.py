@@ -3,23 +3,41 @@
 A unit's sum starts with its bias and takes its inputs in order; the machine only works on several
 *units* at once.  No BLAS, whose order depends on the batch.  So the bits of a decision depend on its
 input, its seed and the network alone, whether it is made alone or with a million others.
+
+A model becomes a few arrays, with batch norm folded into the layers.  In evaluation mode it is affine, bn(z) =
+s z + (beta - s mean), s = gamma / sqrt(var + eps); so bn(W x + b) = (s W) x + (s (b - mean) + beta), folded in
+float64, then rounded to float32 once.  Only bn_out stays by itself, for "full" dropout comes between it and
+the layer that follows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.folding import LAYERS, STAGE_LAYERS, FoldedNetwork
 from safety_harness.avoidance.masks import fill_factors
-from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, STAGES, WIDTH
+from safety_harness.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    LAYERS,
+    NORM,
+    OUTPUTS,
+    STAGE_LAYERS,
+    STAGES,
+    WIDTH,
+    Model,
+    layer_names,
+)
 from safety_harness.compiled import compiled
 
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 
+EPSILON = 1e-5  # PyTorch's BatchNorm1d
 STEP = 8  # inputs taken in one go; WIDTH is a multiple of it
 ROWS = 5  # rows taken in one go
 FULL_PLACES = LAYERS + 1  # of "full" dropout: before every layer and before fc_out
@@ -28,6 +46,67 @@ ZERO = np.float32(0.0)
 # Rows of activations lie in ``work`` (SLOTS, passes, WIDTH), named by their slot: no views are made.
 X, Y, H, G, DROPPED = range(5)
 SLOTS = 5
+
+
+class FoldedNetwork(NamedTuple):
+    """Contiguous arrays of a model with m members.
+
+    Layers are in the state dict's order (fc1, fc2, fc3, fcs of block 0 of stage 0, then block 1, ...).
+    Weights have the outputs last, so that the kernel's innermost loop runs over memory in order;
+    the first layers' inputs beyond INPUTS have weight 0.
+    """
+
+    weight: Float32s  # (m, LAYERS, WIDTH, WIDTH), [input, output]
+    bias: Float32s  # (m, LAYERS, WIDTH)
+    scale_out: Float32s  # (m, WIDTH), bn_out
+    shift_out: Float32s  # (m, WIDTH), bn_out
+    weight_out: Float32s  # (m, WIDTH, OUTPUTS), [input, output]
+    bias_out: Float32s  # (m, OUTPUTS)
+    input_mean: Float64s  # (6,) [m]
+    input_std: Float64s  # (6,) [m]
+    target_mean: Float64s  # (3,) [m]
+    target_std: Float64s  # (3,) [m]
+
+
+def fold(model: Model) -> FoldedNetwork:
+    """The arrays of ``model``."""
+    count = model.members
+    network = FoldedNetwork(
+        weight=np.zeros((count, LAYERS, WIDTH, WIDTH), dtype=np.float32),
+        bias=np.zeros((count, LAYERS, WIDTH), dtype=np.float32),
+        scale_out=np.zeros((count, WIDTH), dtype=np.float32),
+        shift_out=np.zeros((count, WIDTH), dtype=np.float32),
+        weight_out=np.zeros((count, WIDTH, OUTPUTS), dtype=np.float32),
+        bias_out=np.zeros((count, OUTPUTS), dtype=np.float32),
+        input_mean=np.array(model.input_mean),
+        input_std=np.array(model.input_std),
+        target_mean=np.array(model.target_mean),
+        target_std=np.array(model.target_std),
+    )
+    for member in range(count):
+        for layer, (prefix, number) in enumerate(layer_names()):
+            weight, bias = _folded_layer(model.tensors, f"{member}/{prefix}", number)
+            network.weight[member, layer, : weight.shape[1]] = weight.T
+            network.bias[member, layer] = bias
+        network.scale_out[member], network.shift_out[member] = _affine(model.tensors, f"{member}/bn_out")
+        network.weight_out[member] = model.tensors[f"{member}/fc_out.weight"].T
+        network.bias_out[member] = model.tensors[f"{member}/fc_out.bias"]
+    return network
+
+
+def _affine(tensors: Mapping[str, Float32s], prefix: str) -> tuple[Float64s, Float64s]:
+    """Scale and shift of a batch norm in evaluation mode, each (WIDTH,)."""
+    gamma, beta, mean, variance = (tensors[f"{prefix}.{part}"].astype(np.float64) for part in NORM)
+    scale = gamma / np.sqrt(variance + EPSILON)
+    return scale, beta - scale * mean
+
+
+def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> tuple[Float64s, Float64s]:
+    """Weight (WIDTH, inputs) and bias (WIDTH,) of a layer with the batch norm that follows it."""
+    scale, shift = _affine(tensors, f"{prefix}.bn{number}")
+    weight = tensors[f"{prefix}.fc{number}.weight"].astype(np.float64)
+    bias = tensors[f"{prefix}.fc{number}.bias"].astype(np.float64)
+    return scale[:, None] * weight, scale * bias + shift
 
 
 @compiled

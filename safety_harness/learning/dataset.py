@@ -112,14 +112,9 @@ class CompactDataset:
     hand_in_base: Vectors  # (m, 3)
 
     def __post_init__(self) -> None:
-        for array in (
-            self.tcp_in_base,
-            self.selected_in_base,
-            self.optimum_in_base,
-            self.candidates_in_view,
-            self.hand_in_base,
-        ):
-            array.setflags(write=False)
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     def __len__(self) -> int:
         """How many samples there are: TCPs times hands."""

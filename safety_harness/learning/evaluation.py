@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Annotated, Any
 
 import msgspec
@@ -295,7 +294,7 @@ def reachable(positions_in_base_m: Floats, settings: Settings) -> NDArray[np.boo
 
     ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
     """
-    kinematics = _kinematics()
+    kinematics = InverseKinematics(load_arm())
     pose = desired_transform_tcp_to_base(settings)
     reference = np.array(settings.cell.preferred_joint_position_rad)
     has = np.empty(len(positions_in_base_m), dtype=np.bool_)
@@ -303,11 +302,6 @@ def reachable(positions_in_base_m: Floats, settings: Settings) -> NDArray[np.boo
         pose[:3, 3] = position
         has[k] = kinematics.nearest(pose, reference) is not None
     return has
-
-
-@lru_cache(maxsize=1)
-def _kinematics() -> InverseKinematics:
-    return InverseKinematics(load_arm())
 
 
 def _recipe(model: Model) -> Mapping[str, Any]:

@@ -73,12 +73,9 @@ def load_models(models: Sequence[str | Path]) -> list[LoadedModel]:
 
 def _refuse_another_space(model: Model, path: Path) -> None:
     """What is drawn as seen must be what the model has seen."""
-    space, boxes = seen(DEFAULTS), model.seen
-    for name, ours, theirs in (
-        ("hand", space.hand.outer, (boxes.hand_low_m, boxes.hand_high_m)),
-        ("tcp", space.tcp.outer, (boxes.tcp_low_m, boxes.tcp_high_m)),
-    ):
-        corners = np.array([ours.low_m, ours.high_m])
+    space = seen(DEFAULTS)
+    for name, ours in (("hand", space.hand.outer), ("tcp", space.tcp.outer)):
+        corners, theirs = np.array([ours.low_m, ours.high_m]), model.seen.boxes[name]
         if not np.abs(corners - np.array(theirs)).max() <= SAME_PLACE_M:
             raise ModelError(
                 place=Place(file=path, field=f"seen.{name}_low_m to seen.{name}_high_m"),

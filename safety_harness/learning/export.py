@@ -20,10 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from safety_harness.avoidance.folding import PLACES
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.masks import masks as masks_of
-from safety_harness.avoidance.model_file import KEY, WIDTH, Dropout, Model, metadata_of
+from safety_harness.avoidance.model_file import KEY, Dropout, Model, metadata_of
 from safety_harness.avoidance.onnx_model import (
     EXPORT_FORMAT,
     HAND,
@@ -31,6 +29,7 @@ from safety_harness.avoidance.onnx_model import (
     POSITION,
     SPREAD,
     TCP,
+    drawn_masks,
     open_session,
 )
 from safety_harness.exceptions import ModelError, OutputError, Place
@@ -135,29 +134,19 @@ def difference(model: Model, function: Function, *, seed: int) -> float:
         for centre, half in _boxes(model)
     )
     seeds = rng.integers(0, 2**64, len(hands), dtype=np.uint64)
+    masks = None if model.dropout is Dropout.NONE else drawn_masks(model, seeds)
     own = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
-    answers = function(hands, tcps, drawn_masks(model, seeds))
-    unknown = hands[:1] * np.nan
-    no_answer = function(unknown, tcps[:1], drawn_masks(model, seeds[:1]))
+    answers = function(hands, tcps, masks)
+    no_answer = function(hands[:1] * np.nan, tcps[:1], None if masks is None else masks[:1])
     if np.isfinite(no_answer).any() or any(a.shape != b.shape for a, b in zip(own, answers, strict=True)):
         return float("inf")
     greatest = float(np.abs(np.array(answers) - np.array(own)).max())
     return greatest if np.isfinite(greatest) else float("inf")
 
 
-def drawn_masks(model: Model, seeds: NDArray[np.uint64]) -> NDArray[np.bool_] | None:
-    """(n, passes, places, width) of what ``LearnedAvoider`` keeps for these seeds; None without dropout."""
-    if model.dropout is Dropout.NONE:
-        return None
-    shape = (model.passes, PLACES[model.dropout], WIDTH)
-    return np.array([masks_of(seed, *shape, model.dropout_probability) for seed in seeds])
-
-
 def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Centre and half size of the seen hands' box, then of the TCPs'."""
-    seen = model.seen
-    for low_m, high_m in ((seen.hand_low_m, seen.hand_high_m), (seen.tcp_low_m, seen.tcp_high_m)):
-        low, high = np.array(low_m), np.array(high_m)
+    for low, high in map(np.array, model.seen.boxes.values()):
         yield (low + high) / 2, (high - low) / 2
 
 
@@ -165,9 +154,8 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
     """One self-contained ONNX file, without the paths of this machine that PyTorch leaves in it."""
     point = torch.zeros((2, 3), dtype=torch.float64)
     question = {HAND: point, TCP: point.clone()}
-    drawn = drawn_masks(model, np.arange(2, dtype=np.uint64))
-    if drawn is not None:
-        question[MASKS] = torch.from_numpy(drawn)
+    if model.dropout is not Dropout.NONE:
+        question[MASKS] = torch.from_numpy(drawn_masks(model, np.arange(2, dtype=np.uint64)))
     rows = torch.export.Dim("n")
     with _quiet():
         program = torch.onnx.export(

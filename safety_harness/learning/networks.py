@@ -14,8 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from safety_harness.avoidance.folding import PLACES
-from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, STAGES, WIDTH, Dropout
+from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, PLACES, STAGES, WIDTH, Dropout
 from safety_harness.learning.recipes import Recipe
 
 UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from random_models import random_model
 
-from safety_harness.avoidance.folding import EPSILON, LAYERS, PLACES, fold, layer_names
-from safety_harness.avoidance.model_file import INPUTS, STAGES, WIDTH, Dropout
+from safety_harness.avoidance.model_file import INPUTS, LAYERS, PLACES, STAGES, WIDTH, Dropout, layer_names
+from safety_harness.avoidance.resnet_kernel import EPSILON, fold
 
 MODEL = random_model(Dropout.NONE, members=2)
 NETWORK = fold(MODEL)

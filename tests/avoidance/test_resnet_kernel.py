@@ -10,10 +10,9 @@ from disagreement import noted
 from numpy.typing import NDArray
 from random_models import normalised_input, one_pass, random_inputs, random_model
 
-from safety_harness.avoidance.folding import PLACES, fold
 from safety_harness.avoidance.masks import masks
-from safety_harness.avoidance.model_file import WIDTH, Dropout, Model
-from safety_harness.avoidance.resnet_kernel import FULL_PLACES, decide
+from safety_harness.avoidance.model_file import PLACES, WIDTH, Dropout, Model
+from safety_harness.avoidance.resnet_kernel import FULL_PLACES, decide, fold
 
 KINDS = [(Dropout.NONE, 1), (Dropout.NONE, 5), (Dropout.INTER, 1), (Dropout.FULL, 1)]
 every_kind = pytest.mark.parametrize(("dropout", "members"), KINDS, ids=lambda value: str(value))

@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ from safety_harness.avoidance.isolation.frames import (
     to_the_child,
 )
 from safety_harness.avoidance.python_file import PythonFile
-from safety_harness.exceptions import InputError, Place
+from safety_harness.exceptions import InputError
 
 MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
 
@@ -61,10 +62,7 @@ def main(question_fd: int, answer_fd: int) -> None:
 def _close(*fds: int) -> None:
     """In a process that the avoider forks, which has nothing to say to us."""
     for fd in fds:
-        try:
-            os.close(fd)
-        except OSError:
-            continue
+        os.closerange(fd, fd + 1)  # which minds no error
 
 
 def _limit(kind: int, most: int) -> None:
@@ -85,16 +83,16 @@ class _Child:
     """The avoiders made so far, by number."""
 
     def __init__(self, question_fd: int, answer_fd: int) -> None:
-        self._question_fd = question_fd
-        self._answer_fd = answer_fd
+        self._questions = open(question_fd, "rb", closefd=False)  # noqa: SIM115
+        self._answered = open(answer_fd, "wb", closefd=False)  # noqa: SIM115
         self._process = os.getpid()
         self._avoiders: dict[int, tuple[Avoider, str]] = {}  # and their file
 
     def serve(self) -> None:
         """One message after another."""
-        while True:
-            length = length_of(self._read_bytes(HEADER.size), MOST_QUESTION_BYTES)
-            told = to_the_child.decode(self._read_bytes(length))
+        while header := self._questions.read(HEADER.size):
+            length = length_of(header, MOST_QUESTION_BYTES)
+            told = to_the_child.decode(self._questions.read(length))
             if isinstance(told, Make):
                 self._write(self._make(told))
             elif isinstance(told, Drop):
@@ -102,24 +100,16 @@ class _Child:
             else:
                 for k, answer in enumerate(self._answers(told)):
                     self._write(Answered.of(k, answer))
-
-    def _read_bytes(self, count: int) -> bytes:
-        parts = []
-        while count:
-            part = os.read(self._question_fd, count)
-            if not part:
-                os._exit(0)
-            parts.append(part)
-            count -= len(part)
-        return b"".join(parts)
+        os._exit(0)  # the other side is gone
 
     def _write(self, message: Struct) -> None:
         if os.getpid() != self._process:
             os._exit(0)  # a fork of the avoider's that came back from it
-        _flush()
-        view = memoryview(packed(message))
-        while view:
-            view = view[os.write(self._answer_fd, view) :]
+        for stream in (sys.stdout, sys.stderr):  # what the avoider has printed; it may have closed its output
+            with suppress(Exception):
+                stream.flush()
+        self._answered.write(packed(message))
+        self._answered.flush()
 
     def _make(self, told: Make) -> Made | Refused:
         """An avoider under the number that is told."""
@@ -158,7 +148,7 @@ class _Child:
 def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
     """What a program has under a name, or what a model is."""
     if "attribute" in asked:
-        return PythonFile(path, source, Place(field="avoider")).avoider(asked["attribute"])
+        return PythonFile(path, source).avoider(asked["attribute"])
     from safety_harness.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
 
     return OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))
@@ -169,12 +159,3 @@ def _answer(avoider: Avoider, question: Question, file: str) -> Answer:
         return ask(avoider, question._replace(limit_s=np.inf))  # the other side keeps it
     except BaseException as error:  # SystemExit, or the user's own: no reason to end
         return Answer(fault=described(error, file))
-
-
-def _flush() -> None:
-    """What the avoider has printed; it may have closed its output."""
-    for stream in (sys.stdout, sys.stderr):
-        try:
-            stream.flush()
-        except Exception:
-            continue

@@ -85,9 +85,8 @@ class Host:
                 raise GoneError(f"no process could be started: {error}") from error
             self.generation += 1
         asked = {"path": str(self.path), "folder": os.getcwd(), "sys_path": sys.path, **wanted.words}
-        self._send(Make(number, json.dumps(asked).encode(), self._source))
-        assert self._process is not None
-        said = self._process.receive(wanted.within_s)
+        process = self._told(Make(number, json.dumps(asked).encode(), self._source))
+        said = process.receive(wanted.within_s)
         if isinstance(said, Refused):
             raise RefusedError(said)
         if not isinstance(said, Made) or not is_sentence(said.name):
@@ -96,10 +95,9 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        self._send(Ask.of(number, questions, together=together))
-        assert self._process is not None
+        process = self._told(Ask.of(number, questions, together=together))
         for k, question in enumerate(questions):
-            said = self._process.receive(limit_of(questions) if together else question.limit_s)
+            said = process.receive(limit_of(questions) if together else question.limit_s)
             if not isinstance(said, Answered) or said.number != k:
                 raise NonsenseError
             yield said.answer()
@@ -114,11 +112,12 @@ class Host:
             self._process.end()
             self._process = None
 
-    def _send(self, message: Struct) -> None:
+    def _told(self, message: Struct) -> Process:
         assert self._process is not None
         while self._dropped:
             self._process.send(Drop(self._dropped.popleft()), SEND_S)
         self._process.send(message, SEND_S)
+        return self._process
 
     def _hear(self, written: bytes) -> None:
         """Say the first lines that the avoider writes, once: not again what a new process repeats."""

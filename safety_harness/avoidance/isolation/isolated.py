@@ -21,9 +21,17 @@ from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.frames import Made
 from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.process import GoneError
-from safety_harness.avoidance.model_file import onnx_bytes, refuse
+from safety_harness.avoidance.model_file import onnx_bytes
 from safety_harness.avoidance.python_text import source_of
-from safety_harness.exceptions import AvoiderError, InadmissibleError, NoAnswerError, Place, SimulationError
+from safety_harness.exceptions import (
+    AvoiderError,
+    InadmissibleError,
+    InputError,
+    ModelError,
+    NoAnswerError,
+    Place,
+    SimulationError,
+)
 from safety_harness.settings import Settings
 
 ATTEMPTS = 3  # to make it anew, one after another
@@ -118,19 +126,16 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
 def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
     """Once more in a new process if that of earlier avoiders is gone."""
-    for new in (not host.alive, True):
-        try:
-            return host.make(number, wanted)
-        except RefusedError:
+    new = not host.alive
+    try:
+        return host.make(number, wanted)
+    except RefusedError:
+        raise
+    except BaseException as error:  # after Ctrl-C, who knows what it will say next
+        host.end()
+        if new or not isinstance(error, GoneError):
             raise
-        except GoneError:
-            host.end()
-            if new:
-                raise
-        except BaseException:  # Ctrl-C: who knows what it will say next
-            host.end()
-            raise
-    raise AssertionError
+    return _first_made(host, number, wanted)
 
 
 def _looked_at(answer: Answer) -> Answer:
@@ -149,18 +154,8 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     InadmissibleError at ``place`` if there is none, or the process does not live to say so.
     """
-    source = source_of(path, place)
-    try:
-        return IsolatedAvoider.of(host_of(path, source), Wanted({"attribute": name}, PROGRAM_S))
-    except RefusedError as error:
-        raise InadmissibleError(
-            place=place, expected=error.expected, got=error.got, hint=error.hint
-        ) from error
-    except GoneError as error:
-        within = f" within {PROGRAM_S:g} s" if error.hung else ""
-        raise InadmissibleError(
-            place=place, expected=f"{path.name} to give an avoider {name}{within}", got=str(error)
-        ) from error
+    wanted, expected = Wanted({"attribute": name}, PROGRAM_S), f"{path.name} to give an avoider {name}"
+    return _of_file(path, source_of(path, place), wanted, expected, InadmissibleError, place)
 
 
 def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
@@ -168,15 +163,28 @@ def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
 
     It is tried with the cell's own desired TCP and nominal hand.
     """
-    host = host_of(path, onnx_bytes(path))
     question = {
         "hand": settings.avoidance.nominal_hand_position_in_base_m,
         "tcp": settings.cell.desired_tcp_position_in_base_m,
     }
+    wanted, expected = Wanted(question, ONNX_S), "an ONNX file that can be loaded and answers twice"
+    return _of_file(path, onnx_bytes(path), wanted, expected, ModelError)
+
+
+def _of_file(
+    path: Path,
+    source: bytes,
+    wanted: Wanted,
+    expected: str,
+    error: type[InputError],
+    place: Place | None = None,
+) -> IsolatedAvoider:
+    """The avoider, or the ``error`` at ``place``; without one at the field that the process tells."""
     try:
-        return IsolatedAvoider.of(host, Wanted(question, ONNX_S))
-    except RefusedError as error:
-        refuse(path, error.field or None, error.expected, error.got, error.hint)
-    except GoneError as error:
-        within = f" within {ONNX_S:g} s" if error.hung else ""
-        refuse(path, None, f"an ONNX file that can be loaded and answers twice{within}", str(error))
+        return IsolatedAvoider.of(host_of(path, source), wanted)
+    except RefusedError as said:
+        at = place or Place(file=path, field=said.field or None)
+        raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
+    except GoneError as gone:
+        within = f" within {wanted.within_s:g} s" if gone.hung else ""
+        raise error(place=place or Place(file=path), expected=expected + within, got=str(gone)) from gone
