@@ -173,13 +173,12 @@ def rendered_errors(errors: ImageErrors, positions: NDArray[np.float64]) -> tupl
 
 def error_in(errors: ImageErrors, client: int, camera_to_base: NDArray[np.float64]) -> float:
     """|f - f*|^2 of one rendered image; infinite where no whole object is found."""
-    camera, view = errors.camera, errors.view
-    colour, _ = render(client, camera_to_base, camera.focal_px, camera.width_px, camera.height_px)
-    visible, moments = rendered_object(colour, camera.focal_px)
+    colour, _ = render(client, camera_to_base, errors.focal_px, errors.width_px, errors.height_px)
+    visible, moments = rendered_object(colour, errors.focal_px)
     current = np.empty(6)
-    if not visible or not features(moments, view.area, view.depth_m, view.dense, current):
+    if not visible or not features(moments, errors.area, errors.depth_m, errors.dense, current):
         return float(np.inf)
-    return float(feature_error(current, view.features, np.empty(6)))
+    return float(feature_error(current, errors.features, np.empty(6)))
 
 
 def ratios() -> list[Ratio]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
 from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
-from safety_harness.avoidance.python_text import refuse_undefined
+from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.exceptions import InadmissibleError, Place

@@ -4,10 +4,10 @@ A unit's sum starts with its bias and takes its inputs in order; the machine onl
 *units* at once.  No BLAS, whose order depends on the batch.  So the bits of a decision depend on its
 input, its seed and the network alone, whether it is made alone or with a million others.
 
-A model becomes a few arrays, with batch norm folded into the layers.  In evaluation mode it is affine, bn(z) =
-s z + (beta - s mean), s = gamma / sqrt(var + eps); so bn(W x + b) = (s W) x + (s (b - mean) + beta), folded in
-float64, then rounded to float32 once.  Only bn_out stays by itself, for "full" dropout comes between it and
-the layer that follows.
+A model becomes a few arrays, with batch norm folded into the layers.  In evaluation mode it is affine,
+bn(z) = s z + (beta - s mean), s = gamma / sqrt(var + eps); so bn(W x + b) = (s W) x + (s (b - mean) + beta),
+folded in float64, then rounded to float32 once.  Only bn_out stays by itself, for "full" dropout comes
+between it and the layer that follows.
 """
 
 from __future__ import annotations

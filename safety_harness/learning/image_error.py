@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,21 +20,28 @@ from safety_harness.perception.camera import (
 )
 from safety_harness.perception.moments import MOMENT_COUNT, point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
-from safety_harness.servoing.control import DesiredView
 from safety_harness.servoing.features import feature_error, features
-from safety_harness.settings import Camera, ObjectKind, Settings
+from safety_harness.settings import ObjectKind, Settings
 
 
-@dataclass(frozen=True, eq=False)
-class ImageErrors:
-    """Image errors of TCP positions with the desired orientation kept, and the selection by them."""
+class ImageErrors(NamedTuple):
+    """Image errors of TCP positions with the desired orientation kept, and the selection by them.
 
-    camera: Camera
+    ``features`` are f*, ``area`` and ``depth_m`` the a* and Z* of the view at the desired pose, of a
+    ``dense`` object or a discrete one.
+    """
+
     polygon_m: NDArray[np.float64]  # (corners, 2)
     desired_position_in_base_m: NDArray[np.float64]  # (3,)
     transform_camera_to_base: NDArray[np.float64]  # (4, 4) at the desired pose
     transform_object_to_camera: NDArray[np.float64]  # (4, 4) at the desired pose
-    view: DesiredView
+    features: NDArray[np.float64]  # (6,)
+    area: float
+    depth_m: float
+    dense: bool
+    focal_px: float
+    width_px: int
+    height_px: int
 
     @classmethod
     def of(cls, settings: Settings) -> ImageErrors:
@@ -44,13 +51,19 @@ class ImageErrors:
         )
         turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
         object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
+        view, camera = view_of(settings), settings.camera
         return cls(
-            settings.camera,
             np.array(settings.object.polygon_m),
             np.array(settings.cell.desired_tcp_position_in_base_m),
             camera_to_base,
             np.ascontiguousarray(inverse_transform(camera_to_base) @ object_to_base),
-            view_of(settings),
+            view.features,
+            view.area,
+            view.depth_m,
+            view.dense,
+            camera.focal_px,
+            camera.width_px,
+            camera.height_px,
         )
 
     def at(
@@ -65,7 +78,7 @@ class ImageErrors:
         ``raster`` samples at pixel centres as the camera does (dense objects only) and crops.
         +inf where there is no image of the object at all.
         """
-        if raster and not self.view.dense:
+        if raster and not self.dense:
             raise DatasetError(
                 place=Place(field="servo.object_kind"),
                 expected=f"a {ObjectKind.DENSE.value} object for raster images",
@@ -73,23 +86,7 @@ class ImageErrors:
             )
         positions = np.ascontiguousarray(positions_in_base_m, dtype=np.float64).reshape(-1, 3)
         errors, in_view = np.empty(len(positions)), np.empty(len(positions), np.bool_)
-        _image_errors(
-            positions,
-            self.desired_position_in_base_m,
-            self.transform_camera_to_base,
-            self.transform_object_to_camera,
-            self.polygon_m,
-            self.view.features,
-            self.view.area,
-            self.view.depth_m,
-            self.view.dense,
-            raster,
-            self.camera.focal_px,
-            self.camera.width_px,
-            self.camera.height_px,
-            errors,
-            in_view,
-        )
+        _image_errors(self, positions, raster, errors, in_view)
         shape = positions_in_base_m.shape[:-1]
         return errors.reshape(shape), in_view.reshape(shape)
 
@@ -120,19 +117,9 @@ class ImageErrors:
 
 @compiled
 def _image_errors(
+    sight: ImageErrors,
     positions_in_base_m: NDArray[np.float64],  # (n, 3) of the TCP
-    desired_position_in_base_m: NDArray[np.float64],  # (3,)
-    transform_camera_to_base: NDArray[np.float64],  # (4, 4) at the desired pose
-    transform_object_to_camera: NDArray[np.float64],  # (4, 4) at the desired pose
-    polygon_m: NDArray[np.float64],  # (corners, 2)
-    desired_features: NDArray[np.float64],  # (6,)
-    desired_area: float,
-    desired_depth_m: float,
-    dense: bool,
     raster: bool,
-    focal_px: float,
-    width_px: int,
-    height_px: int,
     errors_out: NDArray[np.float64],  # (n,)
     in_view_out: NDArray[np.bool_],  # (n,)
 ) -> None:
@@ -142,28 +129,28 @@ def _image_errors(
 
     with t the object's position in the camera frame, p that of the TCP, * at the desired pose, R kept.
     """
-    corners = polygon_m.shape[0]
-    pose = transform_object_to_camera.copy()
+    corners = sight.polygon_m.shape[0]
+    pose = sight.transform_object_to_camera.copy()
     points, image = np.empty((corners, 3)), np.empty((corners, 2))
     moments, current, error = np.empty(MOMENT_COUNT), np.empty(6), np.empty(6)
     for k in range(positions_in_base_m.shape[0]):
         for i in range(3):
-            pose[i, 3] = transform_object_to_camera[i, 3]
+            pose[i, 3] = sight.transform_object_to_camera[i, 3]
             for j in range(3):
-                shift_m = positions_in_base_m[k, j] - desired_position_in_base_m[j]
-                pose[i, 3] -= transform_camera_to_base[j, i] * shift_m
+                shift_m = positions_in_base_m[k, j] - sight.desired_position_in_base_m[j]
+                pose[i, 3] -= sight.transform_camera_to_base[j, i] * shift_m
         errors_out[k] = np.inf
         in_view_out[k] = False
-        polygon_in_camera(polygon_m, pose, points)
+        polygon_in_camera(sight.polygon_m, pose, points)
         if not project(points, image):
             continue
-        inside = polygon_inside_image(image, focal_px, width_px, height_px)
+        inside = polygon_inside_image(image, sight.focal_px, sight.width_px, sight.height_px)
         if raster:
-            usable = raster_moments(image, focal_px, width_px, height_px, moments) > 0
-        elif dense:
+            usable = raster_moments(image, sight.focal_px, sight.width_px, sight.height_px, moments) > 0
+        elif sight.dense:
             usable = polygon_moments(image, moments)
         else:
             usable = point_moments(image, moments)
-        if usable and features(moments, desired_area, desired_depth_m, dense, current):
-            errors_out[k] = feature_error(current, desired_features, error)
+        if usable and features(moments, sight.area, sight.depth_m, sight.dense, current):
+            errors_out[k] = feature_error(current, sight.features, error)
             in_view_out[k] = inside

@@ -42,7 +42,7 @@ from safety_harness.avoidance.isolation.frames import (
     packed,
     to_the_child,
 )
-from safety_harness.avoidance.python_file import PythonFile
+from safety_harness.avoidance.python_file import avoider_in
 from safety_harness.exceptions import InputError
 
 MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
@@ -148,7 +148,7 @@ class _Child:
 def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
     """What a program has under a name, or what a model is."""
     if "attribute" in asked:
-        return PythonFile(path, source).avoider(asked["attribute"])
+        return avoider_in(path, source, asked["attribute"])
     from safety_harness.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
 
     return OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))

@@ -22,7 +22,7 @@ from safety_harness.avoidance.isolation.frames import Made
 from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.avoidance.model_file import onnx_bytes
-from safety_harness.avoidance.python_text import source_of
+from safety_harness.avoidance.python_file import source_of
 from safety_harness.exceptions import (
     AvoiderError,
     InadmissibleError,
