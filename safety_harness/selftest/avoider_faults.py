@@ -17,7 +17,15 @@ from safety_harness.avoidance.around import AvoiderAround
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.exceptions import AvoiderError
 from safety_harness.seeds import Branch, generator
-from safety_harness.selftest.fault import FaultyPart, Precondition, Seeds, SeverityLevels, fault_of, seeded
+from safety_harness.selftest.fault import (
+    FaultyPart,
+    Precondition,
+    Seeds,
+    SeverityLevels,
+    fault_of,
+    faults_in,
+    seeded,
+)
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.settings import DEFAULTS, GateKind
 
@@ -235,3 +243,6 @@ def _wrong_spread_axis(weight: float, avoider: Avoider, hand: Vector, tcp: Vecto
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)
+
+
+AVOIDER_FAULTS = faults_in(globals())

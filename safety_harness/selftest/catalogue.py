@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-from types import ModuleType
+from safety_harness.selftest.avoider_faults import AVOIDER_FAULTS
+from safety_harness.selftest.gate_faults import GATE_FAULTS
+from safety_harness.selftest.harmless import HARMLESS
+from safety_harness.selftest.motion_faults import MOTION_FAULTS
+from safety_harness.selftest.perception_faults import PERCEPTION_FAULTS
+from safety_harness.selftest.servoing_faults import SERVOING_FAULTS
+from safety_harness.selftest.timing_faults import TIMING_FAULTS
 
-from safety_harness.selftest import (
-    avoider_faults,
-    gate_faults,
-    harmless,
-    motion_faults,
-    perception_faults,
-    servoing_faults,
-    timing_faults,
-)
-from safety_harness.selftest.fault import SeededFault
-
-
-def _declared_in(*modules: ModuleType) -> tuple[SeededFault, ...]:
-    """In the order in which they stand there."""
-    return tuple(one for module in modules for one in vars(module).values() if isinstance(one, SeededFault))
-
-
-FAULTS = _declared_in(
-    avoider_faults, gate_faults, perception_faults, servoing_faults, motion_faults, timing_faults
-)
-HARMLESS = _declared_in(harmless)
+FAULTS = (*AVOIDER_FAULTS, *GATE_FAULTS, *PERCEPTION_FAULTS, *SERVOING_FAULTS, *MOTION_FAULTS, *TIMING_FAULTS)
 EVERY = (*FAULTS, *HARMLESS)

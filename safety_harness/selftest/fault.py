@@ -8,12 +8,13 @@ A file of faults declares each where it says what is wrong, by two decorators:
         command[0]["joint_velocity_radps"] *= factor
 
 ``seeded`` says where the change is made (here in what the arm is told) and at which magnitudes; the other
-one, a ``fault_of`` its part, makes a SeededFault of it.  ``ONLY`` is the ladder of one that is there or not.
+one, a ``fault_of`` its part, makes a SeededFault of it, which ``faults_in`` the file finds.  ``ONLY`` is the
+ladder of one that is there or not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -108,6 +109,11 @@ def fault_of(
 def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:
     """Says beforehand why a fault cannot matter, or why nothing here can catch it."""
     return lambda fault: replace(fault, harmless=harmless, limit=limit)
+
+
+def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
+    """Those that a file declares, in its order; ``file`` are its globals."""
+    return tuple(one for one in file.values() if isinstance(one, SeededFault))
 
 
 def outright(seeds: Seeds) -> Seeds:

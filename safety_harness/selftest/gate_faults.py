@@ -25,6 +25,7 @@ from safety_harness.selftest.fault import (
     Seeds,
     SeverityLevels,
     fault_of,
+    faults_in,
     outright,
     seeded,
 )
@@ -233,3 +234,6 @@ def _never_stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDe
 def _to_the_hand(system: ChangedSystem, way_m: float) -> ChangedSystem:
     fallback = Erring((0.0, 0.0, 0.0), way_m)
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND, fallback=fallback)
+
+
+GATE_FAULTS = faults_in(globals())

@@ -10,7 +10,17 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.selftest.avoider_faults import answered, asked
-from safety_harness.selftest.fault import FaultyPart, declared, fault_of, known, outright, seeded, seen, told
+from safety_harness.selftest.fault import (
+    FaultyPart,
+    declared,
+    fault_of,
+    faults_in,
+    known,
+    outright,
+    seeded,
+    seen,
+    told,
+)
 from safety_harness.selftest.system import ChangedSystem, Records
 from safety_harness.servoing.control import DESIRED
 from safety_harness.servoing.features import ALPHA
@@ -122,3 +132,6 @@ def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) 
 @seeded(known)
 def _tiny(records: ControllerRecords, magnitude: float) -> None:
     records.parameters["transform_sensor_to_base"][0, :3, 3] += NOISE_M
+
+
+HARMLESS = faults_in(globals())

@@ -14,6 +14,7 @@ from safety_harness.selftest.fault import (
     FaultyPart,
     SeverityLevels,
     fault_of,
+    faults_in,
     known,
     obeying,
     outright,
@@ -123,3 +124,6 @@ def _weak_brakes(system: ChangedSystem, factor: float) -> ChangedSystem:
 def _hasty(records: ControllerRecords, factor: float) -> None:
     for name in ("max_tcp_acceleration_mps2", "repulsion_acceleration_mps2"):
         records.parameters[name] *= factor
+
+
+MOTION_FAULTS = faults_in(globals())

@@ -16,6 +16,7 @@ from safety_harness.selftest.fault import (
     FaultyPart,
     SeverityLevels,
     fault_of,
+    faults_in,
     known,
     seeded,
     seeing,
@@ -152,3 +153,6 @@ def _blind(admitted: Admitted, share: float, observation: Records) -> None:
 @seeded(known, SeverityLevels((0.1, 0.2, 0.3, 0.35), "mm", 1e3))
 def _short_sighted(records: ControllerRecords, distance_m: float) -> None:
     records.parameters["critical_distance_m"] = distance_m
+
+
+PERCEPTION_FAULTS = faults_in(globals())

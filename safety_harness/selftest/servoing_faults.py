@@ -13,6 +13,7 @@ from safety_harness.selftest.fault import (
     FaultyPart,
     SeverityLevels,
     fault_of,
+    faults_in,
     known,
     seeded,
     seeing,
@@ -129,3 +130,6 @@ def _late_image(delay_s: float, admitted: Admitted) -> Change:
 def _frozen(admitted: Admitted, from_s: float, observation: Records) -> None:
     if observation[0]["time_s"] >= from_s:
         observation[0]["image_new"] = False
+
+
+SERVOING_FAULTS = faults_in(globals())

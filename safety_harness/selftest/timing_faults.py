@@ -14,6 +14,7 @@ from safety_harness.selftest.fault import (
     FaultyPart,
     SeverityLevels,
     fault_of,
+    faults_in,
     known,
     obeying,
     seeded,
@@ -106,3 +107,6 @@ def _forgetful(records: ControllerRecords, timeout_s: float) -> None:
 @seeded(known, SeverityLevels((-100.0, 0.0, 0.2), "s after the hand has left"))
 def _restarts(records: ControllerRecords, delay_s: float) -> None:
     records.parameters["restart_delay_s"] = delay_s
+
+
+TIMING_FAULTS = faults_in(globals())
