@@ -42,8 +42,8 @@ def selftest(
 
     from safety_harness.certification.tools import FaultState
     from safety_harness.selftest.outcome import FaultOutcome, tally_of
-    from safety_harness.selftest.profile import profile_named
     from safety_harness.selftest.session import DATA, PAGE, SelfTestSession, numbers_of
+    from safety_harness.selftest.suite import SelfTestPlan, profile_named
     from safety_harness.selftest.table import (
         HARMLESS_HEAD,
         HEAD,
@@ -54,7 +54,6 @@ def selftest(
         row,
         summary,
     )
-    from safety_harness.selftest.work import SelfTestPlan
     from safety_harness.whole_file import writing
 
     again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]

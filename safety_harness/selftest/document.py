@@ -1,4 +1,7 @@
-"""The outcome of a self-test as JSON: for the certification page and other programs."""
+"""The outcome of a self-test as files: JSON for the certification page and other programs, and a page.
+
+The page is self-contained HTML in the style of the reports.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,22 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from safety_harness.certification.tools import FaultState
+from safety_harness.report.page_parts import render_page
 from safety_harness.selftest.outcome import FaultOutcome, tally_of
+from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"
+STATE_CLASS = {
+    FaultState.CAUGHT: "holds",
+    FaultState.QUIET: "holds",
+    FaultState.SURVIVES: "violated",
+    FaultState.FALSE_ALARM: "violated",
+    FaultState.LIMIT: "inconclusive",
+    FaultState.TRUE_ALARM: "inconclusive",
+    FaultState.UNTOUCHED: "none",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,3 +81,26 @@ def _outcome(one: FaultOutcome) -> dict[str, Any]:
         "survives": survivor.words if survivor else None,
         "confirmed_in_pybullet": one.confirmed,
     }
+
+
+def write_page(path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> None:
+    """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
+    write_whole(path, render(outcomes, about))
+
+
+def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> str:
+    """The page as text; the same arguments give the same bytes."""
+    faults, harmless = in_table(outcomes)
+    return render_page(
+        "selftest.html.j2",
+        style="tables.css",
+        about=about,
+        tally=tally_of(outcomes),
+        summary=summary(tally_of(outcomes)),
+        bad=bad(outcomes),
+        faults=[(one, row(one)) for one in faults],
+        harmless=[(one, harmless_row(one)) for one in harmless],
+        head=HEAD,
+        harmless_head=HARMLESS_HEAD,
+        state_class=STATE_CLASS,
+    )

@@ -1,14 +1,31 @@
-"""What a seeded fault is: a name, the hazard it stands for, and a ladder of magnitudes."""
+"""What a seeded fault is: a name, the hazard it stands for, and a ladder of magnitudes.
+
+A file of faults declares each where it says what is wrong, by two decorators:
+
+    @_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
+    @seeded(told, SeverityLevels((4.0, 1.5, 1.1, 1.02), "times"))
+    def _faster(factor: float, command: Records) -> None:
+        command[0]["joint_velocity_radps"] *= factor
+
+``seeded`` says where the change is made (here in what the arm is told) and at which magnitudes; the other
+one, a ``fault_of`` its part, makes a SeededFault of it, which ``faults_in`` the file finds.  ``ONLY`` is the
+ladder of one that is there or not.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from enum import Enum
+from functools import partial
+from typing import TypeVar
 
-from safety_harness.selftest.system import ChangedSystem
+from safety_harness.admission.admit import Admitted
+from safety_harness.controller.cycle import ControllerRecords
+from safety_harness.selftest.system import Change, ChangedSystem, Records
 
 Seeds = Callable[[ChangedSystem, float], ChangedSystem]
+What = TypeVar("What")  # is wrong, as a function of its magnitude
 
 
 class FaultyPart(Enum):
@@ -53,7 +70,7 @@ class Precondition:
 AS_IT_IS = Precondition("as it is", lambda system: system)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class SeededFault:
     """A mistake that somebody could make, and that hurts somebody or ends the task.
 
@@ -63,8 +80,8 @@ class SeededFault:
     ``limit``: why nothing here can catch it, said beforehand.
     """
 
-    name: str
     part: FaultyPart
+    name: str
     hazard: str
     seed_into: Seeds
     ladder: SeverityLevels = ONLY
@@ -72,3 +89,66 @@ class SeededFault:
     of_spread: bool = False
     harmless: str = ""
     limit: str = ""
+
+
+Graded = tuple[Seeds, SeverityLevels]
+
+
+def seeded(where: Callable[[What], Seeds], ladder: SeverityLevels = ONLY) -> Callable[[What], Graded]:
+    """Decorates what is wrong, with the place in the system where it is seeded and its magnitudes."""
+    return lambda what: (where(what), ladder)
+
+
+def fault_of(
+    part: FaultyPart, name: str, hazard: str, circumstance: Precondition = AS_IT_IS, of_spread: bool = False
+) -> Callable[[Graded], SeededFault]:
+    """Makes a fault of what is ``seeded``."""
+    return lambda graded: SeededFault(part, name, hazard, *graded, circumstance, of_spread)
+
+
+def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:
+    """Says beforehand why a fault cannot matter, or why nothing here can catch it."""
+    return lambda fault: replace(fault, harmless=harmless, limit=limit)
+
+
+def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
+    """Those that a file declares, in its order; ``file`` are its globals."""
+    return tuple(one for one in file.values() if isinstance(one, SeededFault))
+
+
+def outright(seeds: Seeds) -> Seeds:
+    """Seeded by a function of the whole system."""
+    return seeds
+
+
+def known(edit: Callable[[ControllerRecords, float], None]) -> Seeds:
+    """Seeded into what the controller takes for given."""
+    return lambda system, magnitude: system.with_records(lambda records: edit(records, magnitude))
+
+
+def seen(change: Callable[[Admitted, float, Records], None]) -> Seeds:
+    """Seeded into each observation by a change that remembers nothing."""
+    return seeing(lambda magnitude, admitted: _in_place(partial(change, admitted, magnitude)))
+
+
+def seeing(make: Callable[[float, Admitted], Change]) -> Seeds:
+    """Seeded into the observations by a change that is made afresh for each run."""
+    return lambda system, magnitude: system.seeing(partial(make, magnitude))
+
+
+def told(change: Callable[[float, Records], None]) -> Seeds:
+    """Seeded into each command by a change that remembers nothing."""
+    return obeying(lambda magnitude, _: _in_place(partial(change, magnitude)))
+
+
+def obeying(make: Callable[[float, Admitted], Change]) -> Seeds:
+    """Seeded into the commands by a change that is made afresh for each run."""
+    return lambda system, magnitude: system.obeying(partial(make, magnitude))
+
+
+def _in_place(change: Callable[[Records], None]) -> Change:
+    def changed(records: Records) -> Records:
+        change(records)
+        return records
+
+    return changed

@@ -1,23 +1,34 @@
-"""One self-test from its faults to its files: each fault is written down when it is finished."""
+"""One self-test from its faults to its files, in several processes.
+
+Each fault is written down when it is finished, whatever happens to the rest.
+"""
 
 from __future__ import annotations
 
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 
+from safety_harness.admission.admit import Admitted
+from safety_harness.admission.trial import slower_because
+from safety_harness.campaign.pool import pool
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import Place, SettingsError
+from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.document import SelfTestRun, write_document
-from safety_harness.selftest.outcome import FaultOutcome
-from safety_harness.selftest.page import write_page
-from safety_harness.selftest.work import SelfTestPlan, outcomes, sound_remarks
+from safety_harness.selftest.document import SelfTestRun, write_document, write_page
+from safety_harness.selftest.fault import SeededFault
+from safety_harness.selftest.outcome import FaultOutcome, outcome_of
+from safety_harness.selftest.suite import SelfTestPlan
+from safety_harness.selftest.system import ChangedSystem
+from safety_harness.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
 
 PAGE, DATA = "selftest.html", "selftest.json"
 
@@ -39,8 +50,8 @@ class SelfTestSession:
     broken: str = ""
 
     def __post_init__(self) -> None:
-        suite = self.plan.suite()
-        self.remarks, self._episodes = tuple(sound_remarks(suite)), len(suite.episodes)
+        episodes = self.plan.episodes()
+        self.remarks, self._episodes = tuple(sound_remarks(episodes)), len(episodes)
         self._begun_s = time.monotonic()
 
     @property
@@ -100,3 +111,62 @@ def numbers_of(words: str | None) -> list[int]:
             place=Place(field="--fault"), expected=f"words of one of: {names}", got=repr(words)
         )
     return found
+
+
+def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
+    """Down the ladder until one survives, what is slighter still is not tried; the last catch in PyBullet.
+
+    A harmless one is tried on the whole suite, and all its alarms are kept.
+    """
+    if not trials.applies(fault):
+        return outcome_of(fault, (), applies=False)
+    if fault.harmless:
+        return outcome_of(fault, (trials.everywhere(fault),))
+    rungs: list[Rung] = []
+    for magnitude in fault.ladder.values:
+        rungs.append(trials.rung(fault, magnitude))
+        if not rungs[-1].caught:
+            break
+    caught = [rung for rung in rungs if rung.caught]
+    if caught:
+        confirmed = trials.confirmed(fault, caught[-1])
+        rungs[len(caught) - 1] = replace(caught[-1], confirmed=confirmed)
+    return outcome_of(fault, rungs)
+
+
+_TRIALS: list[FaultTrials] = []  # of this process
+
+
+def _begin(plan: SelfTestPlan) -> None:
+    _TRIALS[:] = [FaultTrials(plan.episodes())]
+
+
+def _try(number: int) -> FaultOutcome:
+    return try_out(_TRIALS[0], EVERY[number])
+
+
+def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
+    """The faults of these numbers in EVERY, each when it is finished; one job is done here."""
+    if jobs == 1:
+        trials = FaultTrials(plan.episodes())
+        yield from (try_out(trials, EVERY[number]) for number in numbers)
+        return
+    with pool(jobs, partial(_begin, plan)) as processes:
+        running: set[Future[FaultOutcome]] = {processes.submit(_try, number) for number in numbers}
+        while running:
+            finished = wait(running, return_when=FIRST_COMPLETED).done
+            running -= finished
+            for future in finished:
+                yield future.result()
+
+
+def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
+    """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
+    avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(episodes)))}
+    said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
+    for name, number in avoiders.items():
+        system = ChangedSystem(episodes[number])
+        wrong = words_on(system.admitted, system.run())[SAME_TWICE]
+        if wrong.verdict is not Verdict.HOLDS:
+            said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")
+    return said

@@ -1,8 +1,11 @@
-"""What faults are tried on: shipped scenarios, then draws of the spaces, in a fixed order."""
+"""What faults are tried on: shipped scenarios, then draws of the spaces, in a fixed order.
+
+How much of it: ``quick`` in a couple of minutes on two idle cores, ``nightly`` everything there is.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,29 +22,70 @@ from safety_harness.space.read import read_space
 
 LONG_S = 30.0  # such scenarios come last: they cost as much as several others
 
+# Those that tell most come first; measured, see docs/selftest.md.
+TELLING = (
+    "hand-visits-and-leaves",
+    "second-hand",
+    "hesitating-reach",
+    "hand-stays",
+    "overhead-camera",
+    "own-formulas",
+    "network-certain",
+    "network-in-doubt",
+    "cornered",
+    "between-two-hands",
+    "servoing-alone",
+    "stops-in-time",
+    "nothing-reachable",
+    "lost-between-two-hands",
+    "object-lost-and-found",
+    "fault-camera-hidden-by-a-hand",
+    "fault-camera-blind",
+    "tilted-start",
+    "over-the-shoulder",
+    "hidden-for-a-moment",
+)
 
-@dataclass(frozen=True, eq=False)
-class Suite:
-    """Admitted scenarios in the order in which they are tried, one at least."""
 
-    episodes: tuple[Admitted, ...]
+@dataclass(frozen=True, kw_only=True)
+class SelfTestProfile:
+    """The TELLING scenarios, the ``others`` too if it says so, and then ``draws`` of each space."""
 
-    @classmethod
-    def read(
-        cls,
-        folder: Path,
-        *,
-        first: Sequence[str] = (),
-        others: bool = True,
-        avoider: str | None = None,
-        draws: int = 0,
-    ) -> Suite:
-        """The scenarios of ``folder``, those named ``first`` before the ``others``, then draws of its spaces.
+    name: str
+    others: bool
+    draws: int
 
-        Without ``others`` only those named are taken, if there are any.  ``avoider`` takes the place of
-        what they name.  What only PyBullet can run is left out.  InputError for a file that cannot be used,
-        or if nothing is left to try.
+
+QUICK = SelfTestProfile(name="quick", others=False, draws=2)
+NIGHTLY = SelfTestProfile(name="nightly", others=True, draws=30)
+PROFILES = (QUICK, NIGHTLY)
+
+
+def profile_named(name: str) -> SelfTestProfile:
+    """One of them; ScenarioError for any other name."""
+    for profile in PROFILES:
+        if profile.name == name:
+            return profile
+    names = " or ".join(profile.name for profile in PROFILES)
+    raise ScenarioError(place=Place(field="--profile"), expected=names, got=repr(name))
+
+
+@dataclass(frozen=True)
+class SelfTestPlan:
+    """What is tried, on what; ``avoider`` takes the place of those that the scenarios name."""
+
+    profile: SelfTestProfile
+    folder: Path
+    avoider: str | None
+
+    def episodes(self) -> tuple[Admitted, ...]:
+        """Admitted scenarios in the order in which they are tried, one at least.
+
+        The TELLING ones of ``folder`` before the others, then draws of its spaces.  Without others only the
+        telling ones are taken, if there are any.  What only PyBullet can run is left out.  InputError for
+        a file that cannot be used, or if nothing is left to try.
         """
+        folder = self.folder
         if not folder.is_dir():
             raise ScenarioError(
                 place=Place(field="--scenarios"),
@@ -52,25 +96,24 @@ class Suite:
         gathered = gather([folder])
         if gathered.errors:
             raise gathered.errors[0]
-        ordered = sorted(gathered.scenarios, key=lambda one: _rank(one, first))
-        named = [one for one in ordered if one.name in first]
-        episodes = list(_admitted(ordered if others or not named else named, avoider))
+        ordered = sorted(gathered.scenarios, key=_rank)
+        telling = [one for one in ordered if one.name in TELLING]
+        episodes = list(_admitted(telling if telling and not self.profile.others else ordered, self.avoider))
         spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
         for number, space in enumerate(spaces):
-            if draws:
-                drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), draws).scenarios
-                episodes += _admitted(drawn, avoider)
+            drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), self.profile.draws)
+            episodes += _admitted(drawn.scenarios, self.avoider)
         if not episodes:
             raise ScenarioError(
                 place=Place(field="--scenarios"),
                 expected="a scenario that the kinematic world can run",
                 got=f"none of the {len(ordered)} in {folder}",
             )
-        return cls(tuple(episodes))
+        return tuple(episodes)
 
 
-def _rank(scenario: Scenario, first: Sequence[str]) -> tuple[int, float, str]:
-    place = first.index(scenario.name) if scenario.name in first else len(first)
+def _rank(scenario: Scenario) -> tuple[int, float, str]:
+    place = TELLING.index(scenario.name) if scenario.name in TELLING else len(TELLING)
     return place, max(scenario.duration_s, LONG_S), scenario.name
 
 

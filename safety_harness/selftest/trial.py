@@ -15,7 +15,7 @@ from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.geometry import Kept, hand_distance_kept
-from safety_harness.selftest.suite import Suite, claims_of
+from safety_harness.selftest.suite import claims_of
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.trace.trace import Trace
@@ -105,21 +105,21 @@ class Rung:
 
 @dataclass(eq=False)
 class FaultTrials:
-    """Tries faults on a suite, and remembers what the sound system does there."""
+    """Tries faults on a suite of episodes, and remembers what the sound system does there."""
 
-    suite: Suite
+    episodes: tuple[Admitted, ...]
     _sound: dict[tuple[int, str, str], Words] = field(default_factory=dict)
 
     def applies(self, fault: SeededFault) -> bool:
         """A fault of the spread needs an avoider that states one."""
         if not fault.of_spread:
             return True
-        return any(spread_threshold_of(one.avoider) is not None for one in self.suite.episodes)
+        return any(spread_threshold_of(one.avoider) is not None for one in self.episodes)
 
     def rung(self, fault: SeededFault, magnitude: float) -> Rung:
         """Episode after episode, until something catches it."""
         words, alarms = fault.ladder.words(magnitude), tuple[Alarm, ...]()
-        for number in range(len(self.suite.episodes)):
+        for number in range(len(self.episodes)):
             alarms = self.alarms(fault, magnitude, number)
             if alarms:
                 break
@@ -130,12 +130,12 @@ class FaultTrials:
     ) -> tuple[Alarm, ...]:
         """What is violated in an episode of the suite with the fault, and holds there without it."""
         sound, found, _ = self._with_and_without(fault, magnitude, number, world)
-        return alarms_between(sound, found, self.suite.episodes[number].scenario.name)
+        return alarms_between(sound, found, self.episodes[number].scenario.name)
 
     def everywhere(self, fault: SeededFault) -> Rung:
         """Every alarm on the whole suite, for a fault of which there should be none; what geometry says."""
         magnitude, every, geometry = fault.ladder.values[0], list[Alarm](), Geometry()
-        for number, admitted in enumerate(self.suite.episodes):
+        for number, admitted in enumerate(self.episodes):
             name = admitted.scenario.name
             sound, found, trace = self._with_and_without(fault, magnitude, number)
             alarms = alarms_between(sound, found, name)
@@ -147,7 +147,7 @@ class FaultTrials:
         return Rung(
             magnitude=magnitude,
             words=fault.ladder.words(magnitude),
-            episodes=len(self.suite.episodes),
+            episodes=len(self.episodes),
             alarms=tuple(every),
             geometry=geometry,
         )
@@ -161,7 +161,7 @@ class FaultTrials:
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Words, Words, Trace | None]:
         """The words on an episode without the fault and with it, and the run with it unless it failed."""
-        system = fault.circumstance.bring_about(ChangedSystem(self.suite.episodes[number]))
+        system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
         key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
             self._sound[key] = words_on(system.admitted, system.run(world))

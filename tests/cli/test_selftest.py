@@ -16,8 +16,8 @@ from safety_harness.selftest import session
 from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.outcome import FaultOutcome, outcome_of
 from safety_harness.selftest.session import DATA, PAGE
+from safety_harness.selftest.suite import SelfTestPlan
 from safety_harness.selftest.trial import Rung
-from safety_harness.selftest.work import SelfTestPlan
 
 SHIPPED = Path(__file__).parents[2] / "scenarios"
 

@@ -28,7 +28,7 @@ from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
-from safety_harness.selftest.page import render as selftest_page
+from safety_harness.selftest.document import render as selftest_page
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
 from safety_harness_paper.scale import DEFAULT

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.scenario.read import read_scenario
-from safety_harness.selftest.suite import Suite
 from safety_harness.selftest.trial import FaultTrials
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -20,4 +19,4 @@ def shipped(name: str) -> Admitted:
 
 @lru_cache
 def trials(*names: str) -> FaultTrials:
-    return FaultTrials(Suite(tuple(shipped(name) for name in names)))
+    return FaultTrials(tuple(shipped(name) for name in names))

@@ -26,9 +26,9 @@ from safety_harness.selftest import trial
 from safety_harness.selftest.catalogue import HARMLESS
 from safety_harness.selftest.fault import FaultyPart, SeededFault
 from safety_harness.selftest.geometry import BODIES, Kept, PyBulletArm, hand_distance_kept
+from safety_harness.selftest.session import try_out
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import LEAST_M, SAME_TWICE, confirmed_by
-from safety_harness.selftest.work import try_out
 from safety_harness.trace.trace import Trace
 
 PROVEN_BY_COAL: set[tuple[bytes, ...]] = set()

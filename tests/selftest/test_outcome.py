@@ -25,10 +25,9 @@ from made_up_faults import (
 
 from safety_harness.certification.tools import FaultState
 from safety_harness.exceptions import ScenarioError
-from safety_harness.selftest.document import document, write_document
+from safety_harness.selftest.document import document, render, write_document
 from safety_harness.selftest.outcome import FaultOutcome, tally_of
-from safety_harness.selftest.page import render
-from safety_harness.selftest.profile import NIGHTLY, QUICK, profile_named
+from safety_harness.selftest.suite import NIGHTLY, QUICK, profile_named
 from safety_harness.selftest.table import (
     HARMLESS_HEAD,
     HEAD,

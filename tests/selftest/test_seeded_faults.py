@@ -13,7 +13,7 @@ from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.selftest.catalogue import EVERY, FAULTS, HARMLESS
 from safety_harness.selftest.fault import FaultyPart, SeededFault
-from safety_harness.selftest.profile import TELLING
+from safety_harness.selftest.suite import TELLING
 from safety_harness.selftest.system import Change, ChangedSystem, Records, WorldWrapper
 from safety_harness.trace.compare import first_difference
 

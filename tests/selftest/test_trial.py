@@ -15,10 +15,9 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.selftest import trial
 from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
 from safety_harness.selftest.outcome import outcome_of
-from safety_harness.selftest.suite import Suite
+from safety_harness.selftest.session import sound_remarks, try_out
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import RUN_FAILED, alarms_between
-from safety_harness.selftest.work import sound_remarks, try_out
 
 HOLDS = Evaluation(
     sentence="a claim",
@@ -141,10 +140,10 @@ def test_an_avoider_that_is_not_repeatable_is_told_of() -> None:
 
     moody: Avoider = Moody()
     admitted = replace(shipped("network-certain"), avoider=moody)
-    told = sound_remarks(Suite((admitted,)))
+    told = sound_remarks((admitted,))
     assert any("not repeatable" in line for line in told)
     assert any("one decision after another" in line for line in told)
-    assert sound_remarks(Suite((shipped("network-certain"),))) == []
+    assert sound_remarks((shipped("network-certain"),)) == []
 
 
 def test_a_harmless_change_with_an_alarm_is_a_false_alarm() -> None:
