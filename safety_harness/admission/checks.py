@@ -11,6 +11,7 @@ from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import AvoiderError, InadmissibleError
 from safety_harness.geometry.segments import segment_segment_distance
+from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
@@ -24,7 +25,7 @@ from safety_harness.settings import (
     ObjectKind,
 )
 from safety_harness.simulation.cameras import RING, sensors
-from safety_harness.simulation.faults import false_box
+from safety_harness.simulation.exact_views import hand_box
 
 TOUCHING_M = 1e-6
 # Triangles beyond it servo to 5 mm in raster images from at most two of eight starts, below 500 from
@@ -222,7 +223,7 @@ def _check_seen(scenario: Scenario, number: int) -> None:
     pose = overhead_transform_sensor_to_base(settings)
     state = sensors(settings, scenario.seed, 0, pose).state
     place = fault_table(scenario.faults)[number]["vector_m"].copy()
-    if not false_box(state, pose, place, np.zeros(5)):
+    if not hand_box(state, inverse_transform(pose), place, np.zeros(5)):
         raise InadmissibleError(
             place=scenario.place(f"faults[{number}].at"),
             expected="a false hand where the hand sensor could see one",

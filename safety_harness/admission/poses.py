@@ -16,7 +16,7 @@ from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, smallest_singular_value
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.settings import Settings
-from safety_harness.simulation.cameras import camera_state, object_polygon_in_base
+from safety_harness.simulation.cameras import SensorRecords, camera_state, object_polygon_in_base
 from safety_harness.simulation.exact_views import exact_object
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
@@ -112,7 +112,7 @@ def _check_pose(
             got=f"the position {_millimetres(transforms[7, :3, 3])}",
         )
     moments = np.empty(MOMENT_COUNT)
-    camera, polygon_in_base_m = camera_state(settings).copy(), object_polygon_in_base(settings)
+    camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
     if not exact_object(camera, polygon_in_base_m, transforms[7], moments):
         raise InadmissibleError(
             place=scenario.place(field, *VIEW),

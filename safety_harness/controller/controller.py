@@ -101,15 +101,15 @@ class AvoidingServo:
         self.gate = gate
         fixed = _fixed(settings, arm, view)
         self.records = ControllerRecords(
-            ParameterRecords(fixed[0].copy()),
             FilterRecords(fixed[1].copy()),
-            StateRecords(initial_state()),
             TrackRecords(no_tracks()),
-            AnswerRecords(np.zeros(1, ANSWER)),
-            CommandRecords(np.zeros(1, COMMAND)),
-            QuestionRecords(np.zeros(1, QUESTION)),
             FaultRecords(fault_table(()) if faults is None else faults),
             decision_times_s.copy(),
+            ParameterRecords(fixed[0].copy()),
+            StateRecords(initial_state()),
+            QuestionRecords(np.zeros(1, QUESTION)),
+            CommandRecords(np.zeros(1, COMMAND)),
+            AnswerRecords(np.zeros(1, ANSWER)),
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
@@ -122,22 +122,19 @@ class AvoidingServo:
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Look, decide if it is time to, act.  ``observation`` (1,) OBSERVATION."""
         r, o = self.records, ObservationRecords(observation)
-        if look(
-            r.parameters, r.filter_parameters, r.state, r.tracks, r.question, r.faults, r.decision_times_s, o
-        ):
+        if look(*r[:7], o):
             query = self.query(observation)
             held, self._held = self._held, None
             gate = self.gate
             self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
         elif self._on_the_clock:
             self._ask_now(observation)
-        act(r.parameters, r.state, r.answer, r.command, r.question, o)
+        act(*r[4:], o)
         return r.command
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Copy what the stack knows into the trace's record of this tick.  ``tick`` (1,) TICK."""
-        r = self.records
-        report(r.state, r.command, r.question, tick.view(TICK_COMPILED))
+        report(*self.records[5:8], tick.view(TICK_COMPILED))
 
     @property
     def decisions(self) -> NDArray[np.void]:

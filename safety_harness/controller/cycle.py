@@ -24,9 +24,10 @@ from safety_harness.controller.records import (
     TrackRecords,
 )
 from safety_harness.controller.stack import begin_tick, finish_tick
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.scenario.fault_table import TIME_EPS_S, acting, delay_s
 from safety_harness.scenario.faults import FaultKind
-from safety_harness.trace.records import MAX_TRACKS, Mode
+from safety_harness.trace.records import Mode
 
 PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
 LATE, SILENT = np.int64(FaultKind.AVOIDER_LATE), np.int64(FaultKind.AVOIDER_SILENT)
@@ -58,28 +59,32 @@ QUESTION = np.dtype(
 
 
 class ControllerRecords(NamedTuple):
-    """All that one episode's controller knows and remembers."""
+    """All that one episode's controller knows and remembers.
 
-    parameters: ParameterRecords  # (1,) PARAMETERS
+    In an order in which what a step takes stands together: ``look`` the first seven, ``act`` those from
+    ``parameters`` on, ``report`` from ``state`` to ``command``.
+    """
+
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
-    state: StateRecords  # (1,) STATE
     tracks: TrackRecords  # (MAX_TRACKS,) TRACK
-    answer: AnswerRecords  # (1,) ANSWER
-    command: CommandRecords  # (1,) COMMAND
-    question: QuestionRecords  # (1,) QUESTION
     faults: FaultRecords  # (n,) FAULT
     decision_times_s: NDArray[np.float64]  # (n,) of a question of each tick, as ``decision_times`` has it
+    parameters: ParameterRecords  # (1,) PARAMETERS
+    state: StateRecords  # (1,) STATE
+    question: QuestionRecords  # (1,) QUESTION
+    command: CommandRecords  # (1,) COMMAND
+    answer: AnswerRecords  # (1,) ANSWER
 
 
 @inlined
 def look(
-    parameters: ParameterRecords,
     filter_parameters: FilterRecords,
-    states: StateRecords,
     tracks: TrackRecords,
-    questions: QuestionRecords,
     faults: FaultRecords,
     decision_times_s: NDArray[np.float64],  # (n,) of a question of each tick; the last for all later ones
+    parameters: ParameterRecords,
+    states: StateRecords,
+    questions: QuestionRecords,
     observations: ObservationRecords,
 ) -> bool:
     """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
@@ -157,9 +162,9 @@ def answer_after(
 def act(
     parameters: ParameterRecords,
     states: StateRecords,
-    answers: AnswerRecords,
-    commands: CommandRecords,
     questions: QuestionRecords,
+    commands: CommandRecords,
+    answers: AnswerRecords,
     observations: ObservationRecords,
 ) -> None:
     """Act on the answer, if one was waited for, and command the arm for this tick."""
@@ -171,7 +176,7 @@ def act(
 
 @inlined
 def report(
-    states: StateRecords, commands: CommandRecords, questions: QuestionRecords, ticks: Records
+    states: StateRecords, questions: QuestionRecords, commands: CommandRecords, ticks: Records
 ) -> None:
     """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
@@ -181,14 +186,11 @@ def report(
     tick.mode = s.mode
     tick.gain = s.gain
     tick.limits = s.limits
-    for i in range(6):
-        tick.features[i] = s.features[i]
-        tick.feature_error[i] = s.feature_error[i]
-        tick.camera_twist[i] = s.camera_twist[i]
-        tick.demanded_joint_velocity_radps[i] = command.joint_velocity_radps[i]
-    for k in range(MAX_TRACKS):
-        tick.track_valid[k] = s.track_valid[k]
-        for i in range(3):
-            tick.predicted_hand_in_base_m[k, i] = s.predicted_hand_in_base_m[k, i]
+    copy_vector(s.features, tick.features)
+    copy_vector(s.feature_error, tick.feature_error)
+    copy_vector(s.camera_twist, tick.camera_twist)
+    copy_vector(command.joint_velocity_radps, tick.demanded_joint_velocity_radps)
+    copy_vector(s.track_valid, tick.track_valid)
+    copy_matrix(s.predicted_hand_in_base_m, tick.predicted_hand_in_base_m)
     tick.decision = q.made - 1 if q.made_now else -1
     tick.faults |= q.acted_faults

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.controller.records import ParameterRecords, StateRecords
+from safety_harness.geometry.arrays import Array6
 from safety_harness.geometry.linear import copy_vector
 from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
@@ -23,7 +23,7 @@ LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
 def servo_twist(
     parameters: ParameterRecords,
     states: StateRecords,
-    twist_in_base_out: NDArray[np.float64],  # (6,) v, w [m/s, rad/s]
+    twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
     """Eq. 1 as a twist of the TCP in the base frame; the gain drops once eq. 15 is small.
 
@@ -72,7 +72,7 @@ def servo_twist(
 def approach_twist(
     parameters: ParameterRecords,
     states: StateRecords,
-    twist_in_base_out: NDArray[np.float64],  # (6,) v, w [m/s, rad/s]
+    twist_in_base_out: Array6,  # v, w [m/s, rad/s]
 ) -> None:
     """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
 
@@ -101,11 +101,11 @@ def approach_twist(
 @njit_no_nrt
 def shaped(
     parameters: ParameterRecords,
-    previous: NDArray[np.float64],  # (6,) the twist of the last tick, base frame
-    wanted: NDArray[np.float64],  # (6,)
+    previous: Array6,  # the twist of the last tick, base frame
+    wanted: Array6,
     max_speed_mps: float,
     max_acceleration_mps2: float,
-    twist_out: NDArray[np.float64],  # (6,)
+    twist_out: Array6,
 ) -> int:
     """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted.
 

@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.geometry.linear import copy_vector
 from safety_harness.geometry.segments import segment_segment_distance
 
 
 @compiled
-def segment_pyramid_distance(
-    start: NDArray[np.float64],  # (3,) [m], all four in one frame
-    end: NDArray[np.float64],  # (3,) [m], may be the start
-    apex: NDArray[np.float64],  # (3,) [m]
-    base: NDArray[np.float64],  # (n, 3) [m], corners of a flat simple polygon, one after another
-) -> float:
+def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: ArrayNx3) -> float:
     """Distance [m] from a segment to the solid pyramid over ``base``; 0 where they meet.
+
+    All points [m] in one frame; the segment's ends may be the same, and ``base`` has the corners of a flat
+    simple polygon, one after another.
 
     The pyramid's surface is its base and a triangle for each side.  A segment outside it is nearest
     to one of these faces, at one of its own ends or at an edge; one that reaches in crosses a face or
@@ -48,7 +47,7 @@ def segment_pyramid_distance(
 
 
 @compiled
-def _normal(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
     """(3,) unit normal of a flat ``polygon`` (n, 3) by Newell's sum; zeros for one without an area.
 
     It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k, |N| twice the area.
@@ -68,7 +67,7 @@ def _normal(polygon: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def _height(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]) -> float:
+def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
     """Height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
     height = 0.0
     for i in range(3):
@@ -77,7 +76,7 @@ def _height(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: ND
 
 
 @compiled
-def _over(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]) -> bool:
+def _over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     """Is ``point`` (3,) in the prism along ``normal`` (3,) over ``polygon`` (n, 3)?
 
     The even-odd rule: a ray from the point's foot in the plane crosses the outline an odd number of times.
@@ -102,9 +101,7 @@ def _over(point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDAr
 
 
 @compiled
-def _base_distance(
-    point: NDArray[np.float64], polygon: NDArray[np.float64], normal: NDArray[np.float64]
-) -> float:
+def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
     """|n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
 
     ``point`` (3,), ``polygon`` (n, 3) and ``normal`` (3,) as in ``_height``.
@@ -113,12 +110,7 @@ def _base_distance(
 
 
 @compiled
-def _crosses(
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    polygon: NDArray[np.float64],
-    normal: NDArray[np.float64],
-) -> bool:
+def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
     """Does the segment from ``start`` (3,) to ``end`` (3,) go through ``polygon`` (n, 3), ``normal`` (3,)?
 
     Its ends have heights h_0 and h_1 of different sign, and the polygon holds the point at the share
@@ -135,12 +127,7 @@ def _crosses(
 
 
 @compiled
-def _within(
-    point: NDArray[np.float64],
-    apex: NDArray[np.float64],
-    base: NDArray[np.float64],
-    normal: NDArray[np.float64],
-) -> bool:
+def _within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
     """Is ``point`` (3,) in the pyramid: between base and apex, and seen from there over the base?
 
     With h its height over ``base`` (n, 3) of ``normal`` (3,) and H that of ``apex`` (3,): 0 <= h/H < 1, and

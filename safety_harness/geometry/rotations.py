@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
+from safety_harness.geometry.arrays import Array3, Array3x3
 
 # Below this squared angle the second-order series are exact to the last bit of a float64.
 SMALL_SQUARED_ANGLE = 1e-8
 
 
 @compiled
-def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_from_vector(vector: Array3) -> NDArray[np.float64]:
     """Rotation matrix (3, 3) of a rotation ``vector`` (3,) v [rad], by Rodrigues' formula.
 
         R = I + a [v]x + b [v]x^2,   a = sin(t)/t,   b = (1 - cos t)/t^2,   t = |v|,
@@ -45,7 +46,7 @@ def rotation_from_vector(vector: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
     """Rotation vector (3,) [rad] of a matrix ``rotation`` (3, 3); its length is at most pi.
 
         v = 2 atan2(|u|, w) u/|u|,   (w, u) the unit quaternion of the rotation with w >= 0,
@@ -90,7 +91,7 @@ def vector_from_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def rotation_about(axis: NDArray[np.float64], angle_rad: float, rotation_out: NDArray[np.float64]) -> None:
+def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> None:
     """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` t about the *unit* ``axis`` (3,) a.
 
     Rodrigues' formula, R = cos t I + sin t [a]x + (1 - cos t) a a^T.

@@ -1,21 +1,19 @@
-"""Exact distances between points and line segments in space."""
+"""Exact distances between points and line segments in space, all of a call [m] in one frame."""
 
 from __future__ import annotations
 
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.compiled import inlined
+from safety_harness.geometry.arrays import Array2x3, Array3
 
 ROUNDING_M = 1e-9  # by which a bound of a distance, computed otherwise, may be off
 
 
 @inlined
-def point_segment_distance(
-    point: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
-) -> float:
+def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
     """Distance [m] from ``point`` (3,) p to the segment from ``start`` (3,) a to ``end`` (3,) b.
 
     |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1]; t = 0 where u = 0,
@@ -32,7 +30,7 @@ def point_segment_distance(
 
 
 @inlined
-def axes_lower_m(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
     """Segments ``a`` (2, 3) and ``b`` (2, 3), ends by row, are no nearer than this [m], but for ROUNDING_M.
 
     |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, as no point of a segment is farther from its
@@ -48,12 +46,7 @@ def axes_lower_m(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @inlined
-def segment_segment_distance(
-    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
-    a_end: NDArray[np.float64],  # (3,)
-    b_start: NDArray[np.float64],  # (3,)
-    b_end: NDArray[np.float64],  # (3,)
-) -> float:
+def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3) -> float:
     """Distance [m] between two segments: the length of ``segment_segment_vector``."""
     x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
     return sqrt(x * x + y * y + z * z)
@@ -61,10 +54,7 @@ def segment_segment_distance(
 
 @inlined
 def segment_segment_vector(
-    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
-    a_end: NDArray[np.float64],  # (3,)
-    b_start: NDArray[np.float64],  # (3,)
-    b_end: NDArray[np.float64],  # (3,)
+    a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float]:
     """Shortest vector (x, y, z) [m] from segment a to segment b: that of ``nearest_of_segments``."""
     x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
@@ -73,10 +63,7 @@ def segment_segment_vector(
 
 @inlined
 def nearest_of_segments(
-    a_start: NDArray[np.float64],  # (3,) [m], all four in one frame
-    a_end: NDArray[np.float64],  # (3,)
-    b_start: NDArray[np.float64],  # (3,)
-    b_end: NDArray[np.float64],  # (3,)
+    a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float, float, float]:
     """(x, y, z) [m] from the point of segment a that is nearest to segment b to that of b, and both shares.
 

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
+from safety_harness.geometry.arrays import Array3, Array3x3, Array4x4
 
 
 @compiled
-def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float64]) -> NDArray[np.float64]:
+def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
     """Transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,) [m]."""
     transform = np.zeros((4, 4))
     for i in range(3):
@@ -21,7 +22,7 @@ def transform_from(rotation: NDArray[np.float64], translation: NDArray[np.float6
 
 
 @compiled
-def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
     """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
     inverse = np.zeros((4, 4))
     for i in range(3):
@@ -35,9 +36,7 @@ def inverse_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @inlined
-def compose_into(
-    outer: NDArray[np.float64], inner: NDArray[np.float64], transform_out: NDArray[np.float64]
-) -> None:
+def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
     """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must not be one of the two.
 
     (R, t) (S, u) = (R S, R u + t): first the inner one, so that b_to_c and a_to_b give a_to_c.

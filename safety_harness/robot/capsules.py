@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import ArmModelError
-from safety_harness.robot.description import TCP_LINK, ArmModel, load_arm
-from safety_harness.robot.distance import CAPSULE, chain_lengths
+from safety_harness.geometry.arrays import Array6
+from safety_harness.robot.description import TCP_LINK, ArmModel, ChainRecords, load_arm
+from safety_harness.robot.distance import CAPSULE, CapsuleRecords, chain_lengths
 from safety_harness.robot.kinematics import FRAMES
 
 
@@ -51,7 +52,7 @@ class CapsuleSet:
             array.setflags(write=False)
 
     @cached_property
-    def records(self) -> NDArray[np.void]:
+    def records(self) -> CapsuleRecords:
         """(n,) CAPSULE: the same for compiled code, read-only."""
         records = np.zeros(len(self.names), CAPSULE)
         for name in CAPSULE.names or ():
@@ -103,9 +104,9 @@ class Arm(NamedTuple):
     A kernel that is called at every tick takes the records apart: a tuple costs a microsecond a call.
     """
 
-    chain: NDArray[np.void]  # (1,) CHAIN
-    capsules: NDArray[np.void]  # (n,) CAPSULE
-    reach_m: NDArray[np.float64]  # (6,) of ``chain_lengths``
+    chain: ChainRecords
+    capsules: CapsuleRecords
+    reach_m: Array6  # of ``chain_lengths``
 
 
 @lru_cache(maxsize=16)

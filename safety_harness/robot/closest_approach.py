@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.geometry.arrays import Array2x3, Array3, Array6, ArrayNx2x3
 from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.segments import ROUNDING_M, segment_segment_vector
 from safety_harness.robot.capsules import Arm
-from safety_harness.robot.distance import hand_distance, place_capsules, segment_length
+from safety_harness.robot.distance import CapsuleRecords, hand_distance, place_capsules, segment_length
 from safety_harness.robot.kinematics import forward_kinematics
 
 MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that float64 can serve
@@ -24,12 +25,12 @@ MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that flo
 def closest_approach_between(
     arm: Arm,
     room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, n, 2, 3), overwritten
-    q0: NDArray[np.float64],  # (6,)
-    q1: NDArray[np.float64],  # (6,)
-    hand0: NDArray[np.float64],  # (3,)
-    hand1: NDArray[np.float64],  # (3,)
-    elbow0: NDArray[np.float64],  # (3,)
-    elbow1: NDArray[np.float64],  # (3,)
+    q0: Array6,
+    q1: Array6,
+    hand0: Array3,
+    hand1: Array3,
+    elbow0: Array3,
+    elbow1: Array3,
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
@@ -125,12 +126,7 @@ def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> flo
 
 @njit_no_nrt
 def _hand_at(
-    t: float,
-    hand0: NDArray[np.float64],  # (3,)
-    hand1: NDArray[np.float64],  # (3,)
-    elbow0: NDArray[np.float64],  # (3,)
-    elbow1: NDArray[np.float64],  # (3,)
-    hand_out: NDArray[np.float64],  # (2, 3)
+    t: float, hand0: Array3, hand1: Array3, elbow0: Array3, elbow1: Array3, hand_out: Array2x3
 ) -> None:
     """Fill hand and elbow (2, 3) at the part t of the way from state 0 to state 1."""
     for i in range(3):
@@ -139,7 +135,7 @@ def _hand_at(
 
 
 @njit_no_nrt
-def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.float64]) -> float:
+def _bend(reach_m: Array6, q0: Array6, q1: Array6) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
     B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``.  For i <= j, d^2 p /
@@ -158,9 +154,9 @@ def _bend(reach_m: NDArray[np.float64], q0: NDArray[np.float64], q1: NDArray[np.
 
 @compiled
 def _linear_bound(
-    capsules: NDArray[np.void],  # (n,) CAPSULE
-    left: NDArray[np.float64],
-    right: NDArray[np.float64],
+    capsules: CapsuleRecords,
+    left: ArrayNx2x3,
+    right: ArrayNx2x3,
     hands: NDArray[np.float64],
     hand_radius_m: float,
     forearm_radius_m: float,
@@ -207,13 +203,11 @@ def _linear_bound(
 
 @njit_no_nrt
 def _linear_pair_bound(
-    left: NDArray[np.float64],  # (2, 3)
-    right: NDArray[np.float64],  # (2, 3)
-    middle: NDArray[np.float64],  # (2, 3)
-    hands: NDArray[np.float64],  # (3, 2, 3)
-    points: int,
+    left: Array2x3, right: Array2x3, middle: Array2x3, hands: NDArray[np.float64], points: int
 ) -> float:
     """Lower bound [m] of the distance of two segments whose ends move linearly, over the interval.
+
+    The capsule's at either end and half-way; ``hands`` (3, 2, 3) and ``points`` as in ``_linear_bound``.
 
     max(0, |m| - max |u_ij(1) - u_ij(0)|/2, min over ends i, j and t in {0, 1} of u_ij(t) . m/|m|), with u_ij
     from an end of the hand's to one of the capsule's and m the shortest vector at half-way.

@@ -33,6 +33,7 @@ CHAIN = np.dtype(
     ],
     align=True,
 )
+ChainRecords = NDArray[np.void]  # (1,) CHAIN
 
 
 class Chain(Protocol):
@@ -70,7 +71,7 @@ class ArmModel:
                 value.setflags(write=False)
 
     @cached_property
-    def chain(self) -> NDArray[np.void]:
+    def chain(self) -> ChainRecords:
         """(1,) CHAIN: joint frames, axes and flange for compiled code, read-only."""
         chain = np.zeros(1, CHAIN)
         for name in CHAIN.names or ():

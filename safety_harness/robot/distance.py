@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.geometry.arrays import Array3, Array8x4x4, ArrayNx2x3
 from safety_harness.geometry.segments import point_segment_distance, segment_segment_distance
+from safety_harness.robot.description import ChainRecords
 
 CAPSULE = np.dtype(
     [
@@ -23,13 +25,12 @@ CAPSULE = np.dtype(
     ],
     align=True,
 )
+CapsuleRecords = NDArray[np.void]  # (n,) CAPSULE
 
 
 @inlined
 def place_capsules(
-    capsules: NDArray[np.void],
-    transforms: NDArray[np.float64],
-    capsule_endpoints_in_base_m_out: NDArray[np.float64],
+    capsules: CapsuleRecords, transforms: Array8x4x4, capsule_endpoints_in_base_m_out: ArrayNx2x3
 ) -> None:
     """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of ``capsules`` (n,) CAPSULE.
 
@@ -47,10 +48,10 @@ def place_capsules(
 
 @njit_no_nrt
 def hand_distance(
-    capsules: NDArray[np.void],
-    capsule_endpoints_in_base_m: NDArray[np.float64],
-    hand: NDArray[np.float64],
-    elbow: NDArray[np.float64],
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+    hand: Array3,
+    elbow: Array3,
     hand_radius_m: float,
     forearm_radius_m: float,
 ) -> tuple[float, int]:
@@ -97,7 +98,7 @@ def segment_length(start: NDArray[np.float64], end: NDArray[np.float64]) -> floa
 
 
 @compiled
-def chain_lengths(chains: NDArray[np.void], capsules: NDArray[np.void]) -> NDArray[np.float64]:
+def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.float64]:
     """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves.
 
     l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link,

@@ -8,10 +8,14 @@ begun it is carried through to standstill, whatever the controller asks for mean
 
 from __future__ import annotations
 
+from typing import NewType
+
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.linear import copy_vector
 from safety_harness.settings import Settings
 
 DRIVE = np.dtype(
@@ -30,25 +34,21 @@ DRIVE = np.dtype(
     ],
     align=True,
 )
+DriveRecords = NewType("DriveRecords", NDArray[np.void])  # (1,) DRIVE
 
 
-def drive(settings: Settings) -> NDArray[np.void]:
-    """Drives at rest, (1,) of dtype DRIVE."""
+def drive(settings: Settings) -> DriveRecords:
+    """Drives at rest."""
     drives = np.zeros(1, DRIVE)
     drives["control_period_s"] = settings.clock.control_period_s
-    drives["reaction_time_s"] = settings.braking.reaction_time_s
-    drives["stop_time_base_s"] = settings.braking.stop_time_base_s
-    drives["stop_time_per_speed_s2pm"] = settings.braking.stop_time_per_speed_s2pm
-    return drives
+    for name in ("reaction_time_s", "stop_time_base_s", "stop_time_per_speed_s2pm"):
+        drives[name] = getattr(settings.braking, name)
+    return DriveRecords(drives)
 
 
 @compiled
 def drive_tick(
-    drives: NDArray[np.void],  # (1,) DRIVE
-    demanded_radps: NDArray[np.float64],  # (6,)
-    protective_stop: bool,
-    tcp_speed_mps: float,
-    time_s: float,
+    drives: DriveRecords, demanded_radps: Array6, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
     """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
 
@@ -63,23 +63,20 @@ def drive_tick(
         d.braking = False
         d.requested_at_s = time_s
     if not d.stopping:
-        for i in range(6):
-            d.setpoint_radps[i] = demanded_radps[i]
+        copy_vector(demanded_radps, d.setpoint_radps)
         return False
     if not d.braking and time_s >= d.requested_at_s + d.reaction_time_s - 1e-9:
         d.braking = True
         d.braking_from_s = time_s
         d.stop_time_s = d.stop_time_base_s + d.stop_time_per_speed_s2pm * tcp_speed_mps
-        for i in range(6):
-            d.braking_from_radps[i] = d.setpoint_radps[i]
+        copy_vector(d.setpoint_radps, d.braking_from_radps)
     if d.braking:
         left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
         if left <= 0.0 and not protective_stop and not np.any(d.setpoint_radps):
             # At standstill and released: this tick obeys.  The controller takes its demand for done, and
             # one tick later the arm would start with twice the step.
             d.stopping = False
-            for i in range(6):
-                d.setpoint_radps[i] = demanded_radps[i]
+            copy_vector(demanded_radps, d.setpoint_radps)
             return False
         for i in range(6):
             d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)

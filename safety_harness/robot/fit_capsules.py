@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull, cKDTree
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.geometry.segments import point_segment_distance
 from safety_harness.robot.capsules import capsule_file, load_capsules
 from safety_harness.robot.description import LinkMeshes, mesh_paths
@@ -83,7 +84,7 @@ def link_surface(link: LinkMeshes, longest_m: float) -> Surface:
 
 
 @compiled
-def farthest(points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
+def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
     """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all.
 
     ``start`` and ``end`` (3,).
@@ -95,9 +96,7 @@ def farthest(points: NDArray[np.float64], start: NDArray[np.float64], end: NDArr
 
 
 @compiled
-def inside(
-    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64], radius: float
-) -> NDArray[np.bool_]:
+def inside(points: ArrayNx3, start: Array3, end: Array3, radius: float) -> NDArray[np.bool_]:
     """Which of ``points`` (n, 3) lie in the capsule.  ``start`` and ``end`` (3,)."""
     result = np.empty(points.shape[0], dtype=np.bool_)
     for i in range(points.shape[0]):
@@ -107,10 +106,10 @@ def inside(
 
 @compiled
 def assign(
-    vertices: NDArray[np.float64],  # (v, 3)
+    vertices: ArrayNx3,
     faces: NDArray[np.int64],  # (n, 3)
-    starts: NDArray[np.float64],  # (k, 3)
-    ends: NDArray[np.float64],  # (k, 3)
+    starts: ArrayNx3,
+    ends: ArrayNx3,
     radii: NDArray[np.float64],  # (k,)
     owner_out: NDArray[np.int64],  # (n,), written
 ) -> None:
@@ -126,7 +125,7 @@ def assign(
                 owner_out[i] = j
 
 
-def smallest_capsule(points: NDArray[np.float64], start: Capsule | None) -> Capsule:
+def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
     """A capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
     hull = points[ConvexHull(points).vertices]
 

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import ArmModelError
+from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, Array8x4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
-from safety_harness.robot.description import ArmModel
+from safety_harness.robot.description import ArmModel, ChainRecords
 from safety_harness.robot.kinematics import (
     FRAMES,
     TCP,
@@ -38,8 +39,8 @@ class InverseKinematics:
 
     def __init__(self, arm: ArmModel) -> None:
         self.arm = arm
-        self._transforms = np.empty((FRAMES, 4, 4))
-        zero = self._forward(np.zeros(6)).copy()
+        zero = np.empty((FRAMES, 4, 4))
+        forward_kinematics(arm.chain[0], np.zeros(6), zero)
         axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
         points = zero[:, :3, 3]
         self._zero_rotation_inverse = zero[TCP, :3, :3].T.copy()
@@ -48,7 +49,7 @@ class InverseKinematics:
         if not self._solver.hasKnownDecomposition():
             raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form")
 
-    def branches(self, transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
         """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
 
         Each is checked with our own forward kinematics to 1e-9 (metres, and entries of the rotation), which
@@ -65,20 +66,16 @@ class InverseKinematics:
             return np.empty((0, 6))
         turned = pose.copy()
         turned[:3, :3] = pose[:3, :3] @ self._zero_rotation_inverse
-        answers = self._exact(np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6), pose)
+        theirs = np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6)
+        answers = _exact(self.arm.chain, pose, theirs)
         own = np.empty((AT_ONCE, 6))
         count = wrist_branches(self._axes, self._steps, turned[:3, :3].copy(), pose[:3, 3].copy(), own)
         if count == 0:
             return answers
-        return _distinct(np.concatenate([self._exact(own[:count], pose), answers]))
-
-    def _exact(self, answers: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Those of ``answers`` (k, 6), overwritten, that give ``pose``, wrapped."""
-        count = _keep_exact(self.arm.chain, pose, answers)
-        return answers[:count]
+        return _distinct(np.concatenate([_exact(self.arm.chain, pose, own[:count]), answers]))
 
     def nearest(
-        self, transform_tcp_to_base: NDArray[np.float64], reference_joint_position: NDArray[np.float64]
+        self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
     ) -> NDArray[np.float64] | None:
         """The solution (6,) within the position limits that is nearest to a joint position (6,).
 
@@ -96,7 +93,7 @@ class InverseKinematics:
 
     def reach_along(
         self,
-        joint_position_rad: NDArray[np.float64],
+        joint_position_rad: Array6,
         direction_in_base: ArrayLike,  # (3,)
         length_m: float,
         *,
@@ -116,34 +113,18 @@ class InverseKinematics:
             raise ValueError(f"direction_in_base: expected a finite vector with a length, got {direction}")
         if not (step_m > 0.0 and min_singular_value > 0.0 and np.isfinite(length_m)):
             raise ValueError("step_m and min_singular_value must be positive and length_m finite")
-        arm = self.arm
-        return float(
-            _straight_reach(
-                arm.chain,
-                arm.position_lower_rad,
-                arm.position_upper_rad,
-                np.array(joint_position_rad, dtype=np.float64),
-                direction / length,
-                length_m,
-                step_m,
-                min_singular_value,
-            )
+        arm, start = self.arm, np.array(joint_position_rad, dtype=np.float64)
+        limits_rad = arm.position_lower_rad, arm.position_upper_rad
+        return _straight_reach(
+            arm.chain, *limits_rad, start, direction / length, length_m, step_m, min_singular_value
         )
-
-    def _forward(self, joint_position_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-        forward_kinematics(self.arm.chain[0], joint_position_rad, self._transforms)
-        return self._transforms
 
 
 @compiled
-def _keep_exact(
-    chains: NDArray[np.void],  # (1,) CHAIN
-    pose: NDArray[np.float64],  # (4, 4)
-    answers: NDArray[np.float64],  # (k, 6), overwritten
-) -> int:
-    """Wrap the answers, and move those that give ``pose`` to the front; returns how many they are.
+def _exact(chains: ChainRecords, pose: Array4x4, answers: ArrayNx6) -> ArrayNx6:
+    """Those of ``answers``, which are overwritten, that give ``pose``, wrapped into (-pi, pi].
 
-    Those with max |T_7(q) - pose| <= EXACT_POSE over all entries, wrapped into (-pi, pi].
+    Those with max |T_7(q) - pose| <= EXACT_POSE over all entries.
     """
     transforms = np.empty((FRAMES, 4, 4))
     kept = 0
@@ -156,7 +137,7 @@ def _keep_exact(
             for j in range(4):
                 exact = exact and abs(transforms[TCP, i, j] - pose[i, j]) <= EXACT_POSE
         kept += exact
-    return kept
+    return answers[:kept]
 
 
 def _distinct(answers: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -168,11 +149,7 @@ def _distinct(answers: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def _nearest(
-    branches: NDArray[np.float64],  # (k, 6)
-    reference: NDArray[np.float64],  # (6,)
-    lower_rad: NDArray[np.float64],  # (6,)
-    upper_rad: NDArray[np.float64],  # (6,)
-    solution_out: NDArray[np.float64],  # (6,)
+    branches: ArrayNx6, reference: Array6, lower_rad: Array6, upper_rad: Array6, solution_out: Array6
 ) -> bool:
     """Fill the nearest of the branches and their full turns within the limits; False if there is none.
 
@@ -199,11 +176,11 @@ def _nearest(
 
 @compiled
 def _straight_reach(
-    chains: NDArray[np.void],  # (1,) CHAIN
-    lower_rad: NDArray[np.float64],  # (6,)
-    upper_rad: NDArray[np.float64],  # (6,)
-    start_rad: NDArray[np.float64],  # (6,)
-    direction: NDArray[np.float64],  # (3,), of length 1
+    chains: ChainRecords,
+    lower_rad: Array6,
+    upper_rad: Array6,
+    start_rad: Array6,
+    direction: Array3,  # of length 1
     length_m: float,
     step_m: float,
     min_singular_value: float,
@@ -238,16 +215,12 @@ def _straight_reach(
             break
         else:
             step = 0.5 * forward
-    return min(reached, length_m)
+    return float(min(reached, length_m))
 
 
 @compiled
 def _acceptable(
-    joints: NDArray[np.float64],  # (6,)
-    lower_rad: NDArray[np.float64],  # (6,)
-    upper_rad: NDArray[np.float64],  # (6,)
-    jacobian: NDArray[np.float64],  # (6, 6)
-    min_singular_value: float,
+    joints: Array6, lower_rad: Array6, upper_rad: Array6, jacobian: Array6x6, min_singular_value: float
 ) -> bool:
     """Are joints (6,) within their limits, and all singular values of their Jacobian large enough?"""
     for i in range(6):
@@ -258,19 +231,15 @@ def _acceptable(
 
 @compiled
 def follow_pose(
-    chains: NDArray[np.void],  # (1,) CHAIN
-    target: NDArray[np.float64],  # (4, 4)
-    joints: NDArray[np.float64],
-    transforms: NDArray[np.float64],  # (8, 4, 4), written
-    jacobian: NDArray[np.float64],  # (6, 6), written
+    chains: ChainRecords, target: Array4x4, joints: Array6, transforms: Array8x4x4, jacobian: Array6x6
 ) -> bool:
     """Newton's method from ``joints`` (overwritten) to the pose ``target`` on the same branch.
 
     J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and (R*, p*) wanted, both in the base
     frame [m], and log a rotation's vector [rad].  (Lynch and Park, Modern Robotics, 2017, 6.2.)  The first
     Newton step predicts; the later ones together may only correct it by half of its own size, else the
-    prediction was no good and the solution may be another branch's.  On success ``transforms`` and
-    ``jacobian`` are those of the solution.
+    prediction was no good and the solution may be another branch's.  ``transforms`` and
+    ``jacobian`` are written; on success they are those of the solution.
     """
     step = np.empty(6)
     error_rotation = np.empty((3, 3))
@@ -310,32 +279,19 @@ def follow_pose(
 
 
 def straight_way(
-    arm: ArmModel,
-    joint_position_rad: NDArray[np.float64],
-    position_in_base_m: NDArray[np.float64],
-    *,
-    step_m: float,
+    arm: ArmModel, joint_position_rad: Array6, position_in_base_m: Array3, *, step_m: float
 ) -> NDArray[np.float64]:
     """(k, 6) joints from ``joint_position_rad`` (6,) straight to ``position_in_base_m`` (3,), k >= 1.
 
     Neighbouring rows are at most ``step_m`` of way apart (more on a way of over 4000 steps).  The rows
     end where the arm cannot follow continuously; position limits and singularities are not looked at.
     """
-    return _straight_way(
-        arm.chain,
-        np.array(joint_position_rad, dtype=np.float64),
-        np.array(position_in_base_m, dtype=np.float64),
-        step_m,
-    )
+    start, end = (np.array(given, dtype=np.float64) for given in (joint_position_rad, position_in_base_m))
+    return _straight_way(arm.chain, start, end, step_m)
 
 
 @compiled
-def _straight_way(
-    chains: NDArray[np.void],  # (1,) CHAIN
-    start_rad: NDArray[np.float64],  # (6,)
-    end_in_base_m: NDArray[np.float64],  # (3,)
-    step_m: float,
-) -> NDArray[np.float64]:
+def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
     """(k, 6) joints at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
     transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
     forward_kinematics(chains[0], start_rad, transforms)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.geometry.arrays import Array4x4, Array6, Array6x3, Array6x6, Array8x4x4
 from safety_harness.geometry.linear import invert
 from safety_harness.geometry.rotations import rotation_entries
 from safety_harness.robot.description import Chain
@@ -20,9 +21,7 @@ TCP = 7
 
 
 @njit_no_nrt
-def forward_kinematics(
-    chain: Chain, joint_position_rad: NDArray[np.float64], transforms_out: NDArray[np.float64]
-) -> None:
+def forward_kinematics(chain: Chain, joint_position_rad: Array6, transforms_out: Array8x4x4) -> None:
     """Fill ``transforms_out`` (8, 4, 4) with link-to-base transforms: base_link, six links, tcp.
 
     T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_7 = T_6 F, with ``chain.joint_origins`` O (6, 4, 4) [m],
@@ -49,7 +48,7 @@ def forward_kinematics(
 
 
 @inlined
-def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]) -> None:
+def _compose(transforms: Array8x4x4, k: int, inner: Array4x4) -> None:
     """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time.
 
     ``transforms`` (8, 4, 4).
@@ -64,9 +63,7 @@ def _compose(transforms: NDArray[np.float64], k: int, inner: NDArray[np.float64]
 
 
 @inlined
-def geometric_jacobian(
-    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], jacobian_out: NDArray[np.float64]
-) -> None:
+def geometric_jacobian(joint_axes: Array6x3, transforms: Array8x4x4, jacobian_out: Array6x6) -> None:
     """Fill ``jacobian_out`` (6, 6): joint velocities to the TCP origin's twist (v, w) in the base frame.
 
     Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in
@@ -86,9 +83,7 @@ def geometric_jacobian(
 
 @inlined
 def tcp_velocity(
-    joint_axes: NDArray[np.float64],  # (6, 3)
-    transforms: NDArray[np.float64],  # (8, 4, 4)
-    joint_velocity_radps: NDArray[np.float64],  # (6,)
+    joint_axes: Array6x3, transforms: Array8x4x4, joint_velocity_radps: Array6
 ) -> tuple[float, float, float]:
     """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (6,)."""
     x = y = z = 0.0
@@ -102,7 +97,7 @@ def tcp_velocity(
 
 @inlined
 def _joint_twist(
-    joint_axes: NDArray[np.float64], transforms: NDArray[np.float64], joint: int
+    joint_axes: Array6x3, transforms: Array8x4x4, joint: int
 ) -> tuple[float, float, float, float, float, float]:
     """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame.
 
@@ -166,7 +161,7 @@ def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
 
 
 @compiled
-def is_well_conditioned(jacobian: NDArray[np.float64], min_singular_value: float) -> bool:
+def is_well_conditioned(jacobian: Array6x6, min_singular_value: float) -> bool:
     """Whether every singular value of ``jacobian`` (6, 6) exceeds ``min_singular_value`` > 0.
 
     A tenth of the work of ``smallest_singular_value``: J^T J - s^2 I is positive definite, that
@@ -194,10 +189,10 @@ def is_well_conditioned(jacobian: NDArray[np.float64], min_singular_value: float
 
 @compiled
 def joint_velocity(
-    jacobian: NDArray[np.float64],  # (6, 6)
-    twist: NDArray[np.float64],  # (6,) v, w in the Jacobian's frame
+    jacobian: Array6x6,
+    twist: Array6,  # v, w in the Jacobian's frame
     min_singular_value: float,
-    joint_velocity_out: NDArray[np.float64],  # (6,)
+    joint_velocity_out: Array6,
 ) -> bool:
     """Solve J q' = (v, w); False (and zeros) nearer to a singularity than ``min_singular_value``.
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, Array3x3, Array6x3
 
 NEAR = 1e-4  # |sin theta_5| below which these are the branches
 FREE = 5e-10  # below which theta_6 is free: half of the largest difference of an exact pose
@@ -25,7 +26,7 @@ AT_ONCE = 24  # for two theta_1, two theta_5, three psi and two elbows
 
 
 @compiled
-def _turned(axis: NDArray[np.float64], angle: float, vector: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned(axis: Array3, angle: float, vector: Array3) -> NDArray[np.float64]:
     """``vector`` (3,) turned about the unit ``axis`` (3,)."""
     turned: NDArray[np.float64] = np.cos(angle) * vector + np.sin(angle) * np.cross(axis, vector)
     turned += (1.0 - np.cos(angle)) * np.sum(axis * vector) * axis
@@ -34,10 +35,10 @@ def _turned(axis: NDArray[np.float64], angle: float, vector: NDArray[np.float64]
 
 @compiled
 def wrist_branches(
-    axes: NDArray[np.float64],  # (6, 3) of the joints at zero, in the base frame
+    axes: Array6x3,  # of the joints at zero, in the base frame
     steps: NDArray[np.float64],  # (7, 3) from the base to joint 1, from each to the next, and to the TCP
-    rotation: NDArray[np.float64],  # (3, 3) of the pose, relative to that at zero
-    position: NDArray[np.float64],  # (3,) of the pose
+    rotation: Array3x3,  # of the pose, relative to that at zero
+    position: Array3,  # of the pose
     out: NDArray[np.float64],  # (AT_ONCE, 6), written
 ) -> int:
     """Fill the branches with |sin theta_5| < NEAR, not yet checked, and return how many there are."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, SettingsError
+from safety_harness.geometry.arrays import Array4x4, Array6, Array6x6, Array31
 from safety_harness.geometry.linear import solve_in_place
 from safety_harness.perception.camera import object_plane, polygon_in_camera, project
 from safety_harness.perception.moments import MOMENT_COUNT, XG, YG, point_moments, polygon_moments
@@ -25,11 +26,7 @@ NEGLIGIBLE = 1e-6
 
 def choice_code(choice: InteractionChoice) -> int:
     """``choice`` as the number that ``camera_twist`` takes."""
-    return {
-        InteractionChoice.DESIRED: DESIRED,
-        InteractionChoice.CURRENT: CURRENT,
-        InteractionChoice.MEAN: MEAN,
-    }[choice]
+    return (InteractionChoice.DESIRED, InteractionChoice.CURRENT, InteractionChoice.MEAN).index(choice)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,7 +54,7 @@ class DesiredView:
 
 def desired_view(
     polygon_m: NDArray[np.float64],  # (n, 2)
-    transform_object_to_camera: NDArray[np.float64],  # (4, 4) at the desired pose
+    transform_object_to_camera: Array4x4,  # at the desired pose
     object_kind: ObjectKind,
     *,
     place: Place = Place(field="object.polygon"),  # noqa: B008 (frozen)
@@ -111,7 +108,7 @@ def desired_view(
     )
 
 
-def _refuse_threefold_symmetry(moments: NDArray[np.float64], place: Place) -> None:
+def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
     """Raise SettingsError if In3 of ``moments`` (31,) is only rounding: gamma and delta are 0/0 or x/0."""
     pairs = np.empty((3, 2))
     brackets(moments, pairs)
@@ -128,16 +125,16 @@ def _refuse_threefold_symmetry(moments: NDArray[np.float64], place: Place) -> No
 @compiled
 def camera_twist(
     choice: int,  # DESIRED, CURRENT or MEAN
-    desired_interaction: NDArray[np.float64],  # (6, 6) L*
-    desired_interaction_pinv: NDArray[np.float64],  # (6, 6)
-    moments: NDArray[np.float64],  # (31,) current
-    current_features: NDArray[np.float64],  # (6,)
+    desired_interaction: Array6x6,  # L*
+    desired_interaction_pinv: Array6x6,
+    moments: Array31,  # current
+    current_features: Array6,
     desired_area: float,
     desired_depth_m: float,
     dense: bool,
     gain: float,  # [1/s]
-    error: NDArray[np.float64],  # (6,) e = f - f*
-    out: NDArray[np.float64],  # (6,)
+    error: Array6,  # e = f - f*
+    out: Array6,
 ) -> bool:
     """(v, w) of the camera in its own frame [m/s, rad/s] by eq. 1; False if it is not finite.
 

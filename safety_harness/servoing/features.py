@@ -8,20 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array6, Array31
 from safety_harness.perception.moments import M00, XG, YG, mu_index
 
 X_N, Y_N, A_N, GAMMA, DELTA, ALPHA = range(6)
 
 
 @compiled
-def area(moments: NDArray[np.float64], dense: bool) -> float:
+def area(moments: Array31, dense: bool) -> float:
     """The a of eq. 3 from ``moments`` (31,): m00 of a dense object, mu20 + mu02 (eq. 5) of a discrete one."""
     return float(moments[M00] if dense else moments[mu_index(2, 0)] + moments[mu_index(0, 2)])
 
 
 @compiled
 def brackets(
-    moments: NDArray[np.float64],  # (31,)
+    moments: Array31,
     out: NDArray[np.float64],  # (3, 2)
 ) -> None:
     """The bracket pairs (c_k, s_k) whose sums of squares are In1, In2 and In3 of eq. 5.
@@ -44,13 +45,7 @@ def brackets(
 
 
 @compiled
-def features(
-    moments: NDArray[np.float64],  # (31,)
-    desired_area: float,
-    desired_depth_m: float,
-    dense: bool,
-    out: NDArray[np.float64],  # (6,)
-) -> bool:
+def features(moments: Array31, desired_area: float, desired_depth_m: float, dense: bool, out: Array6) -> bool:
     """(x_n, y_n, a_n) [m], gamma, delta [-], alpha [rad] by eqs. 3 to 5; False if one is not finite.
 
         a_n = Z* sqrt(a*/a)    x_n = a_n x_g    y_n = a_n y_g
@@ -81,11 +76,7 @@ def features(
 
 
 @compiled
-def feature_error(
-    current: NDArray[np.float64],  # (6,)
-    desired: NDArray[np.float64],  # (6,)
-    out: NDArray[np.float64],  # (6,)
-) -> float:
+def feature_error(current: Array6, desired: Array6, out: Array6) -> float:
     """Fill ``out`` with e = f - f*; returns |e|^2, the squared error of eq. 15 in metres and radians.
 
     An axis has no head: the error of alpha is taken modulo pi, in (-pi/2, pi/2].

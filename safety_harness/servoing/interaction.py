@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, Array6, Array6x6, Array31
 from safety_harness.perception.moments import M00, XG, YG, mu_index
 from safety_harness.servoing.features import A_N, ALPHA, DELTA, GAMMA, X_N, Y_N, area, brackets
 
@@ -28,7 +29,7 @@ VX, VY, VZ, WX, WY, WZ = range(6)
 
 
 @compiled
-def _mu(moments: NDArray[np.float64], i: int, j: int) -> float:
+def _mu(moments: Array31, i: int, j: int) -> float:
     """mu_ij of ``moments`` (31,), or 0 for a negative index, whose term has the factor 0."""
     if i < 0 or j < 0:
         return 0.0
@@ -37,12 +38,7 @@ def _mu(moments: NDArray[np.float64], i: int, j: int) -> float:
 
 @compiled
 def centred_moment_interaction(
-    moments: NDArray[np.float64],  # (31,)
-    plane: NDArray[np.float64],  # (3,)
-    dense: bool,
-    i: int,
-    j: int,
-    out: NDArray[np.float64],  # (6,)
+    moments: Array31, plane: Array3, dense: bool, i: int, j: int, out: Array6
 ) -> None:
     """Fill ``out`` with the row of mu_ij, i + j <= 5 (it needs moments of one order more).
 
@@ -93,13 +89,8 @@ def centred_moment_interaction(
 
 
 @compiled
-def centroid_interaction(
-    moments: NDArray[np.float64],  # (31,)
-    plane: NDArray[np.float64],  # (3,)
-    dense: bool,
-    out: NDArray[np.float64],  # (2, 6)
-) -> None:
-    """Fill ``out`` with the rows of x_g and y_g: those of a point, and second moments, for it has a size.
+def centroid_interaction(moments: Array31, plane: Array3, dense: bool, out: NDArray[np.float64]) -> None:
+    """Fill ``out`` (2, 6) with the rows of x_g and y_g: of a point, and second moments, for it has a size.
 
     With 1/Z_g = A x_g + B y_g + C and s_ij = k n_ij, k = 4 for a dense object and 1 for a discrete one,
 
@@ -129,14 +120,11 @@ def centroid_interaction(
 
 @compiled
 def interaction_matrix(
-    moments: NDArray[np.float64],  # (31,)
-    plane: NDArray[np.float64],  # (3,): A, B, C of 1/Z = A x + B y + C, 1/m
-    desired_area: float,
-    desired_depth_m: float,
-    dense: bool,
-    out: NDArray[np.float64],  # (6, 6)
+    moments: Array31, plane: Array3, desired_area: float, desired_depth_m: float, dense: bool, out: Array6x6
 ) -> bool:
     """Fill ``out`` with L_f of the features of eqs. 3 to 5 over a general plane.
+
+    ``plane`` is (A, B, C) of 1/Z = A x + B y + C, 1/m.
 
     Rows as ``features`` orders them, the first three in metres; ``desired_area`` is a*, ``desired_depth_m``
     Z*.  The row of alpha = atan2(2 mu11, d)/2, d = mu20 - mu02, is (d mu11' - mu11 d')/(d^2 + 4 mu11^2) with
@@ -163,14 +151,14 @@ def interaction_matrix(
 
 @compiled
 def _position_rows(
-    moments: NDArray[np.float64],  # (31,)
-    plane: NDArray[np.float64],  # (3,)
+    moments: Array31,
+    plane: Array3,
     desired_area: float,
     desired_depth_m: float,
     dense: bool,
-    mu20_row: NDArray[np.float64],  # (6,)
-    mu02_row: NDArray[np.float64],  # (6,)
-    out: NDArray[np.float64],  # (6, 6)
+    mu20_row: Array6,
+    mu02_row: Array6,
+    out: Array6x6,
 ) -> None:
     """Fill the rows of x_n = a_n x_g, y_n = a_n y_g and a_n = Z* sqrt(a*/a) in ``out``.
 
@@ -195,12 +183,7 @@ def _position_rows(
 
 
 @compiled
-def _invariant_rows(
-    moments: NDArray[np.float64],  # (31,)
-    plane: NDArray[np.float64],  # (3,)
-    dense: bool,
-    out: NDArray[np.float64],  # (6, 6)
-) -> None:
+def _invariant_rows(moments: Array31, plane: Array3, dense: bool, out: Array6x6) -> None:
     """Fill the rows of gamma = In1/In3 and delta = In2/In3, In_k = c_k^2 + s_k^2, in ``out``.
 
     gamma' = 2 [c_1 c_1' + s_1 s_1' - gamma (c_3 c_3' + s_3 s_3')]/In3, and delta' with c_2, s_2; the pairs

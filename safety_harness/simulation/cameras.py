@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, SettingsError
+from safety_harness.geometry.arrays import Array4x4
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
@@ -72,15 +73,17 @@ HAND_FRAME = np.dtype(
     ],
     align=True,
 )
+SensorRecords = NewType("SensorRecords", NDArray[np.void])  # (1,) SENSORS
+ObjectFrames = NewType("ObjectFrames", NDArray[np.void])  # (RING,) OBJECT_FRAME
+HandFrames = NewType("HandFrames", NDArray[np.void])  # (RING,) HAND_FRAME
 
 
-@dataclass(frozen=True, eq=False)
-class Sensors:
-    """One episode's cameras: ``state`` (1,) SENSORS and the frames that are under way."""
+class Sensors(NamedTuple):
+    """One episode's cameras and the frames that are under way."""
 
-    state: NDArray[np.void]
-    object_frames: NDArray[np.void]  # (RING,)
-    hand_frames: NDArray[np.void]  # (RING,)
+    state: SensorRecords
+    object_frames: ObjectFrames
+    hand_frames: HandFrames
     polygon_in_base_m: NDArray[np.float64]  # (n, 3)
     normals: NDArray[np.float64]  # (frames, MAX_DETECTIONS, 3): u, v, depth
     uniforms: NDArray[np.float64]  # (frames, MAX_DETECTIONS): missed detections
@@ -99,15 +102,13 @@ def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
     return np.column_stack([flat, np.zeros(len(flat))]) + shape.position_in_base_m
 
 
-def sensors(
-    settings: Settings, seed: int, ticks: int, transform_sensor_to_base: NDArray[np.float64]
-) -> Sensors:
+def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base: Array4x4) -> Sensors:
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection.
 
     ``transform_sensor_to_base`` (4, 4).
     """
     hand = settings.hand_sensor
-    state = camera_state(settings).copy()
+    state = SensorRecords(camera_state(settings).copy())
     state["transform_sensor_to_base"] = transform_sensor_to_base
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
     normals, uniforms = np.zeros((1, MAX_DETECTIONS, 3)), np.zeros((1, MAX_DETECTIONS))
@@ -117,8 +118,8 @@ def sensors(
         uniforms = misses.random((ticks + 1, MAX_DETECTIONS))
     return Sensors(
         state,
-        np.zeros(RING, OBJECT_FRAME),
-        np.zeros(RING, HAND_FRAME),
+        ObjectFrames(np.zeros(RING, OBJECT_FRAME)),
+        HandFrames(np.zeros(RING, HAND_FRAME)),
         object_polygon_in_base(settings),
         normals,
         uniforms,
@@ -126,7 +127,7 @@ def sensors(
 
 
 @lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
-def camera_state(settings: Settings) -> NDArray[np.void]:
+def camera_state(settings: Settings) -> SensorRecords:
     """(1,) SENSORS before the first frame, but for where a fixed one stands; not to be written."""
     state = np.zeros(1, SENSORS)
     camera, hand = settings.camera, settings.hand_sensor
@@ -153,7 +154,7 @@ def camera_state(settings: Settings) -> NDArray[np.void]:
     state["depth_noise_per_m"] = hand.depth_noise_per_m
     state["dropout_probability"] = hand.dropout_probability
     state.setflags(write=False)
-    return state
+    return SensorRecords(state)
 
 
 def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Settings) -> tuple[float, float]:

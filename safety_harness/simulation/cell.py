@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
+from safety_harness.geometry.arrays import Array4x4, Array6
 from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
 from safety_harness.perception.hand_boxes import rendered_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
@@ -53,7 +54,7 @@ def _urdf_file(name: str, visuals: bool) -> Path:
 
 
 def build_cell(
-    client: int, settings: Settings, arm: ArmModel, joint_position_rad: NDArray[np.float64], *, rendered: bool
+    client: int, settings: Settings, arm: ArmModel, joint_position_rad: Array6, *, rendered: bool
 ) -> Bodies:
     """Load everything into ``client``; visual meshes only when images are ``rendered``.
 
@@ -208,11 +209,7 @@ NEAR_M, FAR_M = 0.02, 5.0
 
 
 def render(
-    client: int,
-    transform_camera_to_base: NDArray[np.float64],  # (4, 4)
-    focal_px: float,
-    width_px: int,
-    height_px: int,
+    client: int, transform_camera_to_base: Array4x4, focal_px: float, width_px: int, height_px: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Colour (h, w, 3) and depth along the optical axis (h, w) [m]; pixels hit by nothing are +inf deep.
 

@@ -9,21 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, Array4x4, Array5, Array31, ArrayNx2x3, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.transforms import compose_into, inverse_transform
 from safety_harness.perception.camera import polygon_inside_image, project
 from safety_harness.perception.hand_boxes import box_in_image, line_of_sight_blocked, sphere_box
 from safety_harness.perception.moments import point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
+from safety_harness.robot.distance import CapsuleRecords
 from safety_harness.scenario.model import MAX_HANDS
+from safety_harness.simulation.cameras import SensorRecords
+from safety_harness.simulation.hand_motion import HandRecords
 
 
 @compiled
 def exact_object(
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    polygon_in_base_m: NDArray[np.float64],  # (n, 3)
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
-    moments_out: NDArray[np.float64],  # (31,)
+    sensors: SensorRecords, polygon_in_base_m: ArrayNx3, transform_tcp_to_base: Array4x4, moments_out: Array31
 ) -> bool:
     """Moments of the projected polygon, in closed form or at pixel centres; False if out of view."""
     s = sensors[0]
@@ -51,68 +52,76 @@ def exact_object(
 
 
 @compiled
-def sensor_pose(
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
-    sensor_to_base_out: NDArray[np.float64],  # (4, 4)
-) -> None:
-    """The hand sensor's true pose: fixed, or carried by the hand-eye camera."""
-    s = sensors[0]
+def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Array4x4:
+    """The hand sensor's true pose ``transform_sensor_to_base``: fixed, or carried by the hand-eye camera."""
+    s, pose = sensors[0], np.empty((4, 4))
     if s.eye_in_hand:
-        compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, sensor_to_base_out)
+        compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, pose)
     else:
-        copy_matrix(s.transform_sensor_to_base, sensor_to_base_out)
+        copy_matrix(s.transform_sensor_to_base, pose)
+    return pose
+
+
+@compiled
+def hand_box(
+    sensors: SensorRecords,
+    transform_base_to_sensor: Array4x4,
+    position_in_base_m: Array3,
+    box_out: Array5,
+) -> bool:
+    """The box of a hand whose view nothing bars; False where the sensor could not see one.
+
+    The ideal sensor sees beyond the image; it still has to have the hand in front of it.
+    """
+    s = sensors[0]
+    centre = np.empty(3)
+    for i in range(3):
+        centre[i] = transform_base_to_sensor[i, 3]
+        for j in range(3):
+            centre[i] += transform_base_to_sensor[i, j] * position_in_base_m[j]
+    if not sphere_box(centre, s.hand_radius_m, s.hand_focal_px, s.hand_c_u, s.hand_c_v, box_out):
+        return False
+    return bool(
+        s.ideal
+        or box_in_image(
+            centre,
+            s.hand_radius_m,
+            s.hand_focal_px,
+            s.hand_c_u,
+            s.hand_c_v,
+            s.hand_width_px,
+            s.hand_height_px,
+            box_out,
+        )
+    )
 
 
 @compiled
 def exact_boxes(
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
-    capsules: NDArray[np.void],  # (n,) CAPSULE
-    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3)
+    sensors: SensorRecords,
+    hands: HandRecords,
+    transform_tcp_to_base: Array4x4,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
     boxes_out: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
 ) -> int:
     """Bounding boxes of the hands that the sensor sees; returns how many.
 
-    The ideal sensor sees through the robot and beyond the image; it still has to have the hand
-    in front of it.
+    The ideal sensor sees through the robot.
     """
     s = sensors[0]
-    pose = np.empty((4, 4))
-    sensor_pose(sensors, transform_tcp_to_base, pose)
+    pose = sensor_pose(sensors, transform_tcp_to_base)
     base_to_sensor = inverse_transform(pose)
     count = 0
-    centre = np.empty(3)
     for k in range(MAX_HANDS):
         if not hands[k].present:
             continue
-        for i in range(3):
-            centre[i] = base_to_sensor[i, 3]
-            for j in range(3):
-                centre[i] += base_to_sensor[i, j] * hands[k].position_in_base_m[j]
-        box = boxes_out[count]
-        if not sphere_box(centre, s.hand_radius_m, s.hand_focal_px, s.hand_c_u, s.hand_c_v, box):
+        position = hands[k].position_in_base_m
+        if not hand_box(sensors, base_to_sensor, position, boxes_out[count]):
             continue
-        if not s.ideal:
-            if not box_in_image(
-                centre,
-                s.hand_radius_m,
-                s.hand_focal_px,
-                s.hand_c_u,
-                s.hand_c_v,
-                s.hand_width_px,
-                s.hand_height_px,
-                box,
-            ):
-                continue
-            if line_of_sight_blocked(
-                pose[:3, 3].copy(),
-                hands[k].position_in_base_m,
-                s.hand_radius_m,
-                capsule_endpoints_in_base_m,
-                capsules["radius_m"],
-            ):
-                continue
+        if not s.ideal and line_of_sight_blocked(
+            pose[:3, 3].copy(), position, s.hand_radius_m, capsule_endpoints_in_base_m, capsules["radius_m"]
+        ):
+            continue
         count += 1
     return count

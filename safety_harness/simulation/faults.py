@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.controller.records import FaultRecords
+from safety_harness.geometry.arrays import Array3, Array4x4, Array6, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.pyramids import segment_pyramid_distance
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import compose_into, inverse_transform
-from safety_harness.perception.hand_boxes import box_in_image, sphere_box
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.scenario.fault_table import acting, acts, delay_s
 from safety_harness.scenario.faults import FaultKind
-from safety_harness.simulation.cameras import RING
-from safety_harness.simulation.exact_views import sensor_pose
+from safety_harness.simulation.cameras import RING, HandFrames, ObjectFrames, SensorRecords
+from safety_harness.simulation.exact_views import hand_box, sensor_pose
+from safety_harness.simulation.hand_motion import HandRecords
 
 HAND_SENSOR_BLIND = np.int64(FaultKind.HAND_SENSOR_BLIND)
 HAND_SENSOR_FROZEN = np.int64(FaultKind.HAND_SENSOR_FROZEN)
@@ -36,11 +38,8 @@ JOINT_STUCK = np.int64(FaultKind.JOINT_STUCK)
 
 
 @compiled
-def mount_camera(faults: NDArray[np.void], sensors: NDArray[np.void], time_s: float) -> int:
-    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it.
-
-    ``faults`` (n,) FAULT, ``sensors`` (1,) SENSORS.
-    """
+def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
+    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
     s = sensors[0]
     bits = acting(faults, CAMERA_KNOCKED, time_s)
     copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
@@ -63,12 +62,12 @@ def mount_camera(faults: NDArray[np.void], sensors: NDArray[np.void], time_s: fl
 
 @compiled
 def spoil_object_frame(
-    faults: NDArray[np.void],  # (n,) FAULT
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    frames: NDArray[np.void],  # (RING,) OBJECT_FRAME; the newest is changed
-    polygon_in_base_m: NDArray[np.float64],  # (m, 3)
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
+    faults: FaultRecords,
+    sensors: SensorRecords,
+    frames: ObjectFrames,  # the newest is changed
+    polygon_in_base_m: ArrayNx3,
+    hands: HandRecords,
+    transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
     """What the faults make of the object's newest frame; a frozen camera shows the frame before it."""
@@ -95,10 +94,7 @@ def spoil_object_frame(
 
 @compiled
 def hides_object(
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    polygon_in_base_m: NDArray[np.float64],  # (m, 3)
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
+    sensors: SensorRecords, polygon_in_base_m: ArrayNx3, hands: HandRecords, transform_tcp_to_base: Array4x4
 ) -> bool:
     """Is any part of a hand or forearm between the hand-eye camera's lens and any part of the object?"""
     s = sensors[0]
@@ -118,10 +114,10 @@ def hides_object(
 
 @compiled
 def spoil_hand_frame(
-    faults: NDArray[np.void],  # (n,) FAULT
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    frames: NDArray[np.void],  # (RING,) HAND_FRAME; the newest is changed
-    transform_tcp_to_base: NDArray[np.float64],  # (4, 4)
+    faults: FaultRecords,
+    sensors: SensorRecords,
+    frames: HandFrames,
+    transform_tcp_to_base: Array4x4,
     time_s: float,
 ) -> int:
     """What the faults make of the newest frame of boxes.
@@ -134,8 +130,8 @@ def spoil_hand_frame(
     off, false = acting(faults, HAND_SENSOR_OFF, time_s), acting(faults, FALSE_HAND, time_s)
     bits = off | acting(faults, HAND_SENSOR_LATE, time_s)
     if off or false:
-        pose = np.empty((4, 4))
-        sensor_pose(sensors, transform_tcp_to_base, pose)
+        pose = sensor_pose(sensors, transform_tcp_to_base)
+        base_to_sensor = inverse_transform(pose)
         for k in range(faults.shape[0]):
             if acts(faults, k, HAND_SENSOR_OFF, time_s):
                 frame.count = shift_boxes(sensors, pose, faults[k].vector_m.copy(), frame.boxes, frame.count)
@@ -143,7 +139,7 @@ def spoil_hand_frame(
             if (
                 acts(faults, k, FALSE_HAND, time_s)
                 and frame.count < MAX_DETECTIONS
-                and false_box(sensors, pose, faults[k].vector_m.copy(), frame.boxes[frame.count])
+                and hand_box(sensors, base_to_sensor, faults[k].vector_m.copy(), frame.boxes[frame.count])
             ):
                 frame.count += 1
                 bits |= 1 << k
@@ -163,9 +159,9 @@ def spoil_hand_frame(
 
 @compiled
 def shift_boxes(
-    sensors: NDArray[np.void],  # (1,) SENSORS
-    transform_sensor_to_base: NDArray[np.float64],  # (4, 4)
-    by_in_base_m: NDArray[np.float64],  # (3,)
+    sensors: SensorRecords,
+    transform_sensor_to_base: Array4x4,
+    by_in_base_m: Array3,
     boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5), changed in place
     count: int,
 ) -> int:
@@ -196,43 +192,8 @@ def shift_boxes(
 
 
 @compiled
-def false_box(
-    sensors: NDArray[np.void],
-    transform_sensor_to_base: NDArray[np.float64],
-    position_in_base_m: NDArray[np.float64],  # (3,)
-    box_out: NDArray[np.float64],  # (5,)
-) -> bool:
-    """The box of a hand that is not there; False where the sensor could not see one."""
-    s = sensors[0]
-    base_to_sensor = inverse_transform(transform_sensor_to_base)
-    centre = np.empty(3)
-    for i in range(3):
-        centre[i] = base_to_sensor[i, 3]
-        for j in range(3):
-            centre[i] += base_to_sensor[i, j] * position_in_base_m[j]
-    if not sphere_box(centre, s.hand_radius_m, s.hand_focal_px, s.hand_c_u, s.hand_c_v, box_out):
-        return False
-    return bool(
-        s.ideal
-        or box_in_image(
-            centre,
-            s.hand_radius_m,
-            s.hand_focal_px,
-            s.hand_c_u,
-            s.hand_c_v,
-            s.hand_width_px,
-            s.hand_height_px,
-            box_out,
-        )
-    )
-
-
-@compiled
-def hold_joints(faults: NDArray[np.void], velocity_radps: NDArray[np.float64], time_s: float) -> int:
-    """Set what the motors of stuck joints are told, of (6,), to zero.
-
-    ``faults`` (n,) FAULT, ``velocity_radps`` (6,).
-    """
+def hold_joints(faults: FaultRecords, velocity_radps: Array6, time_s: float) -> int:
+    """Set what the motors of stuck joints are told to zero."""
     for k in range(faults.shape[0]):
         if acts(faults, k, JOINT_STUCK, time_s):
             velocity_radps[faults[k].joint] = 0.0

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import njit_no_nrt
+from safety_harness.geometry.arrays import Array3
 
 
 class MoveKind(IntEnum):
@@ -70,16 +71,18 @@ HAND = np.dtype(
     ],
     align=True,
 )
+MoveRecords = NDArray[np.void]  # (m,) MOVE
+HandRecords = NDArray[np.void]  # (MAX_HANDS,) HAND
 
 ARRIVED_M = 1e-9
 
 
 @njit_no_nrt
 def advance_hands(
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    moves: NDArray[np.void],  # (m,) MOVE
+    hands: HandRecords,
+    moves: MoveRecords,
     samples: NDArray[np.float64],  # (s, 7)
-    tcp_position_in_base_m: NDArray[np.float64],  # (3,) at time_s
+    tcp_position_in_base_m: Array3,  # at time_s
     time_s: float,
     dt_s: float,
 ) -> None:
@@ -115,11 +118,7 @@ def advance_hands(
 
 @njit_no_nrt
 def advance_move(
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    k: int,
-    moves: NDArray[np.void],  # (m,) MOVE
-    tcp_position_in_base_m: NDArray[np.float64],  # (3,)
-    left_s: float,
+    hands: HandRecords, k: int, moves: MoveRecords, tcp_position_in_base_m: Array3, left_s: float
 ) -> float:
     """Spend up to ``left_s`` on the current move; returns what is left of it."""
     hand = hands[k]
@@ -149,11 +148,8 @@ def advance_move(
 
 
 @njit_no_nrt
-def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
-    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest.
-
-    ``hands`` (MAX_HANDS,) HAND.
-    """
+def brake(hands: HandRecords, k: int, dt_s: float) -> float:
+    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
     hand = hands[k]
     squared = 0.0
     for i in range(3):
@@ -172,12 +168,7 @@ def brake(hands: NDArray[np.void], k: int, dt_s: float) -> float:
 
 @njit_no_nrt
 def follow_leg(
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    k: int,
-    target_in_base_m: NDArray[np.float64],  # (3,)
-    distance_m: float,
-    speed_mps: float,
-    dt_s: float,
+    hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
     """Straight until ``distance_m`` from the target, from rest to rest; (time used, whether it is there).
 
@@ -217,13 +208,8 @@ def follow_leg(
 
 
 @njit_no_nrt
-def begin_leg(
-    hands: NDArray[np.void], k: int, target_in_base_m: NDArray[np.float64], distance_m: float
-) -> None:
-    """Fix where the leg leads, from where the hand rests now.
-
-    ``hands`` (MAX_HANDS,) HAND, ``target_in_base_m`` (3,).
-    """
+def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float) -> None:
+    """Fix where the leg leads, from where the hand rests now."""
     hand = hands[k]
     hand.on_leg = True
     hand.leg_s = 0.0
@@ -240,12 +226,7 @@ def begin_leg(
 
 @njit_no_nrt
 def pursue(
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    k: int,
-    goal_in_base_m: NDArray[np.float64],  # (3,)
-    distance_m: float,
-    speed_mps: float,
-    dt_s: float,
+    hands: HandRecords, k: int, goal_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
 ) -> tuple[float, bool]:
     """Turn the velocity towards the goal for ``dt_s``; (time used, whether it is ``distance_m`` near).
 
@@ -281,8 +262,8 @@ def pursue(
 
 
 @njit_no_nrt
-def point_forearm(hands: NDArray[np.void], k: int) -> None:
-    """Put the elbow one forearm's length from the hand towards the person.  ``hands`` (MAX_HANDS,) HAND."""
+def point_forearm(hands: HandRecords, k: int) -> None:
+    """Put the elbow one forearm's length from the hand towards the person."""
     hand = hands[k]
     total = 0.0
     for i in range(3):
@@ -296,10 +277,10 @@ def point_forearm(hands: NDArray[np.void], k: int) -> None:
 
 
 @njit_no_nrt
-def follow_recording(hands: NDArray[np.void], k: int, samples: NDArray[np.float64], time_s: float) -> None:
+def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], time_s: float) -> None:
     """Put hand and elbow where the recording has them; straight between samples, at rest after it.
 
-    ``hands`` (MAX_HANDS,) HAND, ``samples`` (s, 7).
+    ``samples`` (s, 7).
     """
     hand = hands[k]
     last = hand.first + hand.count - 1

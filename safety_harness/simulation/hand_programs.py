@@ -26,7 +26,14 @@ from safety_harness.scenario.moves import (
 )
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Vector3
-from safety_harness.simulation.hand_motion import HAND, MOVE, MoveKind, advance_hands
+from safety_harness.simulation.hand_motion import (
+    HAND,
+    MOVE,
+    HandRecords,
+    MoveKind,
+    MoveRecords,
+    advance_hands,
+)
 
 NOWHERE: Vector3 = (0.0, 0.0, 0.0)
 FIRST_DRAWN = 256
@@ -36,11 +43,11 @@ FIRST_DRAWN = 256
 class Hands:
     """The hands of one episode: their state and their programs.
 
-    ``state`` (MAX_HANDS,) HAND; ``moves`` (m,) MOVE; ``samples`` (s, 7): time, hand, elbow.
+    ``samples`` (s, 7): time, hand, elbow.
     """
 
-    state: NDArray[np.void]
-    moves: NDArray[np.void]
+    state: HandRecords
+    moves: MoveRecords
     samples: NDArray[np.float64]
 
 

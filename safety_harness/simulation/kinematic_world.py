@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from safety_harness.compiled import njit_no_nrt
 from safety_harness.controller.cycle import ControllerRecords, act, look, report
 from safety_harness.controller.records import CommandRecords, FaultRecords
+from safety_harness.geometry.arrays import ArrayNx2x3
+from safety_harness.robot.distance import CapsuleRecords
+from safety_harness.robot.drive import DriveRecords
+from safety_harness.simulation.hand_motion import HandRecords, MoveRecords
 from safety_harness.simulation.records import WorldRecords
 from safety_harness.simulation.steps import (
     ArmRecords,
-    CapsuleRecords,
     ClockRecords,
-    DriveRecords,
     Floats,
-    HandRecords,
-    MoveRecords,
     Records,
     TruthRecords,
     drive_on,
@@ -49,43 +49,30 @@ class KinematicWorld(RecordedWorld):
 
     def step(self, command: NDArray[np.void]) -> bool:
         """Drives, joints and hands for one control period.  ``command`` (1,) COMMAND."""
-        r = self.records
-        return step(
-            r.clock,
-            r.hands,
-            r.moves,
-            r.samples,
-            r.arm,
-            r.capsules,
-            r.capsule_endpoints_in_base_m,
-            r.truth,
-            r.drives,
-            r.faults,
-            CommandRecords(command),
-        )
+        return step(*self.records[:10], CommandRecords(command))
 
 
 @njit_no_nrt
 def step(
-    clocks: ClockRecords,
-    hands: HandRecords,
+    drives: DriveRecords,
     moves: MoveRecords,
     samples: Floats,  # (s, 7)
     arms: ArmRecords,
-    capsules: CapsuleRecords,
-    capsule_endpoints_in_base_m: Floats,  # (n, 2, 3)
     truths: TruthRecords,
-    drives: DriveRecords,
+    hands: HandRecords,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+    clocks: ClockRecords,
     faults: FaultRecords,
     commands: CommandRecords,
 ) -> bool:
     """One control period with a command (1,) COMMAND; True while the brakes act."""
     told, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
     truth, period_s = truths[0], clocks[0].control_period_s
-    braking = drive_on(clocks, drives, faults, truths, commands, told)
+    braking = drive_on(drives, truths, clocks, faults, commands, told)
     for i in range(6):
         joints[i] = truth.joint_position_rad[i] + told[i] * period_s
-    move_on(clocks, hands, moves, samples, arms, capsules, capsule_endpoints_in_base_m, truths, joints, told)
+    move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, told)
     return braking
 
 
@@ -107,51 +94,14 @@ def advance(
         tick = ticks[k : k + 1]
         if not decided:
             ticks[k] = w.truth[0]
-            sense(
-                w.clock,
-                w.sensors,
-                w.object_frames,
-                w.hand_frames,
-                w.polygon_in_base_m,
-                w.normals,
-                w.uniforms,
-                w.hands,
-                w.capsules,
-                w.capsule_endpoints_in_base_m,
-                w.faults,
-                w.truth,
-                w.observation,
-            )
-            deciding = look(
-                c.parameters,
-                c.filter_parameters,
-                c.state,
-                c.tracks,
-                c.question,
-                c.faults,
-                c.decision_times_s,
-                w.observation,
-            )
-            if deciding:
+            sense(*w[4:])
+            if look(*c[:7], w.observation):
                 return True
         decided = False
-        act(c.parameters, c.state, c.answer, c.command, c.question, w.observation)
-        report(c.state, c.command, c.question, tick)
+        act(*c[4:], w.observation)
+        report(*c[5:8], tick)
         if k < last:
-            braking = step(
-                w.clock,
-                w.hands,
-                w.moves,
-                w.samples,
-                w.arm,
-                w.capsules,
-                w.capsule_endpoints_in_base_m,
-                w.truth,
-                w.drives,
-                w.faults,
-                c.command,
-            )
-            tick[0].limits |= BRAKING if braking else 0
+            tick[0].limits |= BRAKING if step(*w[:10], c.command) else 0
         tick[0].faults |= w.clock[0].acted_faults
         if k == last:
             return False

@@ -9,21 +9,21 @@ from safety_harness.controller.records import CommandRecords
 from safety_harness.exceptions import SimulationError
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
+from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.cell import build_cell, place_hands, render, rendered_object
 from safety_harness.simulation.engine import pybullet
-from safety_harness.simulation.exact_views import sensor_pose
-from safety_harness.simulation.sensing import hand_frame_due, object_frame_due
+from safety_harness.simulation.exact_views import exact_boxes, exact_object, sensor_pose
 from safety_harness.simulation.steps import (
     drive_on,
-    exact_hand_frame,
-    exact_object_frame,
+    hand_frame_due,
     hand_over,
     mount,
     move_on,
+    object_frame_due,
     send_hand_frame,
     send_object_frame,
 )
@@ -83,49 +83,16 @@ class PyBulletWorld(RecordedWorld):
         r = self.records
         if not (self._render_object or self._render_hands):
             return super().observe()
-        mount(r.clock, r.sensors, r.faults)
-        if object_frame_due(r.sensors, self.time_s):
-            if self._render_object:
-                send_object_frame(
-                    r.clock,
-                    r.sensors,
-                    r.object_frames,
-                    r.polygon_in_base_m,
-                    r.hands,
-                    r.faults,
-                    r.truth,
-                    *self._rendered_object(),
-                )
-            else:
-                exact_object_frame(
-                    r.clock, r.sensors, r.object_frames, r.polygon_in_base_m, r.hands, r.faults, r.truth
-                )
-        if hand_frame_due(r.sensors, self.time_s):
-            if self._render_hands:
-                send_hand_frame(
-                    r.clock,
-                    r.sensors,
-                    r.hand_frames,
-                    r.normals,
-                    r.uniforms,
-                    r.faults,
-                    r.truth,
-                    *self._rendered_boxes(),
-                )
-            else:
-                exact_hand_frame(
-                    r.clock,
-                    r.sensors,
-                    r.hand_frames,
-                    r.normals,
-                    r.uniforms,
-                    r.hands,
-                    r.capsules,
-                    r.capsule_endpoints_in_base_m,
-                    r.faults,
-                    r.truth,
-                )
-        hand_over(r.clock, r.sensors, r.object_frames, r.hand_frames, r.truth, r.observation)
+        faulty_sensors = r.clock, r.faults, r.sensors
+        mount(*faulty_sensors)
+        if object_frame_due(r.clock, r.sensors):
+            visible, moments = self._object()
+            frames, polygon_in_base_m = r.object_frames, r.polygon_in_base_m
+            send_object_frame(r.truth, r.hands, *faulty_sensors, frames, polygon_in_base_m, visible, moments)
+        if hand_frame_due(r.clock, r.sensors):
+            boxes, count = self._boxes()
+            send_hand_frame(r.truth, *faulty_sensors, r.hand_frames, r.normals, r.uniforms, boxes, count)
+        hand_over(r.truth, r.clock, r.observation, r.sensors, r.object_frames, r.hand_frames)
         return r.observation
 
     def step(self, command: NDArray[np.void]) -> bool:
@@ -135,7 +102,7 @@ class PyBulletWorld(RecordedWorld):
         """
         r = self.records
         braking = drive_on(
-            r.clock, r.drives, r.faults, r.truth, CommandRecords(command), self._commanded_radps
+            r.drives, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
         )
         pybullet.setJointMotorControlArray(
             self._robot,
@@ -148,38 +115,33 @@ class PyBulletWorld(RecordedWorld):
         for _ in range(self._substeps):
             pybullet.stepSimulation(physicsClientId=self._client)
         states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
-        move_on(
-            r.clock,
-            r.hands,
-            r.moves,
-            r.samples,
-            r.arm,
-            r.capsules,
-            r.capsule_endpoints_in_base_m,
-            r.truth,
-            np.array([state[0] for state in states]),
-            np.array([state[1] for state in states]),
-        )
+        move_on(*r[1:9], np.array([state[0] for state in states]), np.array([state[1] for state in states]))
         return braking
 
-    def _rendered_object(self) -> tuple[bool, NDArray[np.float64]]:
-        """The object's moments in a rendered image."""
-        camera, records = self._settings.camera, self.records
+    def _object(self) -> tuple[bool, NDArray[np.float64]]:
+        """Is the object in view, and its moments, in a rendered image or exactly."""
+        camera, r = self._settings.camera, self.records
+        pose = r.truth[0]["transform_tcp_to_base"]
+        if not self._render_object:
+            moments = np.full(MOMENT_COUNT, np.nan)
+            return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
         camera_to_base = np.empty((4, 4))
-        mounted = records.sensors[0]["transform_camera_to_tcp"]
-        compose_into(records.truth[0]["transform_tcp_to_base"], mounted, camera_to_base)
-        place_hands(self._client, self._bodies, records.hands)
+        compose_into(pose, r.sensors[0]["transform_camera_to_tcp"], camera_to_base)
+        place_hands(self._client, self._bodies, r.hands)
         colour, _ = render(self._client, camera_to_base, camera.focal_px, camera.width_px, camera.height_px)
         return rendered_object(colour, camera.focal_px)
 
-    def _rendered_boxes(self) -> tuple[NDArray[np.float64], int]:
-        """Bounding boxes of the hands in a rendered image, and how many."""
-        sensor, records = self._settings.hand_sensor, self.records
-        sensor_to_base = np.empty((4, 4))
-        sensor_pose(records.sensors, records.truth[0]["transform_tcp_to_base"], sensor_to_base)
-        place_hands(self._client, self._bodies, records.hands)
+    def _boxes(self) -> tuple[NDArray[np.float64], int]:
+        """Bounding boxes of the hands, in a rendered image or exactly, and how many."""
+        sensor, r = self._settings.hand_sensor, self.records
+        pose = r.truth[0]["transform_tcp_to_base"]
+        boxes = np.zeros((MAX_DETECTIONS, 5))
+        if not self._render_hands:
+            ends = r.capsule_endpoints_in_base_m
+            return boxes, exact_boxes(r.sensors, r.hands, pose, r.capsules, ends, boxes)
+        sensor_to_base = sensor_pose(r.sensors, pose)
+        place_hands(self._client, self._bodies, r.hands)
         colour, depth_m = render(
             self._client, sensor_to_base, sensor.focal_px, sensor.width_px, sensor.height_px
         )
-        boxes = np.zeros((MAX_DETECTIONS, 5))
         return boxes, copy_detections(self._detector.detect(colour, depth_m), boxes)

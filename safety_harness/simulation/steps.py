@@ -1,9 +1,12 @@
 """What both worlds do in a control tick, compiled: cameras, drives, hands and the truth.
 
 A world calls ``sense``, gives the observation to the controller, then ``drive_on``; it moves the arm in
-its own way, and tells ``move_on`` what the joints do now.  The arrays are those of ``WorldRecords``; they
-are handed over one by one, for a tuple of them costs more than the steps themselves, and each kind of
-record has a type of its own, so that a type checker sees two that are swapped.
+its own way, and tells ``move_on`` what the joints do now.  The arrays are those of ``WorldRecords``, in
+its order; they are handed over one by one, for a tuple of them costs more than the steps themselves, and
+each kind of record has a type of its own, so that a type checker sees two that are swapped.
+
+A frame is taken at the first control tick at or after its due time, and delivered at the first
+tick at or after that plus the latency; one that a fault holds back holds back those behind it.
 """
 
 from __future__ import annotations
@@ -13,34 +16,24 @@ from typing import NewType
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import inlined
 from safety_harness.controller.records import CommandRecords, FaultRecords, ObservationRecords
+from safety_harness.geometry.arrays import Array6, Array31, ArrayNx2x3, ArrayNx3
+from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.perception.tracking import MAX_DETECTIONS
-from safety_harness.robot.drive import drive_tick
+from safety_harness.robot.distance import CapsuleRecords
+from safety_harness.robot.drive import DriveRecords, drive_tick
+from safety_harness.scenario.fault_table import TIME_EPS_S
+from safety_harness.simulation.cameras import RING, HandFrames, ObjectFrames, SensorRecords
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
 from safety_harness.simulation.faults import hold_joints, mount_camera, spoil_hand_frame, spoil_object_frame
-from safety_harness.simulation.hand_motion import advance_hands
-from safety_harness.simulation.sensing import (
-    deliver,
-    hand_frame_due,
-    object_frame_due,
-    push_hand_frame,
-    push_object_frame,
-)
+from safety_harness.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
 from safety_harness.simulation.truth import fill_truth
 
 Records = NDArray[np.void]
 Floats = NDArray[np.float64]
 ClockRecords = NewType("ClockRecords", Records)  # (1,) CLOCK
 ArmRecords = NewType("ArmRecords", Records)  # (1,) ARM
-CapsuleRecords = NewType("CapsuleRecords", Records)  # (n,) CAPSULE
-HandRecords = NewType("HandRecords", Records)  # (MAX_HANDS,) HAND
-MoveRecords = NewType("MoveRecords", Records)  # (m,) MOVE
-SensorRecords = NewType("SensorRecords", Records)  # (1,) SENSORS
-ObjectFrames = NewType("ObjectFrames", Records)  # (RING,) OBJECT_FRAME
-HandFrames = NewType("HandFrames", Records)  # (RING,) HAND_FRAME
-DriveRecords = NewType("DriveRecords", Records)  # (1,) DRIVE
 TruthRecords = NewType("TruthRecords", Records)  # (1,) TICK_COMPILED
 
 
@@ -52,157 +45,187 @@ def now_s(clocks: ClockRecords) -> float:
 
 @inlined
 def sense(
+    truths: TruthRecords,
+    hands: HandRecords,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
     clocks: ClockRecords,
+    faults: FaultRecords,
+    observations: ObservationRecords,
     sensors: SensorRecords,
     object_frames: ObjectFrames,
     hand_frames: HandFrames,
-    polygon_in_base_m: Floats,  # (m, 3)
+    polygon_in_base_m: ArrayNx3,
     normals: Floats,  # (frames, MAX_DETECTIONS, 3)
     uniforms: Floats,  # (frames, MAX_DETECTIONS)
-    hands: HandRecords,
-    capsules: CapsuleRecords,
-    capsule_endpoints_in_base_m: Floats,  # (n, 2, 3)
-    faults: FaultRecords,
-    truths: TruthRecords,
-    observations: ObservationRecords,
 ) -> None:
     """Let the exact cameras take what is due, and give the controller what has arrived by now."""
-    mount(clocks, sensors, faults)
-    if object_frame_due(sensors, now_s(clocks)):
-        exact_object_frame(clocks, sensors, object_frames, polygon_in_base_m, hands, faults, truths)
-    if hand_frame_due(sensors, now_s(clocks)):
-        exact_hand_frame(
-            clocks,
-            sensors,
-            hand_frames,
-            normals,
-            uniforms,
-            hands,
-            capsules,
-            capsule_endpoints_in_base_m,
-            faults,
-            truths,
+    mount(clocks, faults, sensors)
+    pose = truths[0].transform_tcp_to_base
+    if object_frame_due(clocks, sensors):
+        moments = object_frames[sensors[0].object_frames % RING].moments  # they are made where they will lie
+        for i in range(MOMENT_COUNT):
+            moments[i] = np.nan
+        visible = exact_object(sensors, polygon_in_base_m, pose, moments)
+        send_object_frame(
+            truths, hands, clocks, faults, sensors, object_frames, polygon_in_base_m, visible, moments
         )
-    hand_over(clocks, sensors, object_frames, hand_frames, truths, observations)
+    if hand_frame_due(clocks, sensors):
+        boxes = hand_frames[sensors[0].hand_frames % RING].boxes
+        count = exact_boxes(sensors, hands, pose, capsules, capsule_endpoints_in_base_m, boxes)
+        send_hand_frame(truths, clocks, faults, sensors, hand_frames, normals, uniforms, boxes, count)
+    hand_over(truths, clocks, observations, sensors, object_frames, hand_frames)
 
 
 @inlined
-def mount(clocks: ClockRecords, sensors: SensorRecords, faults: FaultRecords) -> None:
+def mount(clocks: ClockRecords, faults: FaultRecords, sensors: SensorRecords) -> None:
     """Before the cameras look: the hand-eye camera sits where it sits, and the tick's faults begin."""
     clocks[0].acted_faults = mount_camera(faults, sensors, now_s(clocks)) if faults.shape[0] > 0 else 0
 
 
-@compiled
-def exact_object_frame(
-    clocks: ClockRecords,
-    sensors: SensorRecords,
-    object_frames: ObjectFrames,
-    polygon_in_base_m: Floats,  # (m, 3)
-    hands: HandRecords,
-    faults: FaultRecords,
-    truths: TruthRecords,
-) -> None:
-    """Take a frame of the object, in closed form or at pixel centres."""
-    moments = np.full(MOMENT_COUNT, np.nan)
-    visible = exact_object(sensors, polygon_in_base_m, truths[0].transform_tcp_to_base, moments)
-    send_object_frame(
-        clocks, sensors, object_frames, polygon_in_base_m, hands, faults, truths, visible, moments
-    )
+@inlined
+def object_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
+    """Whether the object's camera takes a frame at this tick; asking advances its clock."""
+    s = sensors[0]
+    due, s.object_due_s = take_due(now_s(clocks), s.object_period_s, s.object_due_s)
+    return due
+
+
+@inlined
+def hand_frame_due(clocks: ClockRecords, sensors: SensorRecords) -> bool:
+    """Whether the hand sensor takes a frame at this tick; asking advances its clock."""
+    s = sensors[0]
+    due, s.hand_due_s = take_due(now_s(clocks), s.hand_period_s, s.hand_due_s)
+    return due
+
+
+@inlined
+def take_due(time_s: float, period_s: float, due_s: float) -> tuple[bool, float]:
+    """Is a frame due at ``time_s``, and when is the one after it?"""
+    if period_s <= 0.0:
+        return True, time_s
+    if time_s < due_s - TIME_EPS_S:
+        return False, due_s
+    return True, (np.floor((time_s + TIME_EPS_S) / period_s) + 1.0) * period_s
 
 
 @inlined
 def send_object_frame(
+    truths: TruthRecords,
+    hands: HandRecords,
     clocks: ClockRecords,
+    faults: FaultRecords,
     sensors: SensorRecords,
     object_frames: ObjectFrames,
-    polygon_in_base_m: Floats,  # (m, 3)
-    hands: HandRecords,
-    faults: FaultRecords,
-    truths: TruthRecords,
+    polygon_in_base_m: ArrayNx3,
     visible: bool,
-    moments: Floats,  # (31,)
+    moments: Array31,
 ) -> None:
     """Put a frame of the object on its way, as the faults leave it."""
-    time_s, pose = now_s(clocks), truths[0].transform_tcp_to_base
-    push_object_frame(sensors, object_frames, time_s, visible, moments)
+    s, time_s = sensors[0], now_s(clocks)
+    frame = object_frames[s.object_frames % RING]
+    frame.time_s, frame.late_s = time_s, 0.0
+    frame.visible = visible
+    copy_vector(moments, frame.moments)
+    s.object_frames += 1
     if faults.shape[0] > 0:
+        pose = truths[0].transform_tcp_to_base
         clocks[0].acted_faults |= spoil_object_frame(
             faults, sensors, object_frames, polygon_in_base_m, hands, pose, time_s
         )
 
 
-@compiled
-def exact_hand_frame(
-    clocks: ClockRecords,
-    sensors: SensorRecords,
-    hand_frames: HandFrames,
-    normals: Floats,  # (frames, MAX_DETECTIONS, 3)
-    uniforms: Floats,  # (frames, MAX_DETECTIONS)
-    hands: HandRecords,
-    capsules: CapsuleRecords,
-    capsule_endpoints_in_base_m: Floats,  # (n, 2, 3)
-    faults: FaultRecords,
-    truths: TruthRecords,
-) -> None:
-    """Take a frame of the hands' exact bounding boxes."""
-    boxes = np.zeros((MAX_DETECTIONS, 5))
-    pose = truths[0].transform_tcp_to_base
-    count = exact_boxes(sensors, hands, pose, capsules, capsule_endpoints_in_base_m, boxes)
-    send_hand_frame(clocks, sensors, hand_frames, normals, uniforms, faults, truths, boxes, count)
-
-
 @inlined
 def send_hand_frame(
+    truths: TruthRecords,
     clocks: ClockRecords,
+    faults: FaultRecords,
     sensors: SensorRecords,
     hand_frames: HandFrames,
     normals: Floats,  # (frames, MAX_DETECTIONS, 3)
     uniforms: Floats,  # (frames, MAX_DETECTIONS)
-    faults: FaultRecords,
-    truths: TruthRecords,
     boxes: Floats,  # (MAX_DETECTIONS, 5)
     count: int,
 ) -> None:
-    """Put a frame of boxes on its way, as noise and the faults leave it."""
-    time_s, pose = now_s(clocks), truths[0].transform_tcp_to_base
-    push_hand_frame(sensors, hand_frames, normals, uniforms, time_s, boxes, count)
+    """Put a frame of boxes on its way, as noise and the faults leave it; ``boxes`` may lie in it.
+
+    Some hands are missed, the others get pixel and depth noise.  Depth noise grows with the square of the
+    depth, as a stereo camera's does.
+    """
+    s, time_s = sensors[0], now_s(clocks)
+    frame = hand_frames[s.hand_frames % RING]
+    frame.time_s, frame.late_s = time_s, 0.0
+    kept = 0
+    row = s.hand_frames % normals.shape[0]
+    for k in range(count):
+        if s.dropout_probability > 0.0 and uniforms[row, k] < s.dropout_probability:
+            continue
+        for i in range(5):
+            frame.boxes[kept, i] = boxes[k, i]
+        frame.boxes[kept, 0] += s.pixel_noise_px * normals[row, k, 0]
+        frame.boxes[kept, 1] += s.pixel_noise_px * normals[row, k, 1]
+        frame.boxes[kept, 2] += s.depth_noise_per_m * boxes[k, 2] * boxes[k, 2] * normals[row, k, 2]
+        kept += 1
+    frame.count = kept
+    s.hand_frames += 1
     if faults.shape[0] > 0:
+        pose = truths[0].transform_tcp_to_base
         clocks[0].acted_faults |= spoil_hand_frame(faults, sensors, hand_frames, pose, time_s)
 
 
 @inlined
 def hand_over(
+    truths: TruthRecords,
     clocks: ClockRecords,
+    observations: ObservationRecords,
     sensors: SensorRecords,
     object_frames: ObjectFrames,
     hand_frames: HandFrames,
-    truths: TruthRecords,
-    observations: ObservationRecords,
 ) -> None:
-    """Give the controller what has arrived by now; encoders are exact."""
-    o, truth = observations[0], truths[0]
-    deliver(sensors, object_frames, hand_frames, now_s(clocks), observations)
-    for i in range(6):
-        o.joint_position_rad[i] = truth.joint_position_rad[i]
-        o.joint_velocity_radps[i] = truth.joint_velocity_radps[i]
+    """Give the controller what has arrived by now; with several frames at once, the newest.
+
+    Encoders are exact.
+    """
+    s, o, truth, time_s = sensors[0], observations[0], truths[0], now_s(clocks)
+    o.time_s = time_s
+    o.image_new = False
+    while s.object_delivered < s.object_frames:
+        frame = object_frames[s.object_delivered % RING]
+        if frame.time_s + s.object_latency_s + frame.late_s > time_s + TIME_EPS_S:
+            break
+        o.image_new = True
+        o.object_visible = frame.visible
+        copy_vector(frame.moments, o.moments)
+        s.object_delivered += 1
+    o.boxes_new = False
+    while s.hand_delivered < s.hand_frames:
+        hand_frame = hand_frames[s.hand_delivered % RING]
+        if hand_frame.time_s + s.hand_latency_s + hand_frame.late_s > time_s + TIME_EPS_S:
+            break
+        o.boxes_new = True
+        o.boxes_time_s = hand_frame.time_s
+        o.box_count = hand_frame.count
+        copy_matrix(hand_frame.boxes, o.boxes)
+        s.hand_delivered += 1
+    copy_vector(truth.joint_position_rad, o.joint_position_rad)
+    copy_vector(truth.joint_velocity_radps, o.joint_velocity_radps)
 
 
 @inlined
 def drive_on(
-    clocks: ClockRecords,
     drives: DriveRecords,
-    faults: FaultRecords,
     truths: TruthRecords,
+    clocks: ClockRecords,
+    faults: FaultRecords,
     commands: CommandRecords,
-    commanded_radps: Floats,  # (6,), written
+    commanded_radps: Array6,
 ) -> bool:
-    """Fill what the motors are told (6,) by a command (1,) COMMAND; True while the brakes act."""
-    command, d, time_s = commands[0], drives[0], now_s(clocks)
+    """Fill what the motors are told, ``commanded_radps``, by a command; True while the brakes act."""
+    command, time_s = commands[0], now_s(clocks)
     braking = drive_tick(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
     )
-    for i in range(6):
-        commanded_radps[i] = d.setpoint_radps[i]
+    copy_vector(drives[0].setpoint_radps, commanded_radps)
     if faults.shape[0] > 0:
         clocks[0].acted_faults |= hold_joints(faults, commanded_radps, time_s)
     return bool(braking)
@@ -210,30 +233,23 @@ def drive_on(
 
 @inlined
 def move_on(
-    clocks: ClockRecords,
-    hands: HandRecords,
     moves: MoveRecords,
     samples: Floats,  # (s, 7)
     arms: ArmRecords,
-    capsules: CapsuleRecords,
-    capsule_endpoints_in_base_m: Floats,  # (n, 2, 3)
     truths: TruthRecords,
-    joint_position_rad: Floats,  # (6,)
-    joint_velocity_radps: Floats,  # (6,)
+    hands: HandRecords,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+    clocks: ClockRecords,
+    joints_rad: Array6,
+    joints_radps: Array6,
 ) -> None:
-    """A control period later: the hands have moved, the joints (6,) are there; write the truth of then."""
+    """A control period later: the hands have moved, the joints are there; write the truth of then."""
     clock = clocks[0]
     for i in range(3):
         clock.tcp_in_base_m[i] = truths[0].transform_tcp_to_base[i, 3]
     advance_hands(hands, moves, samples, clock.tcp_in_base_m, now_s(clocks), clock.control_period_s)
     clock.tick += 1
     fill_truth(
-        arms,
-        capsules,
-        capsule_endpoints_in_base_m,
-        hands,
-        joint_position_rad,
-        joint_velocity_radps,
-        now_s(clocks),
-        truths,
+        arms, truths, hands, capsules, capsule_endpoints_in_base_m, joints_rad, joints_radps, now_s(clocks)
     )

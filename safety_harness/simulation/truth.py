@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import njit_no_nrt
+from safety_harness.geometry.arrays import Array6, ArrayNx2x3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import CHAIN, ArmModel
-from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.distance import CapsuleRecords, hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
+from safety_harness.simulation.hand_motion import HandRecords
 
 ARM = np.dtype(
     [
@@ -61,13 +63,13 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
 @njit_no_nrt
 def fill_truth(
     arms: NDArray[np.void],  # (1,) ARM
-    capsules: NDArray[np.void],  # (n,) CAPSULE
-    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3), written
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND
-    joint_position_rad: NDArray[np.float64],  # (6,)
-    joint_velocity_radps: NDArray[np.float64],  # (6,)
-    time_s: float,
     ticks: NDArray[np.void],  # (1,) TICK_COMPILED, written
+    hands: HandRecords,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,  # written
+    joint_position_rad: Array6,
+    joint_velocity_radps: Array6,
+    time_s: float,
 ) -> None:
     """Write the truth part of a tick, and the capsules and link poses for the sensors."""
     arm, tick = arms[0], ticks[0]
@@ -88,13 +90,7 @@ def fill_truth(
         tick.hand_distance_m[k] = np.inf
         tick.hand_distance_capsule[k] = -1
         if hand.present:
-            distance_m, capsule = hand_distance(
-                capsules,
-                capsule_endpoints_in_base_m,
-                hand.position_in_base_m,
-                hand.elbow_in_base_m,
-                arm.hand_radius_m,
-                arm.forearm_radius_m,
+            at, elbow, radius_m = hand.position_in_base_m, hand.elbow_in_base_m, arm.hand_radius_m
+            tick.hand_distance_m[k], tick.hand_distance_capsule[k] = hand_distance(
+                capsules, capsule_endpoints_in_base_m, at, elbow, radius_m, arm.forearm_radius_m
             )
-            tick.hand_distance_m[k] = distance_m
-            tick.hand_distance_capsule[k] = capsule

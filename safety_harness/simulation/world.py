@@ -11,7 +11,7 @@ from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.records import world_records
-from safety_harness.simulation.steps import now_s
+from safety_harness.simulation.steps import now_s, sense
 from safety_harness.trace.records import TICK_COMPILED
 
 if TYPE_CHECKING:
@@ -120,5 +120,5 @@ class RecordedWorld:
 
     def observe(self) -> NDArray[np.void]:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
-        self.records.sense()
+        sense(*self.records[4:])
         return self.records.observation

@@ -18,18 +18,21 @@ from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import TCP
+from safety_harness.scenario.fault_table import fault_table
 from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, ObjectKind, Settings
 from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.simulation.sensing import (
-    deliver,
+from safety_harness.simulation.records import CLOCK
+from safety_harness.simulation.steps import (
     hand_frame_due,
+    hand_over,
     object_frame_due,
-    push_hand_frame,
-    push_object_frame,
+    send_hand_frame,
+    send_object_frame,
 )
 from safety_harness.simulation.truth import cell_capsules
+from safety_harness.trace.records import TICK_COMPILED
 from tests.robot.arms import transforms_of
 
 PERIOD_S = DEFAULTS.clock.control_period_s
@@ -54,27 +57,38 @@ class Delivery:
     boxes: np.ndarray
 
 
+NO_FAULTS = fault_table(())
+
+
+def clock_at(tick: int) -> np.ndarray:
+    clock = np.zeros(1, CLOCK)
+    clock["tick"], clock["control_period_s"] = tick, PERIOD_S
+    return clock
+
+
 def watch(settings: Settings, ticks: int, *, seed: int = 1, count: int = 1) -> list[Delivery]:
     """Show ``count`` boxes, whose u is the time of the tick, for ``ticks`` ticks; what arrives?"""
     cameras = sensors(settings, seed, ticks, overhead_transform_sensor_to_base(settings))
-    observation = np.zeros(1, OBSERVATION)
+    observation, truth = np.zeros(1, OBSERVATION), np.zeros(1, TICK_COMPILED)
     boxes = np.zeros((MAX_DETECTIONS, 5))
     arrived = []
     for tick in range(ticks):
-        time_s = tick * PERIOD_S
-        if hand_frame_due(cameras.state, time_s):
+        time_s, clock = tick * PERIOD_S, clock_at(tick)
+        if hand_frame_due(clock, cameras.state):
             boxes[:] = (time_s, 100.0, CENTRE_DEPTH_M, 3000.0, 1.0)
             boxes[:, 1] += 10.0 * np.arange(MAX_DETECTIONS)
-            push_hand_frame(
+            send_hand_frame(
+                truth,
+                clock,
+                NO_FAULTS,
                 cameras.state,
                 cameras.hand_frames,
                 cameras.normals,
                 cameras.uniforms,
-                time_s,
                 boxes,
                 count,
             )
-        deliver(cameras.state, cameras.object_frames, cameras.hand_frames, time_s, observation)
+        hand_over(truth, clock, observation, *cameras[:3])
         o = observation[0]
         assert o["time_s"] == time_s
         if o["boxes_new"]:
@@ -115,15 +129,24 @@ def test_a_30_hz_sensor_delivers_late_by_its_latency_what_was_then(latency_s: fl
 def test_the_object_camera_has_a_clock_of_its_own() -> None:
     settings = replace(with_camera(rate_hz=30.0, latency_s=0.033), hand_sensor=with_sensor().hand_sensor)
     cameras = sensors(settings, 1, 100, overhead_transform_sensor_to_base(settings))
-    observation = np.zeros(1, OBSERVATION)
+    observation, truth = np.zeros(1, OBSERVATION), np.zeros(1, TICK_COMPILED)
+    hands = hands_at_start(scenario()).state
     arrived = []
     for tick in range(100):
-        time_s = tick * PERIOD_S
-        if object_frame_due(cameras.state, time_s):
-            push_object_frame(
-                cameras.state, cameras.object_frames, time_s, tick % 2 == 0, np.full(MOMENT_COUNT, time_s)
+        clock = clock_at(tick)
+        if object_frame_due(clock, cameras.state):
+            send_object_frame(
+                truth,
+                hands,
+                clock,
+                NO_FAULTS,
+                cameras.state,
+                cameras.object_frames,
+                cameras.polygon_in_base_m,
+                tick % 2 == 0,
+                np.full(MOMENT_COUNT, tick * PERIOD_S),
             )
-        deliver(cameras.state, cameras.object_frames, cameras.hand_frames, time_s, observation)
+        hand_over(truth, clock, observation, *cameras[:3])
         if observation[0]["image_new"]:
             arrived.append((tick, observation[0]["moments"][0], bool(observation[0]["object_visible"])))
     taken = [round(moment / PERIOD_S) for _, moment, _ in arrived]

@@ -1,0 +1,20 @@
+"""Arrays of float64 whose type says their shape: for compiled functions, which take many of them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array2x3 = NDArray[np.float64]  # (2, 3): the ends of a segment
+Array3 = NDArray[np.float64]  # (3,): a point, a direction
+Array3x3 = NDArray[np.float64]  # (3, 3): a rotation
+Array4x4 = NDArray[np.float64]  # (4, 4): a transform
+Array5 = NDArray[np.float64]  # (5,): a hand's box
+Array6 = NDArray[np.float64]  # (6,): a number for each joint, or feature; a twist (v, w)
+Array6x3 = NDArray[np.float64]  # (6, 3): a direction for each joint
+Array6x6 = NDArray[np.float64]  # (6, 6)
+Array8x4x4 = NDArray[np.float64]  # (8, 4, 4): the transforms of ``forward_kinematics``
+Array31 = NDArray[np.float64]  # (31,): the moments of an image
+ArrayNx2x3 = NDArray[np.float64]  # (n, 2, 3): the ends of n segments
+ArrayNx3 = NDArray[np.float64]  # (n, 3): points
+ArrayNx6 = NDArray[np.float64]  # (n, 6): joint positions, one a row
