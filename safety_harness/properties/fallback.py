@@ -65,14 +65,8 @@ def concluded(
     if not findings:
         return inconclusive(prop, f"never exercised: {none}")
     worst = worst_of(findings)
-    return judged(
-        prop,
-        trace,
-        margin=worst.margin_m,
-        worst_time_s=worst.time_s,
-        reason=worst.what + (f", worst of {exercised} decisions" if exercised > 1 else ""),
-        exercised=exercised,
-    )
+    reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
+    return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,16 +215,9 @@ class FallbackPoses:
         if not findings:
             evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
         else:
-            worst = min(findings, key=lambda finding: finding.margin_m)
-            of = f"worst of {len(findings)}" if len(findings) > 1 else "one pose"
-            evaluation = judged(
-                self,
-                trace,
-                margin=worst.margin_m,
-                worst_time_s=worst.time_s,
-                reason=f"{what}{worst.what}: {of}",
-                exercised=len(findings),
-            )
+            worst, count = min(findings, key=lambda finding: finding.margin_m), len(findings)
+            reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
+            evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
         return replace(evaluation, sentence=f"fallback poses {what}")
 
 
@@ -293,14 +280,8 @@ class StopsWhereNothingIsReachable:
         if not findings:
             return inconclusive(self, "never exercised: one of the two could always be reached")
         worst = min(findings, key=lambda finding: finding.margin_m)
-        return judged(
-            self,
-            trace,
-            margin=worst.margin_m,
-            worst_time_s=worst.time_s,
-            reason=worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else ""),
-            exercised=len(findings),
-        )
+        reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))
 
 
 STOPS = CatalogueEntry(

@@ -161,14 +161,8 @@ class RepulsivePosesReachable:
                 worst, worst_time_s = margin, float(decision["time_s"])
         if count == 0:
             return inconclusive(self, "never exercised: no repulsive position was asked for")
-        return judged(
-            self,
-            trace,
-            margin=worst,
-            worst_time_s=worst_time_s,
-            reason=f"worst of {count}" if count > 1 else "one position",
-            exercised=count,
-        )
+        reason = f"worst of {count}" if count > 1 else "one position"
+        return judged(self, trace, worst, worst_time_s, reason, exercised=count)
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:

@@ -86,14 +86,8 @@ class ProtectiveSeparation:
         if worst is None:
             return inconclusive(self, "never exercised: the arm did not move while a hand was there")
         near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
-        return judged(
-            self,
-            trace,
-            margin=worst.margin_m,
-            worst_time_s=float(trace.time_s[worst.tick]),
-            reason=described(trace, worst),
-            exercised=times_begun(near),
-        )
+        reason = described(trace, worst)
+        return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times_begun(near))
 
     def worst(self, trace: Trace) -> Separation | None:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""

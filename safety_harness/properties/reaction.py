@@ -166,14 +166,9 @@ def _judged(
             longest, since = took, first
     if open_ones == occasions:
         return inconclusive(prop, "the run ends before the time allowed")
-    return judged(
-        prop,
-        trace,
-        margin=time_left_s(trace, prop.within_s, longest),
-        worst_time_s=float(trace.time_s[since + longest]),
-        reason=f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
-        exercised=occasions - open_ones,
-    )
+    margin_s = time_left_s(trace, prop.within_s, longest)
+    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
+    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, occasions - open_ones)
 
 
 GIVES_WAY = CatalogueEntry(
@@ -229,16 +224,12 @@ class GivesWayAtMost:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Count the transitions."""
         entered = gives_way_at(trace)
-        if len(entered) == 0:
+        times = len(entered)
+        if times == 0:
             return inconclusive(self, "never exercised: the arm never gave way")
-        return judged(
-            self,
-            trace,
-            margin=float(self.most - len(entered)),
-            worst_time_s=float(trace.time_s[entered[min(len(entered) - 1, self.most)]]),
-            reason=f"gave way {len(entered)} times" if len(entered) > 1 else "gave way once",
-            exercised=len(entered),
-        )
+        reason = f"gave way {times} times" if times > 1 else "gave way once"
+        worst_time_s = trace.time_s[entered[min(times - 1, self.most)]]
+        return judged(self, trace, self.most - times, worst_time_s, reason, exercised=times)
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
@@ -288,20 +279,15 @@ class NoFalseAlarms:
         limit_m = self.limit_m(trace.scenario.settings)
         nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
         alarms = beginnings(trace)
-        worst = int(alarms[np.argmax(nearest_m[alarms])]) if len(alarms) else 0
-        reason = "the arm never gave way"
+        worst, margin_m, reason = 0, limit_m, "the arm never gave way"
         if len(alarms):
+            worst = int(alarms[np.argmax(nearest_m[alarms])])
+            margin_m = limit_m - nearest_m[worst]
             far = nearest_m[worst] >= 2.0 * limit_m
             reason = "nobody" if far else f"nearest hand {nearest_m[worst] * 1e3:.1f} mm from the TCP"
             reason += f", worst of {len(alarms)} alarms" if len(alarms) > 1 else ""
-        return judged(
-            self,
-            trace,
-            margin=limit_m - float(nearest_m[worst]) if len(alarms) else limit_m,
-            worst_time_s=float(trace.time_s[worst]),
-            reason=reason,
-            exercised=int(np.count_nonzero(nearest_m > limit_m)),
-        )
+        exercised = int(np.count_nonzero(nearest_m > limit_m))
+        return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised)
 
     def limit_m(self, settings: Settings) -> float:
         """How far a hand may be that the arm gives way to."""
