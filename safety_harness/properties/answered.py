@@ -100,7 +100,6 @@ ANSWERED = CatalogueEntry(
     "an answer that came too late, a process that ended; 0 holds",
     parameters="the decision deadline of the settings",
     exercised="the avoider was asked while no fault of the scenario kept it from answering",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that raises at every question",
 )
 DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)

@@ -129,7 +129,6 @@ CLEAR_WAYS = CatalogueEntry(
     parameters="table height and object of the settings",
     exercised="a position was chosen",
     inconclusive="a chosen position that is not finite",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that proposes a position below the table, behind a gate that passes everything",
 )
 

@@ -148,6 +148,5 @@ FINITE_TRACE = CatalogueEntry(
     "later than the one before; 0 holds",
     parameters="none",
     exercised="always",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller whose features are no numbers",
 )

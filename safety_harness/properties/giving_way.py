@@ -188,7 +188,6 @@ MOVES_AWAY = CatalogueEntry(
     parameters="the repulsion speed and acceleration of the settings",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )
 

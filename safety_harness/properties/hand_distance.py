@@ -282,6 +282,5 @@ HAND_DISTANCE = CatalogueEntry(
     parameters="the limit; the hands' sizes and the critical distance of the settings",
     exercised="a hand comes within the critical distance of the arm's surface",
     inconclusive="a hand that is not where its scenario moves it",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

@@ -131,6 +131,5 @@ HAND_PREDICTIONS = CatalogueEntry(
     parameters="the limit; the prediction horizon of the settings",
     exercised="a tracked hand's prediction is for a time within the run",
     inconclusive="no hand in the scenario, or none tracked",
-    scenario="hand-visits-and-leaves",
     broken_by="a hand sensor that sees a hand where none is",
 )

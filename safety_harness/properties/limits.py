@@ -153,7 +153,6 @@ JOINT_POSITIONS = CatalogueEntry(
     margin="angle left to the nearer limit, least over joints and time",
     parameters="the limits of the robot's description",
     exercised="always",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint on and on",
 )
 
@@ -164,7 +163,6 @@ JOINT_SPEEDS = CatalogueEntry(
     margin="speed left to the limit, least over joints and time; the mean speed between ticks counts too",
     parameters="the limits of the robot's description",
     exercised="the arm moves",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast",
 )
 
@@ -177,7 +175,6 @@ TCP_SPEED = CatalogueEntry(
     margin="speed left to the limit, least over time; the mean speed between ticks counts too",
     parameters="the limit",
     exercised="the arm moves",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast",
 )
 
@@ -303,7 +300,6 @@ JOINT_ACCELERATIONS = CatalogueEntry(
     parameters="the limit; the control period of the settings",
     exercised="a joint turns",
     inconclusive="a run of one tick",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast at once",
 )
 
@@ -317,6 +313,5 @@ TCP_ACCELERATION = CatalogueEntry(
     parameters="the limit; the control period of the settings",
     exercised="the TCP moves",
     inconclusive="a run of one tick",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast at once",
 )

@@ -183,7 +183,6 @@ GIVES_WAY = CatalogueEntry(
     parameters="the time; the critical distance of the settings",
     exercised="a predicted hand comes within the critical distance",
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller whose own critical distance is too short",
 )
 GIVES_WAY_TO_TRUE_HAND = replace(
@@ -306,24 +305,20 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
     return np.flatnonzero(begins)
 
 
-def _entry(prop: NoFalseAlarms, parameters: str) -> CatalogueEntry:
-    return CatalogueEntry(
-        prop=prop,
-        rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
-        source="the project's own",
-        margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
-        parameters=parameters,
-        exercised="no true hand is within the limit, for a tick at least",
-        scenario="fault-false-hand",
-        broken_by="a controller whose own critical distance is too long",
-    )
-
-
-FALSE_ALARMS = _entry(
-    NoFalseAlarms(), "critical distance and prediction horizon of the settings, hands of at most 2 m/s"
+FALSE_ALARMS = CatalogueEntry(
+    prop=NoFalseAlarms(),
+    rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
+    source="the project's own",
+    margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
+    parameters="critical distance and prediction horizon of the settings, hands of at most 2 m/s",
+    exercised="no true hand is within the limit, for a tick at least",
+    scenario="fault-false-hand",
+    broken_by="a controller whose own critical distance is too long",
 )
 FALSE_ALARMS_WITHIN = replace(
-    _entry(NoFalseAlarms(within_m=0.6), "the limit"),
+    FALSE_ALARMS,
+    prop=NoFalseAlarms(within_m=0.6),
     pattern=r"never gives way without a hand within (.+)",
     make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
+    parameters="the limit",
 )

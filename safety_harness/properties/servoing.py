@@ -369,7 +369,6 @@ NEVER_STARVED = CatalogueEntry(
     parameters="the time allowed; the gain switch and the far gain of the settings",
     exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
     inconclusive="the run is not longer than the limit, or ends while the task is starved",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that does nothing",
 )
 
