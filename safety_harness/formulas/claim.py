@@ -8,20 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place
-from safety_harness.formulas.asked import check_windows, parts_of, shown_in, signals_of, unit_of
-from safety_harness.formulas.cells import rises
-from safety_harness.formulas.formula import Comparison, Formula, Globally, Initially, Truth, Until, formula_of
+from safety_harness.formulas.formula import (
+    Comparison,
+    Formula,
+    Globally,
+    Initially,
+    Truth,
+    Until,
+    check_windows,
+    formula_of,
+    parts_of,
+    shown_in,
+    signals_of,
+    unit_of,
+)
 from safety_harness.formulas.semantics import (
     LEAST,
     MarginBounds,
     Margins,
+    Witness,
     comparison_bounds,
     margins,
     truth_bounds,
+    witness,
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
-from safety_harness.formulas.witness import Witness, witness
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -164,7 +176,7 @@ def _exercised(part: Formula, at_ticks: Margins, sampled: dict[Signal, Sampled])
     known = np.all([~np.isnan(one.value) for one in sampled.values()], axis=0)
     count, untried = int(np.count_nonzero(known)), "what it reads is never known"
     if isinstance(part, Globally):
-        count = rises(at_ticks.parts[0].bounds.low >= 0.0)
+        count = times_begun(at_ticks.parts[0].bounds.low >= 0.0)
         untried = f'"{part.trigger}" never holds'
         tried -= set(signals_of(part.trigger))
     elif isinstance(part, Initially):

@@ -18,7 +18,6 @@ import re
 from dataclasses import dataclass
 
 from safety_harness.exceptions import FormulaError, InputError, Place
-from safety_harness.formulas.asked import parts_of
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -34,6 +33,7 @@ from safety_harness.formulas.formula import (
     Until,
     conjunction,
     disjunction,
+    parts_of,
 )
 from safety_harness.formulas.quantities import NOW, Quantity, Span, read_quantity
 from safety_harness.formulas.signal import Signal
