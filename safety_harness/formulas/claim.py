@@ -8,20 +8,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place
-from safety_harness.formulas.asked import check_windows, parts_of, shown_in, signals_of, unit_of
-from safety_harness.formulas.cells import rises
-from safety_harness.formulas.formula import Comparison, Formula, Globally, Initially, Truth, Until, formula_of
+from safety_harness.formulas.formula import (
+    Comparison,
+    Formula,
+    Globally,
+    Initially,
+    Truth,
+    Until,
+    check_windows,
+    formula_of,
+    parts_of,
+    shown_in,
+    signals_of,
+    unit_of,
+)
 from safety_harness.formulas.semantics import (
     LEAST,
     MarginBounds,
     Margins,
+    Witness,
     comparison_bounds,
     margins,
     truth_bounds,
+    witness,
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
-from safety_harness.formulas.witness import Witness, witness
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, unreadable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -90,30 +102,136 @@ WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
 Values = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """One part of a claim that is asked of one run, and the signals that it reads there."""
+
+    part: Formula
+    trace: Trace
+    sampled: dict[Signal, Sampled]
+
+    @property
+    def period_s(self) -> float:
+        return self.trace.scenario.settings.clock.control_period_s
+
+    def open(self, reason: str, exercised: int = 0) -> Evaluation:
+        """No evidence either way, and no margin."""
+        return Evaluation(
+            sentence=str(self.part),
+            verdict=Verdict.INCONCLUSIVE,
+            unit=unit_of(self.part),
+            reason=reason,
+            exercised=exercised,
+        )
+
+    def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
+        value = _whole_run(self.sampled[atom.signal].value, self.trace)
+        return truth_bounds(value) if isinstance(atom, Truth) else comparison_bounds(atom, value, value)
+
+    def between(self, atom: Comparison | Truth) -> MarginBounds:
+        """From each tick to the next; what is not known at the tick is not known after it either."""
+        one = self.sampled[atom.signal]
+        if isinstance(atom, Truth) or one.low is one.high:
+            return self.at_ticks(atom)
+        unknown = np.isnan(one.value)
+        low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
+        return comparison_bounds(atom, low, high)
+
+    def exercised(self, at_ticks: Margins) -> tuple[int, str]:
+        """How often the part was put to the test, and what it is that never happened if that is 0.
+
+        A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
+        anything else every tick that is known.  A signal that counts its own occasions bounds the
+        number, unless the trigger has set it.
+        """
+        part, tried = self.part, set(self.sampled)
+        known = np.all([~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        count, untried = int(np.count_nonzero(known)), "what it reads is never known"
+        if isinstance(part, Globally):
+            count = times_begun(at_ticks.parts[0].bounds.low >= 0.0)
+            untried = f'"{part.trigger}" never holds'
+            tried -= set(signals_of(part.trigger))
+        elif isinstance(part, Initially):
+            count = int(known[0])
+        elif isinstance(part, Until):
+            ends = np.flatnonzero(at_ticks.parts[1].bounds.low >= 0.0)
+            count = min(count, int(ends[0])) if len(ends) else count
+            untried = f'"{part.second}" holds from the beginning'
+        for signal in tried:
+            one = self.sampled[signal]
+            if one.occasions is not None and one.occasions < count:
+                count, untried = one.occasions, one.untried
+        return count, untried
+
+    def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
+        """Inconclusive: something is unknown, or the bounds between the ticks are too wide."""
+        if at_ticks.bounds.low[0] >= 0.0:
+            told = self.told(Verdict.INCONCLUSIVE, between, exercised)
+            why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
+            return replace(told, reason=why)
+        return self.open(self.unknown(witness(at_ticks, 0, self.period_s, low=True)), exercised)
+
+    def unknown(self, found: Witness) -> str:
+        """What is not known: at the tick that would decide, else the first thing of all."""
+        trace = self.trace
+        if found.tick < len(trace.ticks) and found.atom is not None:
+            holes = {signal: np.flatnonzero(np.isnan(one.value)) for signal, one in self.sampled.items()}
+            for signal in (found.atom.signal, *holes):
+                if len(holes[signal]):
+                    tick = found.tick if found.tick in holes[signal] else holes[signal][0]
+                    return f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+        if not trace.complete:
+            return f"the run was cut short ({trace.ended})"
+        return "a window runs beyond the end of the run, which does not decide it"
+
+    def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
+        """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
+        found = witness(seen, 0, self.period_s, low=low)
+        margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), unit_of(self.part)
+        margin = 0.0 if margin == LEAST else margin
+        if not np.isfinite(margin):
+            margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
+        told = replace(
+            self.open("what comes after the run decides", exercised),
+            verdict=verdict,
+            unit=unit,
+            margin=margin,
+        )
+        if found.atom is None or found.tick >= len(self.trace.ticks):
+            return told
+        signal = found.atom.signal
+        value = float(self.sampled[signal].value[found.tick])
+        if isinstance(found.atom, Truth):
+            reason = signal.words if value else f"not {signal.words}"
+        else:
+            shown = shown_in(signal.dimension)
+            reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
+            reason += ", exactly the limit" if abs(margin) <= LEAST else ""
+        return replace(told, worst_time_s=float(self.trace.time_s[found.tick]), reason=reason)
+
+
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
         sampled = {signal: signal.sample(trace) for signal in signals_of(part)}
+    asked = _Asked(part, trace, sampled)
     for signal, one in sampled.items():
         why = one.absent or _impossible(signal, one, trace)
         if why:
-            return _evaluation(part, Verdict.INCONCLUSIVE, None, None, why, 0)
-    period_s = trace.scenario.settings.clock.control_period_s
-    at_ticks = margins(part, lambda atom: _at_ticks(atom, sampled, trace), period_s)
-    between = margins(part, lambda atom: _between(atom, sampled, trace), period_s)
+            return asked.open(why)
+    at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
-    exercised, untried = _exercised(part, at_ticks, sampled)
+    exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
-        seen, lower = (between, True) if np.isfinite(low) else (at_ticks, False)
-        margin = low if np.isfinite(low) else surely
-        found = witness(seen, 0, period_s, low=lower)
-        return _told(part, Verdict.VIOLATED, float(margin), found, trace, sampled, max(exercised, 1))
+        exercised = max(exercised, 1)
+        if np.isfinite(low):
+            return asked.told(Verdict.VIOLATED, between, exercised)
+        return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
-        return _undecided(part, at_ticks, between, trace, sampled, exercised)
-    found = witness(between, 0, period_s, low=True)
-    told = _told(part, Verdict.HOLDS, float(low), found, trace, sampled, exercised)
+        return asked.undecided(at_ticks, between, exercised)
     if exercised == 0 and np.isinf(low):  # nothing was asked at all
-        return _evaluation(part, Verdict.INCONCLUSIVE, None, None, f"never exercised: {untried}", 0)
+        return asked.open(f"never exercised: {untried}")
+    told = asked.told(Verdict.HOLDS, between, exercised)
     if exercised == 0:
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
     if not trace.complete:
@@ -132,129 +250,7 @@ def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
     return f"no run has what is stored: {signal.words} {number} at {trace.time_s[tick]:.3f} s"
 
 
-def _at_ticks(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> MarginBounds:
-    value = _whole_run(sampled[atom.signal].value, trace)
-    return truth_bounds(value) if isinstance(atom, Truth) else comparison_bounds(atom, value, value)
-
-
-def _between(atom: Comparison | Truth, sampled: dict[Signal, Sampled], trace: Trace) -> MarginBounds:
-    """From each tick to the next; what is not known at the tick is not known after it either."""
-    one = sampled[atom.signal]
-    if isinstance(atom, Truth) or one.low is one.high:
-        return _at_ticks(atom, sampled, trace)
-    unknown = np.isnan(one.value)
-    low, high = (_whole_run(np.where(unknown, np.nan, side), trace) for side in (one.low, one.high))
-    return comparison_bounds(atom, low, high)
-
-
 def _whole_run(values: Values, trace: Trace) -> Values:
     """(scenario.ticks + 1,): NaN for the ticks that the run did not reach."""
     missing = trace.scenario.ticks + 1 - len(values)
     return np.append(values, np.full(missing, np.nan)) if missing > 0 else values
-
-
-def _exercised(part: Formula, at_ticks: Margins, sampled: dict[Signal, Sampled]) -> tuple[int, str]:
-    """How often the part was put to the test, and what it is that never happened if that is 0.
-
-    A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
-    anything else every tick that is known.  A signal that counts its own occasions bounds the
-    number, unless the trigger has set it.
-    """
-    tried = set(sampled)
-    known = np.all([~np.isnan(one.value) for one in sampled.values()], axis=0)
-    count, untried = int(np.count_nonzero(known)), "what it reads is never known"
-    if isinstance(part, Globally):
-        count = rises(at_ticks.parts[0].bounds.low >= 0.0)
-        untried = f'"{part.trigger}" never holds'
-        tried -= set(signals_of(part.trigger))
-    elif isinstance(part, Initially):
-        count = int(known[0])
-    elif isinstance(part, Until):
-        ends = np.flatnonzero(at_ticks.parts[1].bounds.low >= 0.0)
-        count = min(count, int(ends[0])) if len(ends) else count
-        untried = f'"{part.second}" holds from the beginning'
-    for signal in tried:
-        one = sampled[signal]
-        if one.occasions is not None and one.occasions < count:
-            count, untried = one.occasions, one.untried
-    return count, untried
-
-
-def _undecided(
-    part: Formula,
-    at_ticks: Margins,
-    between: Margins,
-    trace: Trace,
-    sampled: dict[Signal, Sampled],
-    exercised: int,
-) -> Evaluation:
-    """Inconclusive: something is unknown, or the bounds between the ticks are too wide."""
-    period_s = trace.scenario.settings.clock.control_period_s
-    if at_ticks.bounds.low[0] >= 0.0:
-        found = witness(between, 0, period_s, low=True)
-        margin = float(between.bounds.low[0])
-        told = _told(part, Verdict.INCONCLUSIVE, margin, found, trace, sampled, exercised)
-        reason = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
-        return replace(told, reason=reason)
-    found = witness(at_ticks, 0, period_s, low=True)
-    return _evaluation(part, Verdict.INCONCLUSIVE, None, None, _unknown(found, sampled, trace), exercised)
-
-
-def _unknown(found: Witness, sampled: dict[Signal, Sampled], trace: Trace) -> str:
-    """What is not known: at the tick that would decide, else the first thing of all."""
-    if found.tick < len(trace.ticks) and found.atom is not None:
-        holes = {signal: np.flatnonzero(np.isnan(one.value)) for signal, one in sampled.items()}
-        for signal in (found.atom.signal, *holes):
-            if len(holes[signal]):
-                tick = found.tick if found.tick in holes[signal] else holes[signal][0]
-                return f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
-    if not trace.complete:
-        return f"the run was cut short ({trace.ended})"
-    return "a window runs beyond the end of the run, which does not decide it"
-
-
-def _told(
-    part: Formula,
-    verdict: Verdict,
-    margin: float,
-    found: Witness,
-    trace: Trace,
-    sampled: dict[Signal, Sampled],
-    exercised: int,
-) -> Evaluation:
-    """A verdict with the moment that decided it, and what was seen then."""
-    unit = unit_of(part)
-    margin = 0.0 if margin == LEAST else margin
-    if not np.isfinite(margin):
-        margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
-    if found.atom is None or found.tick >= len(trace.ticks):
-        return _evaluation(part, verdict, margin, None, "what comes after the run decides", exercised, unit)
-    signal = found.atom.signal
-    value = float(sampled[signal].value[found.tick])
-    if isinstance(found.atom, Truth):
-        reason = signal.words if value else f"not {signal.words}"
-    else:
-        shown = shown_in(signal.dimension)
-        reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
-        reason += ", exactly the limit" if abs(margin) <= LEAST else ""
-    return _evaluation(part, verdict, margin, float(trace.time_s[found.tick]), reason, exercised, unit)
-
-
-def _evaluation(
-    part: Formula,
-    verdict: Verdict,
-    margin: float | None,
-    worst_time_s: float | None,
-    reason: str,
-    exercised: int,
-    unit: Unit | None = None,
-) -> Evaluation:
-    return Evaluation(
-        sentence=str(part),
-        verdict=verdict,
-        unit=unit or unit_of(part),
-        margin=margin,
-        worst_time_s=worst_time_s,
-        reason=reason,
-        exercised=exercised,
-    )

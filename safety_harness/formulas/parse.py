@@ -18,7 +18,6 @@ import re
 from dataclasses import dataclass
 
 from safety_harness.exceptions import FormulaError, InputError, Place
-from safety_harness.formulas.asked import parts_of
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -34,6 +33,7 @@ from safety_harness.formulas.formula import (
     Until,
     conjunction,
     disjunction,
+    parts_of,
 )
 from safety_harness.formulas.quantities import NOW, Quantity, Span, read_quantity
 from safety_harness.formulas.signal import Signal
@@ -106,8 +106,7 @@ class _Parser:
 
     def claim(self, depth: int) -> Formula:
         begins = self.now
-        if depth > MAX_DEPTH:
-            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
+        self.refuse_deeper(depth)
         if self.far_begins():
             formula = self.far(depth)
             self.refuse_more(begins)
@@ -126,6 +125,10 @@ class _Parser:
         self.made(joint, make, tuple(members))
         return join(*members)
 
+    def refuse_deeper(self, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
+
     def refuse_more(self, begins: Token) -> None:
         """After an operator that could be taken to reach further, or another joint."""
         if self.now.text in ("and", "or", "until") and self.now.kind == "word":
@@ -136,9 +139,7 @@ class _Parser:
             raise self.error(f'parentheses that say how far "{word}" reaches', hint=hint)
 
     def until(self, word: Token, first: Formula, depth: int) -> Formula:
-        second = self.operand(depth)
-        span = self.window("within")
-        formula = self.made(word, Until, first, second, span)
+        formula = self.made(word, Until, first, self.operand(depth), self.window("within"))
         self.refuse_more(word)
         return formula
 
@@ -156,24 +157,18 @@ class _Parser:
             trigger = self.claim(depth + 1)
             self.need("then", '"then" and what is to hold whenever the first part does')
             return self.made(word, Globally, trigger, self.reach(depth, until=True))
-        if word.text == "not":
-            return self.made(word, Not, self.reach(depth))
-        if word.text == "initially":
-            return self.made(word, Initially, self.reach(depth))
+        if word.text in ("not", "initially"):
+            return self.made(word, Not if word.text == "not" else Initially, self.reach(depth))
         if word.text == "within":
-            span = Span(NOW, self.later(word, NOW))
+            span = Span(NOW, self.later(NOW))
             return self.made(word, Eventually, self.reach(depth), span)
         make, lasting = (Always, "for") if word.text == "always" else (Eventually, "within")
-        return self.made(word, make, *self.spanned(lasting, depth))
-
-    def spanned(self, lasting: str, depth: int) -> tuple[Formula, Span | None]:
-        span = self.window(lasting)
-        return self.reach(depth), span
+        lasts = self.window(lasting)
+        return self.made(word, make, self.reach(depth), lasts)
 
     def reach(self, depth: int, *, until: bool = False) -> Formula:
         """What an operator is said of: one operand, or another operator with its own."""
-        if depth > MAX_DEPTH:
-            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
+        self.refuse_deeper(depth)
         if self.far_begins():
             return self.far(depth + 1)
         first = self.operand(depth)
@@ -192,8 +187,7 @@ class _Parser:
             raise self.error(
                 f'parentheses around what "{word.text}" begins', hint=f'write "({word.text} ...)"'
             )
-        if depth > MAX_DEPTH:
-            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
+        self.refuse_deeper(depth)
         return self.atom()
 
     def atom(self) -> Formula:
@@ -224,9 +218,8 @@ class _Parser:
         while self.tokens[last].kind == "word" and (last == first or self.tokens[last].text not in KEYWORDS):
             last += 1
         end = self.tokens[last - 1]
-        written = (
-            self.sentence[self.now.column - 1 : end.column - 1 + len(end.written)] if last > first else ""
-        )
+        ends = end.column - 1 + len(end.written) if last > first else 0
+        written = self.sentence[self.now.column - 1 : ends]
         names = [signal.words for signal in SIGNALS]
         raise self.error(
             "a signal or an operator",
@@ -253,15 +246,14 @@ class _Parser:
         if word is None:
             return None
         if word.text == from_now:
-            return Span(NOW, self.later(word, NOW))
+            return Span(NOW, self.later(NOW))
         begin = self.quantity(TIME)
         self.need("to", '"to" and when the window ends')
-        return Span(begin, self.later(word, begin)) if begin.value >= 0 else self.refuse_past(word)
+        if begin.value < 0.0:
+            raise self.error("a window that does not begin before now", word)
+        return Span(begin, self.later(begin))
 
-    def refuse_past(self, word: Token) -> Span:
-        raise self.error("a window that does not begin before now", word)
-
-    def later(self, word: Token, begin: Quantity) -> Quantity:
+    def later(self, begin: Quantity) -> Quantity:
         """A time after ``begin``."""
         token = self.now
         end = self.quantity(TIME)

@@ -148,6 +148,7 @@ def plain(number: float) -> Quantity:
     return quantity(number, "", NUMBER)
 
 
+TIME_EPS = 1e-6  # of a control period: windows are written in decimals
 Window = Quantity | tuple[Quantity, Quantity] | None
 NOW = Quantity(0.0, TIME, "0 s")
 
@@ -166,6 +167,11 @@ class Span:
         if not 0.0 <= self.begin.value < self.end.value:
             got = f"{self.begin} to {self.end}"
             raise formula_error("a window from a time of at least 0 s to a later one", got)
+
+    def ticks(self, period_s: float) -> tuple[int, int]:
+        """The first and the last tick of a window, counted from now; last before first if it has none."""
+        first, last = self.begin.value / period_s - TIME_EPS, self.end.value / period_s + TIME_EPS
+        return math.ceil(first), math.floor(last)
 
     def words(self, from_now: str) -> str:
         """``from_now`` with its end if it begins now, else from when to when."""

@@ -1,5 +1,7 @@
 """What a formula's margin is at every tick: an interval, so that what is not known is not guessed.
 
+And which tick, and which comparison or truth, a margin comes from (``witness``).
+
 The margin of a comparison is the distance to its limit, that of a truth +-inf; "not" turns the sign,
 "and" and "always" take the least, "or" and "eventually" the largest, "until" the largest over the
 ticks j of its window of the least of second(j) and first before j.  Windows are in control ticks,
@@ -16,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import ceil, floor
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,6 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.quantities import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
-TIME_EPS = 1e-6  # of a control period: windows are written in decimals
 
 Values = NDArray[np.float64]
 Atoms = Callable[[Comparison | Truth], "MarginBounds"]
@@ -64,11 +64,6 @@ class Margins:
     formula: Formula
     bounds: MarginBounds
     parts: tuple[Margins, ...] = ()
-
-
-def ticks_of(span: Span, period_s: float) -> tuple[int, int]:
-    """The first and the last tick of a window, counted from now; last before first if it has none."""
-    return ceil(span.begin.value / period_s - TIME_EPS), floor(span.end.value / period_s + TIME_EPS)
 
 
 def margins(formula: Formula, atoms: Atoms, period_s: float) -> Margins:
@@ -111,7 +106,7 @@ def _always(body: MarginBounds, span: Span | None, period_s: float) -> MarginBou
     if span is None:
         low = least_from_here(body.low)
         return MarginBounds(low, low if body.low is body.high else least_from_here(body.high))
-    begin, end = ticks_of(span, period_s)
+    begin, end = span.ticks(period_s)
     return MarginBounds(
         least_in_window(body.low, begin, end, -np.inf), least_in_window(body.high, begin, end, np.inf)
     )
@@ -126,7 +121,7 @@ def _until(lasts: MarginBounds, ends: MarginBounds, span: Span | None, period_s:
         return MarginBounds(
             until_from_here(lasts.low, ends.low, -np.inf), until_from_here(lasts.high, ends.high, -np.inf)
         )
-    begin, end = ticks_of(span, period_s)
+    begin, end = span.ticks(period_s)
     bounds = []
     for first, second, beyond in ((lasts.low, ends.low, -np.inf), (lasts.high, ends.high, np.inf)):
         comes = -least_in_window(-second, begin, end, -beyond)
@@ -222,3 +217,101 @@ def until_from_here(
         after = max(ends[k], min(lasts[k], after))
         out[k] = after
     return out
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A tick, from 0, and what is said there; ``atom`` is None for what comes after the last tick."""
+
+    tick: int
+    atom: Comparison | Truth | None
+
+
+def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
+    """Where the lower (or upper) bound of the margin at ``tick`` comes from.
+
+    Of several places with the same margin the first that is not known for certain, else the first.
+    """
+    formula, parts = margins.formula, margins.parts
+    match formula:
+        case Comparison() | Truth():
+            return Witness(tick, formula)
+        case Not():
+            return witness(parts[0], tick, period_s, low=not low)
+        case And() | Or():
+            best = _first([part.bounds for part in parts], tick, low=low, least=isinstance(formula, And))
+            return witness(parts[best], tick, period_s, low=low)
+        case Always(span=span) | Eventually(span=span):
+            least = isinstance(formula, Always)
+            at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
+            return witness(parts[0], at, period_s, low=low) if at is not None else _beyond(margins)
+        case Globally():
+            asked = where_triggered(parts[0].bounds, parts[1].bounds)
+            at = _in_window(asked, tick, None, period_s, low=low, least=True)
+            return witness(parts[1], at or 0, period_s, low=low)
+        case Until(span=span):
+            return _of_until(margins, tick, span, period_s, low=low)
+    return witness(parts[0], tick, period_s, low=low)
+
+
+def _beyond(margins: Margins) -> Witness:
+    return Witness(len(margins.bounds.low), None)
+
+
+def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
+    return bounds.low if low else bounds.high
+
+
+def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
+    """The place of the least or largest value, a doubtful one before others."""
+    at = np.flatnonzero(values == (values.min() if least else values.max()))
+    unsure = at[doubtful[at]]
+    return int(unsure[0] if len(unsure) else at[0])
+
+
+def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> int:
+    values = np.array([_side(part, low=low)[tick] for part in parts])
+    doubtful = np.array([part.low[tick] < part.high[tick] for part in parts])
+    return _extreme(values, doubtful, least=least)
+
+
+def _in_window(
+    body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
+) -> int | None:
+    """The tick that decides, or None where that is one beyond the last."""
+    values, n = _side(body, low=low), len(body.low)
+    begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
+    within = slice(begin, min(end, n - 1) + 1)
+    if begin >= n:
+        return None
+    at = begin + _extreme(values[within], body.low[within] < body.high[within], least=least)
+    beyond = -np.inf if low else np.inf
+    runs_on = end >= n and (beyond < values[at] if least else beyond > values[at])
+    return None if runs_on else at
+
+
+def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
+    """Of the ticks at which the second part may end it the best, and there the worst of what is asked."""
+    first, second = margins.parts
+    n = len(margins.bounds.low) - tick
+    begin, end = (0, n - 1) if span is None else span.ticks(period_s)
+    later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
+    lasts, ends = (_from(part.bounds, tick, later) for part in (first, second))
+    ways = [
+        np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
+        for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
+    ]
+    j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
+    asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
+    if at >= n:
+        return _beyond(margins)
+    return witness(second if at == j else first, tick + at, period_s, low=low)
+
+
+def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
+    """From ``tick`` on, with as many unknown ones after the last."""
+    return MarginBounds(
+        np.append(bounds.low[tick:], np.full(later, -np.inf)),
+        np.append(bounds.high[tick:], np.full(later, np.inf)),
+    )

@@ -11,17 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.formulas.cells import (
+from safety_harness.formulas.signal import (
+    Flag,
+    Interpolation,
+    Measure,
+    Sampled,
+    Signal,
     absent,
     at_ticks,
     bounded,
-    rises,
     speeds,
     tcp_way_m,
     tent,
     turned_rad,
 )
-from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled, Signal
+from safety_harness.properties.base import times_begun
 from safety_harness.properties.consistency import TOLERANCE
 from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
@@ -29,83 +33,50 @@ from safety_harness.properties.servoing import pose_errors
 from safety_harness.properties.true_motion import HandPaths, arm_of, hand_bend_m
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
-from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME
+from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
-
-def elapsed_time_of(trace: Trace) -> Sampled:
-    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
-    period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
-    ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
-    time_s = ticks * float(period.numerator) / float(period.denominator)
-    later = np.append(time_s[1:], time_s[-1:])
-    return Sampled(value=time_s, low=time_s, high=later)
+Sample = Callable[[Trace], Sampled]
+SIGNALS: list[Signal] = []  # in the order of the pages
 
 
-def tcp_speed_of(trace: Trace) -> Sampled:
-    """Of the TCP; between ticks the mean speed counts too."""
-    at_tick = trace.ticks["tcp_speed_mps"]
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
-    mean = steps / np.diff(trace.time_s)
-    return speeds(at_tick, mean, of="the TCP")
+def measure(
+    words: str,
+    dimension: Dimension,
+    meaning: str,
+    between: Interpolation = Interpolation.BOUNDED,
+    *,
+    least: float = 0.0,
+    endless: bool = False,
+) -> Callable[[Sample], Measure]:
+    """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
+
+    def made(sample: Sample) -> Measure:
+        signal = Measure(
+            words=words,
+            dimension=dimension,
+            meaning=meaning,
+            between=between,
+            least=least,
+            endless=endless,
+            sample=sample,
+        )
+        SIGNALS.append(signal)
+        return signal
+
+    return made
 
 
-def joint_speed_of(trace: Trace) -> Sampled:
-    """Of the fastest joint, likewise."""
-    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
-    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
-    return speeds(at_tick, mean, of="the arm")
+def flag(words: str, meaning: str) -> Callable[[Sample], Flag]:
+    """The same for what is true or false."""
 
+    def made(sample: Sample) -> Flag:
+        signal = Flag(words=words, meaning=meaning, sample=sample)
+        SIGNALS.append(signal)
+        return signal
 
-def tcp_height_of(trace: Trace) -> Sampled:
-    """Above the base frame's origin."""
-    return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
-
-
-def distance_to_desired_pose_of(trace: Trace) -> Sampled:
-    """Of the TCP from where servoing wants it."""
-    return bounded(pose_errors(trace)[0], tcp_way_m(trace))
-
-
-def angle_to_desired_pose_of(trace: Trace) -> Sampled:
-    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
-    none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
-    return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
-
-
-def image_error_of(trace: Trace) -> Sampled:
-    """Eq. 15 as the controller has it; unknown while the object is not seen."""
-    sse = trace.ticks["sse"]
-    if not np.any(np.isfinite(sse)):
-        return absent(trace, "the object is never seen")
-    return at_ticks(sse)
-
-
-def predicted_hand_distance_of(trace: Trace) -> Sampled:
-    """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
-    distance_m = trace.ticks["predicted_distance_m"]
-    if not np.any(np.isfinite(distance_m)):
-        return absent(trace, "no hand is ever predicted")
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    return replace(
-        at_ticks(distance_m),
-        occasions=rises(distance_m < critical_m),
-        untried=f"no predicted hand comes within {critical_m * 1e3:g} mm",
-    )
-
-
-def prediction_error_of(trace: Trace) -> Sampled:
-    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
-    valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
-    if hands == 0 or not valid.any():
-        return absent(trace, "no hand is ever predicted" if hands else "there is no hand in this scenario")
-    errors_m = prediction_errors_m(trace)
-    tracked = valid[: len(errors_m)]
-    value = np.full(len(valid), np.nan)
-    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
-    value[np.isneginf(value)] = np.nan  # nothing is tracked
-    return at_ticks(value)
+    return made
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:
@@ -113,30 +84,9 @@ def in_force(trace: Trace) -> NDArray[np.int64]:
     return np.maximum.accumulate(trace.ticks["decision"])
 
 
-def spread_of(trace: Trace) -> Sampled:
-    """The largest of the three axes, as the gate takes it."""
-    if len(trace.decisions) == 0:
-        return absent(trace, "no decision was made")
-    spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
-    if not np.any(np.isfinite(spread_m)):
-        return absent(trace, "the avoider says no spread")
-    number = in_force(trace)
-    return at_ticks(np.where(number >= 0, spread_m[number], np.nan))
-
-
-def falling_back_of(trace: Trace) -> Sampled:
-    """While it gives way to the opposite pose, or stops, because of its latest decision."""
-    if len(trace.decisions) == 0:
-        return absent(trace, "no decision was made")
-    number = in_force(trace)
-    gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
-    refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
-    return truth(gives_way & (number >= 0) & refused)
-
-
-def in_mode(*modes: Mode) -> Callable[[Trace], Sampled]:
-    """Whether the controller is in one of ``modes``."""
-    return lambda trace: truth(np.isin(trace.ticks["mode"], modes))
+def in_mode(mode: Mode) -> Sample:
+    """Whether the controller is in ``mode``."""
+    return lambda trace: truth(trace.ticks["mode"] == mode)
 
 
 def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
@@ -144,15 +94,14 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
     return at_ticks(np.asarray(true, np.float64))
 
 
-def fault_acting_of(trace: Trace) -> Sampled:
-    """At least one of the scenario's faults acts."""
-    if not trace.scenario.faults:
-        return absent(trace, "there is no fault in this scenario")
-    return truth(trace.ticks["faults"] != 0)
-
-
+@measure(
+    "hand distance",
+    LENGTH,
+    "of any hand or forearm from any link of the robot, surface to surface; negative inside",
+    least=-np.inf,
+)
 @lru_cache(maxsize=4)
-def hand_distance_of(trace: Trace) -> Sampled:
+def hand_distance(trace: Trace) -> Sampled:
     """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
 
     Between two ticks it is not below the certified bound of ``HandDistance``, and not above what
@@ -171,8 +120,9 @@ def hand_distance_of(trace: Trace) -> Sampled:
     return _nearest(trace, value, low, high)
 
 
+@measure("nearest hand to TCP", LENGTH, "from the TCP to the centre of the nearest true hand")
 @lru_cache(maxsize=4)
-def nearest_hand_to_tcp_of(trace: Trace) -> Sampled:
+def nearest_hand_to_tcp(trace: Trace) -> Sampled:
     """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
     paths, why = followed_hands(trace)
     if paths is None:
@@ -188,17 +138,169 @@ def nearest_hand_to_tcp_of(trace: Trace) -> Sampled:
     return _nearest(trace, value, low, high)
 
 
+@measure("TCP speed", SPEED, "of the TCP; between ticks the mean speed counts too")
+def tcp_speed(trace: Trace) -> Sampled:
+    """Of the TCP; between ticks the mean speed counts too."""
+    at_tick = trace.ticks["tcp_speed_mps"]
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    mean = steps / np.diff(trace.time_s)
+    return speeds(at_tick, mean, of="the TCP")
+
+
+@measure("TCP height", LENGTH, "of the TCP above the origin of the robot's base frame", least=-np.inf)
+def tcp_height(trace: Trace) -> Sampled:
+    """Above the base frame's origin."""
+    return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
+
+
+@measure("distance to desired pose", LENGTH, "of the TCP from where servoing wants it")
+def distance_to_desired_pose(trace: Trace) -> Sampled:
+    """Of the TCP from where servoing wants it."""
+    return bounded(pose_errors(trace)[0], tcp_way_m(trace))
+
+
+@measure("angle to desired pose", ANGLE, "by which the TCP is turned away from how servoing wants it")
+def angle_to_desired_pose(trace: Trace) -> Sampled:
+    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
+    none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
+    return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
+
+
+@measure("joint speed", ANGULAR_SPEED, "of the fastest joint; between ticks the mean speed counts too")
+def joint_speed(trace: Trace) -> Sampled:
+    """Of the fastest joint, likewise."""
+    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
+    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
+    return speeds(at_tick, mean, of="the arm")
+
+
+@measure(
+    "image error",
+    NUMBER,
+    "eq. 15 of the paper as the controller has it; unknown while the object is not seen",
+    Interpolation.HELD,
+)
+def image_error(trace: Trace) -> Sampled:
+    """Eq. 15 as the controller has it; unknown while the object is not seen."""
+    sse = trace.ticks["sse"]
+    if not np.any(np.isfinite(sse)):
+        return absent(trace, "the object is never seen")
+    return at_ticks(sse)
+
+
+@measure(
+    "spread",
+    LENGTH,
+    "of the latest decision's proposal, largest of the three axes; unknown before the first decision",
+    Interpolation.HELD,
+)
+def spread(trace: Trace) -> Sampled:
+    """The largest of the three axes, as the gate takes it."""
+    if len(trace.decisions) == 0:
+        return absent(trace, "no decision was made")
+    spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
+    if not np.any(np.isfinite(spread_m)):
+        return absent(trace, "the avoider says no spread")
+    number = in_force(trace)
+    return at_ticks(np.where(number >= 0, spread_m[number], np.nan))
+
+
+@measure(
+    "predicted hand distance",
+    LENGTH,
+    "from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
+    Interpolation.HELD,
+    endless=True,
+)
+def predicted_hand_distance(trace: Trace) -> Sampled:
+    """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
+    distance_m = trace.ticks["predicted_distance_m"]
+    if not np.any(np.isfinite(distance_m)):
+        return absent(trace, "no hand is ever predicted")
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    return replace(
+        at_ticks(distance_m),
+        occasions=times_begun(distance_m < critical_m),
+        untried=f"no predicted hand comes within {critical_m * 1e3:g} mm",
+    )
+
+
+@measure(
+    "prediction error",
+    LENGTH,
+    "of each prediction made now from the nearest true hand at the time that it is for, the largest; "
+    "unknown where none is made, or that time is after the run",
+    Interpolation.TICKS_ONLY,
+)
+def prediction_error(trace: Trace) -> Sampled:
+    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
+    valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
+    if hands == 0 or not valid.any():
+        return absent(trace, "no hand is ever predicted" if hands else "there is no hand in this scenario")
+    errors_m = prediction_errors_m(trace)
+    tracked = valid[: len(errors_m)]
+    value = np.full(len(valid), np.nan)
+    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    value[np.isneginf(value)] = np.nan  # nothing is tracked
+    return at_ticks(value)
+
+
+@measure("elapsed time", TIME, "since the run began")
+def elapsed_time(trace: Trace) -> Sampled:
+    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
+    period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
+    ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
+    time_s = ticks * float(period.numerator) / float(period.denominator)
+    later = np.append(time_s[1:], time_s[-1:])
+    return Sampled(value=time_s, low=time_s, high=later)
+
+
+object_visible = flag("object visible", "the controller's image shows the object")(
+    lambda trace: truth(trace.ticks["object_visible"])
+)
+servoing = flag("servoing", "the controller servoes")(in_mode(Mode.SERVOING))
+repulsing = flag("repulsing", "the controller gives way")(in_mode(Mode.REPULSING))
+stopped = flag("stopped", "a protective stop")(in_mode(Mode.PROTECTIVE_STOP))
+object_lost = flag("object lost", "the controller waits for the object to be seen")(in_mode(Mode.OBJECT_LOST))
+deciding = flag("deciding", "a decision is made at this tick")(
+    lambda trace: truth(trace.ticks["decision"] >= 0)
+)
+
+
+@flag("falling back", "it gives way to the opposite pose, or stops, since the latest proposal was refused")
+def falling_back(trace: Trace) -> Sampled:
+    """While it gives way to the opposite pose, or stops, because of its latest decision."""
+    if len(trace.decisions) == 0:
+        return absent(trace, "no decision was made")
+    number = in_force(trace)
+    gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
+    refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
+    return truth(gives_way & (number >= 0) & refused)
+
+
+hand_tracked = flag("hand tracked", "the controller predicts a hand at least")(
+    lambda trace: truth(trace.ticks["track_valid"].any(axis=1))
+)
+
+
+@flag("fault acting", "one of the scenario's faults acts")
+def fault_acting(trace: Trace) -> Sampled:
+    """At least one of the scenario's faults acts."""
+    if not trace.scenario.faults:
+        return absent(trace, "there is no fault in this scenario")
+    return truth(trace.ticks["faults"] != 0)
+
+
 def _nearest(
     trace: Trace, value: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> Sampled:
     """The nearest of the hands of (n, hands) distances and bounds of them."""
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    near = value.min(axis=1) < critical_m
     return Sampled(
         value=value.min(axis=1),
         low=low.min(axis=1),
         high=high.min(axis=1),
-        occasions=rises(near),
+        occasions=times_begun(value.min(axis=1) < critical_m),
         untried=f"no hand comes within {critical_m * 1e3:g} mm",
     )
 
@@ -271,165 +373,15 @@ def _bounds(
     return bounds
 
 
-hand_distance = Measure(
-    words="hand distance",
-    dimension=LENGTH,
-    meaning="of any hand or forearm from any link of the robot, surface to surface; negative inside",
-    least=-np.inf,
-    between=Interpolation.BOUNDED,
-    sample=hand_distance_of,
-)
-nearest_hand_to_tcp = Measure(
-    words="nearest hand to TCP",
-    dimension=LENGTH,
-    meaning="from the TCP to the centre of the nearest true hand",
-    between=Interpolation.BOUNDED,
-    sample=nearest_hand_to_tcp_of,
-)
-tcp_speed = Measure(
-    words="TCP speed",
-    dimension=SPEED,
-    meaning="of the TCP; between ticks the mean speed counts too",
-    between=Interpolation.BOUNDED,
-    sample=tcp_speed_of,
-)
-tcp_height = Measure(
-    words="TCP height",
-    dimension=LENGTH,
-    meaning="of the TCP above the origin of the robot's base frame",
-    least=-np.inf,
-    between=Interpolation.BOUNDED,
-    sample=tcp_height_of,
-)
-distance_to_desired_pose = Measure(
-    words="distance to desired pose",
-    dimension=LENGTH,
-    meaning="of the TCP from where servoing wants it",
-    between=Interpolation.BOUNDED,
-    sample=distance_to_desired_pose_of,
-)
-angle_to_desired_pose = Measure(
-    words="angle to desired pose",
-    dimension=ANGLE,
-    meaning="by which the TCP is turned away from how servoing wants it",
-    between=Interpolation.BOUNDED,
-    sample=angle_to_desired_pose_of,
-)
-joint_speed = Measure(
-    words="joint speed",
-    dimension=ANGULAR_SPEED,
-    meaning="of the fastest joint; between ticks the mean speed counts too",
-    between=Interpolation.BOUNDED,
-    sample=joint_speed_of,
-)
-image_error = Measure(
-    words="image error",
-    dimension=NUMBER,
-    meaning="eq. 15 of the paper as the controller has it; unknown while the object is not seen",
-    between=Interpolation.HELD,
-    sample=image_error_of,
-)
-spread = Measure(
-    words="spread",
-    dimension=LENGTH,
-    meaning="of the latest decision's proposal, largest of the three axes; unknown before the first decision",
-    between=Interpolation.HELD,
-    sample=spread_of,
-)
-predicted_hand_distance = Measure(
-    words="predicted hand distance",
-    dimension=LENGTH,
-    meaning="from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
-    endless=True,
-    between=Interpolation.HELD,
-    sample=predicted_hand_distance_of,
-)
-prediction_error = Measure(
-    words="prediction error",
-    dimension=LENGTH,
-    meaning="of each prediction made now from the nearest true hand at the time that it is for, the largest; "
-    "unknown where none is made, or that time is after the run",
-    between=Interpolation.TICKS_ONLY,
-    sample=prediction_error_of,
-)
-elapsed_time = Measure(
-    words="elapsed time",
-    dimension=TIME,
-    meaning="since the run began",
-    between=Interpolation.BOUNDED,
-    sample=elapsed_time_of,
-)
-object_visible = Flag(
-    words="object visible",
-    meaning="the controller's image shows the object",
-    sample=lambda trace: truth(trace.ticks["object_visible"]),
-)
-servoing = Flag(words="servoing", meaning="the controller servoes", sample=in_mode(Mode.SERVOING))
-repulsing = Flag(words="repulsing", meaning="the controller gives way", sample=in_mode(Mode.REPULSING))
-stopped = Flag(words="stopped", meaning="a protective stop", sample=in_mode(Mode.PROTECTIVE_STOP))
-object_lost = Flag(
-    words="object lost",
-    meaning="the controller waits for the object to be seen",
-    sample=in_mode(Mode.OBJECT_LOST),
-)
-deciding = Flag(
-    words="deciding",
-    meaning="a decision is made at this tick",
-    sample=lambda trace: truth(trace.ticks["decision"] >= 0),
-)
-falling_back = Flag(
-    words="falling back",
-    meaning="it gives way to the opposite pose, or stops, since the latest proposal was refused",
-    sample=falling_back_of,
-)
-hand_tracked = Flag(
-    words="hand tracked",
-    meaning="the controller predicts a hand at least",
-    sample=lambda trace: truth(trace.ticks["track_valid"].any(axis=1)),
-)
-fault_acting = Flag(words="fault acting", meaning="one of the scenario's faults acts", sample=fault_acting_of)
-
-SIGNALS: tuple[Signal, ...] = (
-    hand_distance,
-    nearest_hand_to_tcp,
-    tcp_speed,
-    tcp_height,
-    distance_to_desired_pose,
-    angle_to_desired_pose,
-    joint_speed,
-    image_error,
-    spread,
-    predicted_hand_distance,
-    prediction_error,
-    elapsed_time,
-    object_visible,
-    servoing,
-    repulsing,
-    stopped,
-    object_lost,
-    deciding,
-    falling_back,
-    hand_tracked,
-    fault_acting,
-)
-
-
-_UNIT = "true or false"
-
-
 def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:
     """A row for each signal: its words and Python name, units, meaning, what is known between ticks."""
     rows = ["| words | in Python | units | what it is | between ticks |", "|---|---|---|---|---|"]
     for signal in signals:
-        units = ", ".join(signal.dimension.units) or "a plain number" if signal.dimension else _UNIT
-        cells = (
-            f"`{signal.words}`",
-            f"`{python_name(signal)}()`",
-            units,
-            signal.meaning,
-            signal.between.value,
-        )
-        rows.append("| " + " | ".join(cells) + " |")
+        units = "true or false"
+        if signal.dimension:
+            units = ", ".join(signal.dimension.units) or "a plain number"
+        name = f"`{signal.words}` | `{python_name(signal)}()`"
+        rows.append(f"| {name} | {units} | {signal.meaning} | {signal.between.value} |")
     return "\n".join(rows) + "\n"
 
 

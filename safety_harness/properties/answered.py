@@ -45,14 +45,8 @@ class AvoiderAnswered:
             return inconclusive(self, "never asked")
         first = int(np.argmax(silent if missing else own))
         why = f"; first: {_words(trace, first)}" if missing else ""
-        return judged(
-            self,
-            trace,
-            margin=float(-missing),
-            worst_time_s=float(trace.decisions["time_s"][first]),
-            reason=f"{missing} of {asked} questions without a usable answer{why}",
-            exercised=asked,
-        )
+        reason = f"{missing} of {asked} questions without a usable answer{why}"
+        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=asked)
 
 
 def unanswered(trace: Trace) -> NDArray[np.bool_]:
@@ -106,7 +100,6 @@ ANSWERED = CatalogueEntry(
     "an answer that came too late, a process that ended; 0 holds",
     parameters="the decision deadline of the settings",
     exercised="the avoider was asked while no fault of the scenario kept it from answering",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that raises at every question",
 )
 DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
@@ -164,15 +157,12 @@ class DecisionTime:
         free = np.count_nonzero(~late & (decisions["decision_time_s"] == 0.0))
         if free and not took_s[worst] > self.within_s:
             return inconclusive(self, NOT_MODELLED)
-        words = f"slowest {took_s[worst] * 1e3:.1f} ms, median {np.median(took_s) * 1e3:.1f} ms"
-        return judged(
-            self,
-            trace,
-            margin=self.within_s - float(took_s[worst]),
-            worst_time_s=float(decisions["time_s"][worst]),
-            reason=f"{np.count_nonzero(late)} of {len(late)} were never answered" if late.any() else words,
-            exercised=len(decisions) - int(free) + int(took_s[worst] > self.within_s),
-        )
+        reason = f"slowest {took_s[worst] * 1e3:.1f} ms, median {np.median(took_s) * 1e3:.1f} ms"
+        if late.any():
+            reason = f"{np.count_nonzero(late)} of {len(late)} were never answered"
+        exercised = len(decisions) - int(free) + int(took_s[worst] > self.within_s)
+        time_s = decisions["time_s"][worst]
+        return judged(self, trace, self.within_s - took_s[worst], time_s, reason, exercised)
 
 
 DECISION_TIME = CatalogueEntry(

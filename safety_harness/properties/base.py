@@ -85,8 +85,8 @@ class Evaluation:
     sentence: str
     verdict: Verdict
     unit: Unit
-    margin: float | None
-    worst_time_s: float | None
+    margin: float | None = None
+    worst_time_s: float | None = None
     reason: str
     exercised: int
     parts: tuple[Evaluation, ...] = ()
@@ -120,8 +120,6 @@ def inconclusive(prop: Property, reason: str, *, exercised: int = 0) -> Evaluati
         sentence=prop.sentence,
         verdict=Verdict.INCONCLUSIVE,
         unit=prop.unit,
-        margin=None,
-        worst_time_s=None,
         reason=reason,
         exercised=exercised,
     )
@@ -241,7 +239,7 @@ def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
 
 
 def judged(
-    prop: Property, trace: Trace, *, margin: float, worst_time_s: float, reason: str, exercised: int
+    prop: Property, trace: Trace, margin: float, worst_time_s: float, reason: str, exercised: int
 ) -> Evaluation:
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
@@ -262,8 +260,8 @@ def judged(
         sentence=prop.sentence,
         verdict=verdict,
         unit=prop.unit,
-        margin=margin,
-        worst_time_s=worst_time_s,
+        margin=float(margin),
+        worst_time_s=float(worst_time_s),
         reason=reason,
         exercised=exercised,
     )

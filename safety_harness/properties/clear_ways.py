@@ -76,15 +76,9 @@ class ClearWays:
     def _part(self, trace: Trace, ways: list[Way], obstacle: int) -> Evaluation:
         least_m = np.array([way.least_m[obstacle] for way in ways])
         worst = ways[int(np.argmin(least_m))]  # the first NaN, if there is one
-        evaluation = judged(
-            self,
-            trace,
-            margin=float(worst.least_m[obstacle]),
-            worst_time_s=float(worst.time_s[obstacle]),
-            reason=f"{OBSTACLES[obstacle]}: {worst.words}",
-            exercised=len(ways) // 2,
-        )
-        return replace(evaluation, sentence=f"repulsive ways clear of the {OBSTACLES[obstacle]}")
+        margin, time_s, name = worst.least_m[obstacle], worst.time_s[obstacle], OBSTACLES[obstacle]
+        evaluation = judged(self, trace, margin, time_s, f"{name}: {worst.words}", exercised=len(ways) // 2)
+        return replace(evaluation, sentence=f"repulsive ways clear of the {name}")
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
@@ -135,7 +129,6 @@ CLEAR_WAYS = CatalogueEntry(
     parameters="table height and object of the settings",
     exercised="a position was chosen",
     inconclusive="a chosen position that is not finite",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that proposes a position below the table, behind a gate that passes everything",
 )
 

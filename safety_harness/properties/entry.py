@@ -56,7 +56,7 @@ class CatalogueEntry:
     parameters: str
     exercised: str
     inconclusive: str = NONE
-    scenario: str
+    scenario: str = "hand-visits-and-leaves"
     broken_by: str
 
     @property
@@ -103,17 +103,14 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     yield "margin", f"{entry.margin} ({_unit_words(entry)})"
     yield "parameters", entry.parameters
     yield "exercised", entry.exercised
-    yield "inconclusive", _also(entry.inconclusive)
+    also = entry.inconclusive
+    yield "inconclusive", "only for the reasons that make any claim so" if also == NONE else also
     yield "tried in", f"scenarios/{entry.scenario}.yaml"
     yield "broken by", entry.broken_by
 
 
 def _unit_words(entry: CatalogueEntry) -> str:
     return entry.unit.symbol or "a number"
-
-
-def _also(text: str) -> str:
-    return "only for the reasons that make any claim so" if text == NONE else text
 
 
 def markdown_of_claims(entries: Sequence[CatalogueEntry]) -> str:

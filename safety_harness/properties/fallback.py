@@ -25,7 +25,6 @@ READS = (
     "tcp_speed_mps",
     "demanded_joint_velocity_radps",
 )
-WHAT = ("reachable", "away from every hand")
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
 
 
@@ -65,14 +64,8 @@ def concluded(
     if not findings:
         return inconclusive(prop, f"never exercised: {none}")
     worst = worst_of(findings)
-    return judged(
-        prop,
-        trace,
-        margin=worst.margin_m,
-        worst_time_s=worst.time_s,
-        reason=worst.what + (f", worst of {exercised} decisions" if exercised > 1 else ""),
-        exercised=exercised,
-    )
+    reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
+    return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,29 +96,18 @@ class UncertainFallsBack:
             if not has_doubt(decision):
                 continue
             opposite = opposite_position(trace, decision)
-            if self._stops(trace, decision):
-                findings += _rightly_stopped(trace, decision, opposite, self.cycles)
+            tick, time_s = int(decision["tick"]), float(decision["time_s"])
+            if np.any(trace.ticks["mode"][tick : tick + self.cycles + 1] == Mode.PROTECTIVE_STOP):
+                lacked_m = -spare_m(trace, decision, opposite)
+                findings.append(Finding(lacked_m, time_s, "stopped, what the opposite pose lacked"))
+                left_m = stopped_m(trace, min(tick + self.cycles, len(trace.ticks) - 1))
+                findings.append(Finding(left_m, time_s, "the way of the stop"))
                 exercised += 1
                 continue
             found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
             findings += found
             exercised += tried
         return concluded(self, trace, findings, exercised, "no answer was above its threshold")
-
-    def _stops(self, trace: Trace, decision: np.void) -> bool:
-        within = trace.ticks["mode"][decision["tick"] : decision["tick"] + self.cycles + 1]
-        return bool(np.any(within == Mode.PROTECTIVE_STOP))
-
-
-def _rightly_stopped(
-    trace: Trace, decision: np.void, opposite: NDArray[np.float64], cycles: int
-) -> list[Finding]:
-    tick, time_s = int(decision["tick"]), float(decision["time_s"])
-    last = min(tick + cycles, len(trace.ticks) - 1)
-    return [
-        Finding(-spare_m(trace, decision, opposite), time_s, "stopped, what the opposite pose lacked"),
-        Finding(stopped_m(trace, last), time_s, "the way of the stop"),
-    ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -208,11 +190,12 @@ class FallbackPoses:
         """Judge the fallback pose of every decision."""
         if len(trace.decisions) == 0:
             return inconclusive(self, "never exercised: no decision was made")
-        reachable = [_reachable(trace, decision) for decision in trace.decisions]
+        reachable = [
+            Finding(reach_m(trace, one, one["opposite_position_in_base_m"]), float(one["time_s"]), "")
+            for one in trace.decisions
+        ]
         away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
-        parts = tuple(
-            self._part(trace, what, findings) for what, findings in zip(WHAT, (reachable, away), strict=True)
-        )
+        parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
         known = [part for part in parts if part.margin is not None]
         worst = min(known, key=lambda part: part.margin or 0.0) if known else parts[0]
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
@@ -221,22 +204,10 @@ class FallbackPoses:
         if not findings:
             evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
         else:
-            worst = min(findings, key=lambda finding: finding.margin_m)
-            of = f"worst of {len(findings)}" if len(findings) > 1 else "one pose"
-            evaluation = judged(
-                self,
-                trace,
-                margin=worst.margin_m,
-                worst_time_s=worst.time_s,
-                reason=f"{what}{worst.what}: {of}",
-                exercised=len(findings),
-            )
+            worst, count = min(findings, key=lambda finding: finding.margin_m), len(findings)
+            reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
+            evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
         return replace(evaluation, sentence=f"fallback poses {what}")
-
-
-def _reachable(trace: Trace, decision: np.void) -> Finding:
-    margin_m = reach_m(trace, decision, decision["opposite_position_in_base_m"])
-    return Finding(margin_m, float(decision["time_s"]), "")
 
 
 def _away(trace: Trace, decision: np.void) -> list[Finding]:
@@ -263,7 +234,6 @@ FALLBACK_POSES = CatalogueEntry(
     "component away from each true hand",
     parameters="radius and least singular value of the settings",
     exercised="a decision was made",
-    scenario="hand-visits-and-leaves",
     broken_by="a gate whose fallback heads for the hand",
 )
 
@@ -293,14 +263,8 @@ class StopsWhereNothingIsReachable:
         if not findings:
             return inconclusive(self, "never exercised: one of the two could always be reached")
         worst = min(findings, key=lambda finding: finding.margin_m)
-        return judged(
-            self,
-            trace,
-            margin=worst.margin_m,
-            worst_time_s=worst.time_s,
-            reason=worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else ""),
-            exercised=len(findings),
-        )
+        reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))
 
 
 STOPS = CatalogueEntry(

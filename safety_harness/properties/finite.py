@@ -65,15 +65,9 @@ class FiniteTrace:
         first = int(np.argmax(wrong)) if wrong.any() else len(ticks) - 1
         if wrong_decisions.any():
             first = min(first, int(decisions["tick"][int(np.argmax(wrong_decisions))]))
-        period_s = trace.scenario.settings.clock.control_period_s
-        return judged(
-            self,
-            trace,
-            margin=float(-total),
-            worst_time_s=max(first, 0) * period_s,
-            reason=f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}",
-            exercised=len(ticks),
-        )
+        worst_time_s = max(first, 0) * trace.scenario.settings.clock.control_period_s
+        reason = f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}"
+        return judged(self, trace, -total, worst_time_s, reason, exercised=len(ticks))
 
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
@@ -154,6 +148,5 @@ FINITE_TRACE = CatalogueEntry(
     "later than the one before; 0 holds",
     parameters="none",
     exercised="always",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller whose features are no numbers",
 )

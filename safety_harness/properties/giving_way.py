@@ -69,11 +69,7 @@ class MovesAway:
     """
 
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return "repulsion moves away from every hand"
+    sentence: str = "repulsion moves away from every hand"
 
     @readable("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -104,14 +100,8 @@ class MovesAway:
                 self, f"never exercised: {'no hand was there' if made else 'the arm never gave way'}"
             )
         worst = worst_of(findings)
-        return judged(
-            self,
-            trace,
-            margin=worst.margin_m,
-            worst_time_s=worst.time_s,
-            reason=worst.what + (f", worst of {made}" if made > 1 else ""),
-            exercised=exercised,
-        )
+        reason = worst.what + (f", worst of {made}" if made > 1 else "")
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised)
 
 
 def last_tick(trace: Trace, number: int) -> int:
@@ -198,7 +188,6 @@ MOVES_AWAY = CatalogueEntry(
     parameters="the repulsion speed and acceleration of the settings",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )
 

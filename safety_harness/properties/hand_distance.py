@@ -71,14 +71,8 @@ class HandDistance:
         near = true_motion(trace).nearest_m < self.near_m
         name = trace.scenario.hands[hand].name
         part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
-        return judged(
-            self,
-            trace,
-            margin=distance_m - self.minimum_m,
-            worst_time_s=time_s,
-            reason=f"{name}: {_words(distance_m)} {part}",
-            exercised=times_begun(near),
-        )
+        reason = f"{name}: {_words(distance_m)} {part}"
+        return judged(self, trace, distance_m - self.minimum_m, time_s, reason, times_begun(near))
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
@@ -288,6 +282,5 @@ HAND_DISTANCE = CatalogueEntry(
     parameters="the limit; the hands' sizes and the critical distance of the settings",
     exercised="a hand comes within the critical distance of the arm's surface",
     inconclusive="a hand that is not where its scenario moves it",
-    scenario="hand-visits-and-leaves",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

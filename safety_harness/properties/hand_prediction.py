@@ -49,15 +49,11 @@ class HandPredictions:
         found_m.sort()
         median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
         horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
-        return judged(
-            self,
-            trace,
-            margin=self.maximum_m - float(errors_m[tick, track]),
-            worst_time_s=float(trace.time_s[tick]),
-            reason=f"predicted for {trace.time_s[tick] + horizon_s:.3f} s, off by "
-            f"{errors_m[tick, track] * 1e3:.1f} mm; median {median_m * 1e3:.1f} mm",
-            exercised=len(found_m),
+        then_s, error_m = trace.time_s[tick] + horizon_s, errors_m[tick, track]
+        reason = (
+            f"predicted for {then_s:.3f} s, off by {error_m * 1e3:.1f} mm; median {median_m * 1e3:.1f} mm"
         )
+        return judged(self, trace, self.maximum_m - error_m, trace.time_s[tick], reason, len(found_m))
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
@@ -135,6 +131,5 @@ HAND_PREDICTIONS = CatalogueEntry(
     parameters="the limit; the prediction horizon of the settings",
     exercised="a tracked hand's prediction is for a time within the run",
     inconclusive="no hand in the scenario, or none tracked",
-    scenario="hand-visits-and-leaves",
     broken_by="a hand sensor that sees a hand where none is",
 )

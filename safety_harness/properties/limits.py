@@ -37,14 +37,7 @@ class JointLimits:
         left_rad, tick, joint = _least_angle_left(
             true_motion(trace).joints_rad, arm.position_lower_rad, arm.position_upper_rad
         )
-        return judged(
-            self,
-            trace,
-            margin=left_rad,
-            worst_time_s=float(trace.time_s[tick]),
-            reason=arm.joint_names[joint],
-            exercised=len(trace.ticks),
-        )
+        return judged(self, trace, left_rad, trace.time_s[tick], arm.joint_names[joint], len(trace.ticks))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,14 +58,7 @@ class JointSpeedLimits:
         left_radps, tick, joint, turning = _least_speed_left(
             true.joints_rad, true.rates_radps, trace.time_s, arm.velocity_limit_radps
         )
-        return judged(
-            self,
-            trace,
-            margin=left_radps,
-            worst_time_s=float(trace.time_s[tick]),
-            reason=arm.joint_names[joint],
-            exercised=turning,
-        )
+        return judged(self, trace, left_radps, trace.time_s[tick], arm.joint_names[joint], turning)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,14 +82,8 @@ class TcpSpeedLimit:
         fastest_mps, tick, moving = _fastest(
             trace.ticks["tcp_speed_mps"], true_motion(trace).tcp_m, trace.time_s
         )
-        return judged(
-            self,
-            trace,
-            margin=self.maximum_mps - fastest_mps,
-            worst_time_s=float(trace.time_s[tick]),
-            reason=f"fastest {fastest_mps * 1e3:.1f} mm/s",
-            exercised=moving,
-        )
+        reason = f"fastest {fastest_mps * 1e3:.1f} mm/s"
+        return judged(self, trace, self.maximum_mps - fastest_mps, trace.time_s[tick], reason, moving)
 
 
 @compiled
@@ -173,7 +153,6 @@ JOINT_POSITIONS = CatalogueEntry(
     margin="angle left to the nearer limit, least over joints and time",
     parameters="the limits of the robot's description",
     exercised="always",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint on and on",
 )
 
@@ -184,7 +163,6 @@ JOINT_SPEEDS = CatalogueEntry(
     margin="speed left to the limit, least over joints and time; the mean speed between ticks counts too",
     parameters="the limits of the robot's description",
     exercised="the arm moves",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast",
 )
 
@@ -197,7 +175,6 @@ TCP_SPEED = CatalogueEntry(
     margin="speed left to the limit, least over time; the mean speed between ticks counts too",
     parameters="the limit",
     exercised="the arm moves",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast",
 )
 
@@ -222,14 +199,8 @@ class JointAccelerations:
         period_s = trace.scenario.settings.clock.control_period_s
         hardest_radps2, tick, joint, turning = _hardest_of_joints(true_motion(trace).rates_radps, period_s)
         name = load_arm(trace.scenario.robot.arm_name).joint_names[joint]
-        return judged(
-            self,
-            trace,
-            margin=self.maximum_radps2 - hardest_radps2,
-            worst_time_s=float(trace.time_s[tick]),
-            reason=f"{name} {np.degrees(hardest_radps2):.0f} deg/s2",
-            exercised=turning,
-        )
+        reason = f"{name} {np.degrees(hardest_radps2):.0f} deg/s2"
+        return judged(self, trace, self.maximum_radps2 - hardest_radps2, trace.time_s[tick], reason, turning)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,14 +226,9 @@ class TcpAcceleration:
         true = true_motion(trace)
         change_mps, tick = _hardest_of_tcp(arm_of(trace), true.joints_rad, true.rates_radps)
         hardest_mps2 = change_mps / trace.scenario.settings.clock.control_period_s
-        return judged(
-            self,
-            trace,
-            margin=self.maximum_mps2 - hardest_mps2,
-            worst_time_s=float(trace.time_s[tick]),
-            reason=f"largest {hardest_mps2:.2f} m/s2",
-            exercised=int(np.count_nonzero(trace.ticks["tcp_speed_mps"] > MOVES)),
-        )
+        moving = int(np.count_nonzero(trace.ticks["tcp_speed_mps"] > MOVES))
+        reason = f"largest {hardest_mps2:.2f} m/s2"
+        return judged(self, trace, self.maximum_mps2 - hardest_mps2, trace.time_s[tick], reason, moving)
 
 
 @compiled
@@ -334,7 +300,6 @@ JOINT_ACCELERATIONS = CatalogueEntry(
     parameters="the limit; the control period of the settings",
     exercised="a joint turns",
     inconclusive="a run of one tick",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast at once",
 )
 
@@ -348,6 +313,5 @@ TCP_ACCELERATION = CatalogueEntry(
     parameters="the limit; the control period of the settings",
     exercised="the TCP moves",
     inconclusive="a run of one tick",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that turns a joint too fast at once",
 )

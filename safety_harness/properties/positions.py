@@ -6,7 +6,7 @@ a position could have been used: whether it can be reached is a claim of its own
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil
 
@@ -161,14 +161,8 @@ class RepulsivePosesReachable:
                 worst, worst_time_s = margin, float(decision["time_s"])
         if count == 0:
             return inconclusive(self, "never exercised: no repulsive position was asked for")
-        return judged(
-            self,
-            trace,
-            margin=worst,
-            worst_time_s=worst_time_s,
-            reason=f"worst of {count}" if count > 1 else "one position",
-            exercised=count,
-        )
+        reason = f"worst of {count}" if count > 1 else "one position"
+        return judged(self, trace, worst, worst_time_s, reason, exercised=count)
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
@@ -217,23 +211,20 @@ def reach_margin(
     return reach_m - length_m
 
 
-def _entry(*, proposed: bool) -> CatalogueEntry:
-    prop = RepulsivePosesReachable(proposed=proposed)
-    return CatalogueEntry(
-        prop=prop,
-        rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
-        source="the paper, table 4",
-        margin="the same for what the avoider proposed, before the gate"
-        if proposed
-        else "how far beyond the chosen position the straight way goes on being reachable within the joint "
-        "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
-        parameters="the least singular value of the settings",
-        exercised="a decision was made" if proposed else "a position was chosen",
-        scenario="hand-visits-and-leaves",
-        broken_by="an avoider that proposes a position two metres away"
-        + ("" if proposed else ", behind a gate that passes everything"),
-    )
-
-
-REPULSIVE_POSES = _entry(proposed=False)
-PROPOSED_POSES = _entry(proposed=True)
+REPULSIVE_POSES = CatalogueEntry(
+    prop=RepulsivePosesReachable(proposed=False),
+    rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
+    source="the paper, table 4",
+    margin="how far beyond the chosen position the straight way goes on being reachable within the joint "
+    "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
+    parameters="the least singular value of the settings",
+    exercised="a position was chosen",
+    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
+)
+PROPOSED_POSES = replace(
+    REPULSIVE_POSES,
+    prop=RepulsivePosesReachable(proposed=True),
+    margin="the same for what the avoider proposed, before the gate",
+    exercised="a decision was made",
+    broken_by="an avoider that proposes a position two metres away",
+)

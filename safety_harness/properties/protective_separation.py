@@ -86,14 +86,8 @@ class ProtectiveSeparation:
         if worst is None:
             return inconclusive(self, "never exercised: the arm did not move while a hand was there")
         near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
-        return judged(
-            self,
-            trace,
-            margin=worst.margin_m,
-            worst_time_s=float(trace.time_s[worst.tick]),
-            reason=described(trace, worst),
-            exercised=times_begun(near),
-        )
+        reason = described(trace, worst)
+        return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times_begun(near))
 
     def worst(self, trace: Trace) -> Separation | None:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
@@ -205,38 +199,30 @@ def described(trace: Trace, found: Separation) -> str:
     )
 
 
-def _entry(prop: ProtectiveSeparation, *, parameters: str, margin: str) -> CatalogueEntry:
-    return CatalogueEntry(
-        prop=prop,
-        rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
-        "either comes: this is the distance at which stopping still helps",
-        source="ISO/TS 15066, 5.5.4 (now in ISO 10218-2:2025): S_p = S_h + S_r + S_s + C + Z_d + Z_r",
-        margin=margin,
-        parameters=parameters,
-        exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
-        inconclusive="the arm did not move while a hand was there",
-        scenario="hand-visits-and-leaves",
-        broken_by="an avoider that heads for the hand, behind a gate that passes everything",
-    )
-
-
 _TIMES = "reaction time, stop time and hand sizes of the settings"
 _MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
 
-PROTECTIVE_SEPARATION = _entry(ProtectiveSeparation(), parameters=f"v_h = 1.6 m/s; {_TIMES}", margin=_MARGIN)
-
-
+PROTECTIVE_SEPARATION = CatalogueEntry(
+    prop=ProtectiveSeparation(),
+    rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
+    "either comes: this is the distance at which stopping still helps",
+    source="ISO/TS 15066, 5.5.4 (now in ISO 10218-2:2025): S_p = S_h + S_r + S_s + C + Z_d + Z_r",
+    margin=_MARGIN,
+    parameters=f"v_h = 1.6 m/s; {_TIMES}",
+    exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
+    inconclusive="the arm did not move while a hand was there",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)
 PROTECTIVE_SEPARATION_AT = replace(
-    _entry(
-        ProtectiveSeparation(hand_speed_mps=2.0),
-        parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
-        margin=_MARGIN,
-    ),
+    PROTECTIVE_SEPARATION,
+    prop=ProtectiveSeparation(hand_speed_mps=2.0),
     pattern=r"protective separation kept at (.+)",
     make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
+    parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
 )
-PROTECTIVE_SEPARATION_OWN = _entry(
-    ProtectiveSeparation(own_speeds=True),
-    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
+PROTECTIVE_SEPARATION_OWN = replace(
+    PROTECTIVE_SEPARATION,
+    prop=ProtectiveSeparation(own_speeds=True),
     margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
+    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
 )

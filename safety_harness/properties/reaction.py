@@ -166,14 +166,9 @@ def _judged(
             longest, since = took, first
     if open_ones == occasions:
         return inconclusive(prop, "the run ends before the time allowed")
-    return judged(
-        prop,
-        trace,
-        margin=time_left_s(trace, prop.within_s, longest),
-        worst_time_s=float(trace.time_s[since + longest]),
-        reason=f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near",
-        exercised=occasions - open_ones,
-    )
+    margin_s = time_left_s(trace, prop.within_s, longest)
+    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
+    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, occasions - open_ones)
 
 
 GIVES_WAY = CatalogueEntry(
@@ -188,7 +183,6 @@ GIVES_WAY = CatalogueEntry(
     parameters="the time; the critical distance of the settings",
     exercised="a predicted hand comes within the critical distance",
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller whose own critical distance is too short",
 )
 GIVES_WAY_TO_TRUE_HAND = replace(
@@ -229,16 +223,12 @@ class GivesWayAtMost:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Count the transitions."""
         entered = gives_way_at(trace)
-        if len(entered) == 0:
+        times = len(entered)
+        if times == 0:
             return inconclusive(self, "never exercised: the arm never gave way")
-        return judged(
-            self,
-            trace,
-            margin=float(self.most - len(entered)),
-            worst_time_s=float(trace.time_s[entered[min(len(entered) - 1, self.most)]]),
-            reason=f"gave way {len(entered)} times" if len(entered) > 1 else "gave way once",
-            exercised=len(entered),
-        )
+        reason = f"gave way {times} times" if times > 1 else "gave way once"
+        worst_time_s = trace.time_s[entered[min(times - 1, self.most)]]
+        return judged(self, trace, self.most - times, worst_time_s, reason, exercised=times)
 
 
 def gives_way_at(trace: Trace) -> NDArray[np.int64]:
@@ -288,20 +278,15 @@ class NoFalseAlarms:
         limit_m = self.limit_m(trace.scenario.settings)
         nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
         alarms = beginnings(trace)
-        worst = int(alarms[np.argmax(nearest_m[alarms])]) if len(alarms) else 0
-        reason = "the arm never gave way"
+        worst, margin_m, reason = 0, limit_m, "the arm never gave way"
         if len(alarms):
+            worst = int(alarms[np.argmax(nearest_m[alarms])])
+            margin_m = limit_m - nearest_m[worst]
             far = nearest_m[worst] >= 2.0 * limit_m
             reason = "nobody" if far else f"nearest hand {nearest_m[worst] * 1e3:.1f} mm from the TCP"
             reason += f", worst of {len(alarms)} alarms" if len(alarms) > 1 else ""
-        return judged(
-            self,
-            trace,
-            margin=limit_m - float(nearest_m[worst]) if len(alarms) else limit_m,
-            worst_time_s=float(trace.time_s[worst]),
-            reason=reason,
-            exercised=int(np.count_nonzero(nearest_m > limit_m)),
-        )
+        exercised = int(np.count_nonzero(nearest_m > limit_m))
+        return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised)
 
     def limit_m(self, settings: Settings) -> float:
         """How far a hand may be that the arm gives way to."""
@@ -320,24 +305,20 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
     return np.flatnonzero(begins)
 
 
-def _entry(prop: NoFalseAlarms, parameters: str) -> CatalogueEntry:
-    return CatalogueEntry(
-        prop=prop,
-        rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
-        source="the project's own",
-        margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
-        parameters=parameters,
-        exercised="no true hand is within the limit, for a tick at least",
-        scenario="fault-false-hand",
-        broken_by="a controller whose own critical distance is too long",
-    )
-
-
-FALSE_ALARMS = _entry(
-    NoFalseAlarms(), "critical distance and prediction horizon of the settings, hands of at most 2 m/s"
+FALSE_ALARMS = CatalogueEntry(
+    prop=NoFalseAlarms(),
+    rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
+    source="the project's own",
+    margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
+    parameters="critical distance and prediction horizon of the settings, hands of at most 2 m/s",
+    exercised="no true hand is within the limit, for a tick at least",
+    scenario="fault-false-hand",
+    broken_by="a controller whose own critical distance is too long",
 )
 FALSE_ALARMS_WITHIN = replace(
-    _entry(NoFalseAlarms(within_m=0.6), "the limit"),
+    FALSE_ALARMS,
+    prop=NoFalseAlarms(within_m=0.6),
     pattern=r"never gives way without a hand within (.+)",
     make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
+    parameters="the limit",
 )

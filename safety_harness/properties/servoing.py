@@ -149,19 +149,13 @@ class GainSwitchReached:
             took = len(trace.ticks) - 1 - first
             took_s = float(trace.time_s[took])
             if time_left_s(trace, allowed_s, took) >= 0.0:
-                return inconclusive(
-                    self,
-                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed",
+                reason = (
+                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
                 )
+                return inconclusive(self, reason)
             reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
-        return judged(
-            self,
-            trace,
-            margin=time_left_s(trace, allowed_s, took),
-            worst_time_s=float(trace.time_s[first + took]),
-            reason=reason,
-            exercised=int(above.any()),
-        )
+        left_s = time_left_s(trace, allowed_s, took)
+        return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised=int(above.any()))
 
 
 @once_a_trace
@@ -205,14 +199,8 @@ class Converged:
             margin = min(margin, -excess_rad * depth_m)
         if margin < 0.0 and had_s < needed_s:
             return inconclusive(self, f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s")
-        return judged(
-            self,
-            trace,
-            margin=margin,
-            worst_time_s=float(trace.time_s[-1]),
-            reason=f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off",
-            exercised=int(was_off(trace)),
-        )
+        reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off"
+        return judged(self, trace, margin, trace.time_s[-1], reason, exercised=int(was_off(trace)))
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
         """Closed form from ``distance_m``: fast until the gain switch, slow from there to 1 mm."""
@@ -324,21 +312,13 @@ class NeverStarved:
         if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
             return inconclusive(self, "the run is not longer than the task may starve")
         lost, away = lost_ticks(trace)
-        worst = int(np.argmax(lost))
+        worst, exercised = int(np.argmax(lost)), int(np.count_nonzero(away))
         margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
         if lost[-1] > 0 and margin_s >= 0.0:
-            open_s = trace.time_s[lost[-1]]
-            return inconclusive(
-                self, f"starved for {open_s:.2f} s when the run ends", exercised=int(away.sum())
-            )
-        return judged(
-            self,
-            trace,
-            margin=margin_s,
-            worst_time_s=float(trace.time_s[worst]),
-            reason=f"longest {trace.time_s[lost[worst]]:.2f} s",
-            exercised=int(np.count_nonzero(away)),
-        )
+            reason = f"starved for {trace.time_s[lost[-1]]:.2f} s when the run ends"
+            return inconclusive(self, reason, exercised=exercised)
+        reason = f"longest {trace.time_s[lost[worst]]:.2f} s"
+        return judged(self, trace, margin_s, trace.time_s[worst], reason, exercised)
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -389,7 +369,6 @@ NEVER_STARVED = CatalogueEntry(
     parameters="the time allowed; the gain switch and the far gain of the settings",
     exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
     inconclusive="the run is not longer than the limit, or ends while the task is starved",
-    scenario="hand-visits-and-leaves",
     broken_by="a controller that does nothing",
 )
 
@@ -424,19 +403,10 @@ class ObjectInView:
         exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
         if bool(lost[-1]) and margin_s >= 0.0:
             left_s = float(times_s[-1] - times_s[begins[-1]])
-            return inconclusive(
-                self,
-                f"the object has been out of view for {left_s:.2f} s when the run ends",
-                exercised=exercised,
-            )
-        return judged(
-            self,
-            trace,
-            margin=margin_s,
-            worst_time_s=begun_s + min(longest_s, self.within_s),
-            reason=_words(len(begins), longest_s),
-            exercised=exercised,
-        )
+            reason = f"the object has been out of view for {left_s:.2f} s when the run ends"
+            return inconclusive(self, reason, exercised=exercised)
+        worst_time_s = begun_s + min(longest_s, self.within_s)
+        return judged(self, trace, margin_s, worst_time_s, _words(len(begins), longest_s), exercised)
 
 
 def _words(losses: int, longest_s: float) -> str:

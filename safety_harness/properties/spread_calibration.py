@@ -102,21 +102,20 @@ class SpreadCalibration:
             f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
         )
         if share.low >= self.at_least:
-            return self._said(Verdict.HOLDS, share.low - self.at_least, words, len(covered))
+            return self._said(Verdict.HOLDS, words, len(covered), share.low - self.at_least)
         if share.high < self.at_least:
-            return self._said(Verdict.VIOLATED, share.high - self.at_least, words, len(covered))
+            return self._said(Verdict.VIOLATED, words, len(covered), share.high - self.at_least)
         return self._open(f"too few to tell: {words}", len(covered))
 
     def _open(self, reason: str, exercised: int = 0) -> Evaluation:
-        return self._said(Verdict.INCONCLUSIVE, None, reason, exercised)
+        return self._said(Verdict.INCONCLUSIVE, reason, exercised)
 
-    def _said(self, verdict: Verdict, margin: float | None, reason: str, exercised: int) -> Evaluation:
+    def _said(self, verdict: Verdict, reason: str, exercised: int, margin: float | None = None) -> Evaluation:
         return Evaluation(
             sentence=self.sentence,
             verdict=verdict,
             unit=self.unit,
             margin=margin,
-            worst_time_s=None,
             reason=reason,
             exercised=exercised,
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, nan
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Verdict
@@ -67,6 +67,7 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
     evaluations = [one.evaluation for one in found]
     verdicts = [evaluation.verdict for evaluation in evaluations]
     conclusive = [one.evaluation for one in found if one.expected is not Verdict.INCONCLUSIVE]
+    finite = [one for one in found if isfinite(_margin(one))]
     return ClaimTally(
         sentence=sentence,
         runs=len(found),
@@ -75,7 +76,7 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
         holds=verdicts.count(Verdict.HOLDS),
         violated=verdicts.count(Verdict.VIOLATED),
         inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
-        worst=min((one for one in found if _margin(one) is not None), key=_margin_or_zero, default=None),
+        worst=min(finite, key=_margin, default=None),
         untested=bool(conclusive) and not any(_tested(evaluation) for evaluation in conclusive),
     )
 
@@ -84,13 +85,8 @@ def _tested(evaluation: Evaluation) -> bool:
     return evaluation.exercised > 0 or evaluation.verdict is Verdict.VIOLATED
 
 
-def _margin(one: Judged) -> float | None:
-    margin = one.evaluation.margin
-    return margin if margin is not None and isfinite(margin) else None
-
-
-def _margin_or_zero(one: Judged) -> float:
-    return _margin(one) or 0.0
+def _margin(one: Judged) -> float:
+    return nan if one.evaluation.margin is None else one.evaluation.margin
 
 
 def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
-from safety_harness.statistics.sample import EpisodeOutcome, IndependentSample, independent
+from safety_harness.statistics.sample import EpisodeOutcome, IndependentSample, independent, refusal
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
 
 
@@ -89,7 +88,7 @@ def bounds_of(
     if many < shown:
         ends = "upper bounds" if sides is Sides.UPPER else "both ends"
         expected = f"a family of at least {shown} bounds ({ends} of {len(known)} samples)"
-        raise StatisticsError(place=Place(field="family"), expected=expected, got=str(many))
+        raise refusal("family", expected, str(many))
     chance = chance_of_each(confidence, many if known else 0)
     return tuple(_bounds(sample, chance, confidence, many, sides) for sample in known)
 
@@ -109,10 +108,9 @@ def violation_bounds(
 def chance_of_each(confidence: float, family: int) -> float:
     """With what chance each of ``family`` bounds may fail, for all to hold with ``confidence``."""
     if not 0.0 < confidence < 1.0:
-        place = Place(field="confidence")
-        raise StatisticsError(place=place, expected="a confidence between 0 and 1", got=f"{confidence:g}")
+        raise refusal("confidence", "a confidence between 0 and 1", f"{confidence:g}")
     if family < 1:
-        raise StatisticsError(place=Place(field="claims"), expected="at least one sample", got="none")
+        raise refusal("claims", "at least one sample", "none")
     return (1.0 - confidence) / family
 
 

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import bdtrc
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import EpisodeOutcome, Floats, IndependentSample, fixed_length
+from safety_harness.statistics.sample import EpisodeOutcome, Floats, IndependentSample, fixed_length, refusal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,8 +103,7 @@ def runs_for_tolerance(content: float, confidence: float = 0.95) -> int:
 
 def _check_content(content: float) -> None:
     if not 0.0 < content < 1.0:
-        place = Place(field="content")
-        raise StatisticsError(place=place, expected="a share between 0 and 1", got=f"{content:g}")
+        raise refusal("content", "a share between 0 and 1", f"{content:g}")
 
 
 def _rank(n: int, share: float, confidence: float) -> int:
@@ -119,7 +117,6 @@ def _tested(sample: IndependentSample) -> Floats:
     known = fixed_length(sample)
     tested = known.outcomes != EpisodeOutcome.UNTESTED
     if not tested.any():
-        place = Place(field="margins")
-        raise StatisticsError(place=place, expected=f"a tested run ({known.name})", got="none")
+        raise refusal("margins", f"a tested run ({known.name})", "none")
     sure = known.judged & np.isfinite(known.margins)
     return np.sort(np.where(sure, known.margins, -np.inf)[tested])

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import PERHAPS, EpisodeOutcome, IndependentSample, fixed_length
+from safety_harness.statistics.sample import PERHAPS, EpisodeOutcome, IndependentSample, fixed_length, refusal
 
 # What counts as a violation in either world, so that the two bounds add up.
 _MAYBE = (EpisodeOutcome.VIOLATED, *PERHAPS)
@@ -87,10 +86,8 @@ def _check(kinematic: IndependentSample, here: IndependentSample, there: Indepen
     ):
         if len(found) > 1:
             got = " and ".join(sorted(repr(one) for one in found))
-            raise StatisticsError(place=Place(field=field), expected="one and the same", got=got)
+            raise refusal(field, "one and the same", got)
     modelled = [sample.declaration.model_only for sample in samples]
     if modelled != [True, True, False]:
         worlds = ", ".join(sample.declaration.world.label for sample in samples)
-        raise StatisticsError(
-            place=Place(field="world"), expected="kinematic, kinematic and the reference world", got=worlds
-        )
+        raise refusal("world", "kinematic, kinematic and the reference world", worlds)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, median_rank, sign_test, upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
@@ -24,10 +23,11 @@ from safety_harness.statistics.sample import (
     IndependentSample,
     Ints,
     fixed_length,
+    refusal,
 )
-from safety_harness.statistics.studentised import ends_of_t
 
 BOOTSTRAP_DRAWS = 2000
+_SAME_STREAM = "only runs of the same stream can be compared in pairs"
 _EQUAL = 1e-12  # relative: what is no difference but rounding
 
 
@@ -133,8 +133,7 @@ def compare_margins(
     differences = np.sort(first.margins[both] - second.margins[both])
     n = len(differences)
     if n < 2:
-        place = Place(field="margins")
-        raise StatisticsError(place=place, expected="two judged episodes with margins of both", got=str(n))
+        raise refusal("margins", "two judged episodes with margins of both", str(n))
     if limit is None:
         low, high = _bootstrap_t(differences, chance, generator(first.declaration.seed, Branch.STATISTICS, 3))
     else:
@@ -169,21 +168,13 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
         ("draws_sha256", a.draws_sha256, b.draws_sha256),
     ):
         if mine != other:
-            raise StatisticsError(
-                place=Place(field=field),
-                expected="two samples of the same episodes",
-                got=f"{mine!r} and {other!r}",
-                hint="only runs of the same stream can be compared in pairs",
-            )
+            raise refusal(field, "two samples of the same episodes", f"{mine!r} and {other!r}", _SAME_STREAM)
     other_seed = np.flatnonzero(first.seeds != second.seeds)
     if len(other_seed):
         k = int(other_seed[0])
-        raise StatisticsError(
-            place=Place(field="seeds"),
-            expected=f"the same seed of each episode in both samples ({first.name})",
-            got=f"{first.seeds[k]} and {second.seeds[k]} in episode {k}",
-            hint="only runs of the same stream can be compared in pairs",
-        )
+        expected = f"the same seed of each episode in both samples ({first.name})"
+        got = f"{first.seeds[k]} and {second.seeds[k]} in episode {k}"
+        raise refusal("seeds", expected, got, _SAME_STREAM)
 
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
@@ -223,10 +214,7 @@ def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, f
     n, logarithm = len(differences), math.log(2.0 / chance)
     largest = float(np.abs(differences).max())
     if not largest <= limit:
-        got = f"{largest:g}"
-        raise StatisticsError(
-            place=Place(field="limit"), expected=f"differences of at most {limit:g}", got=got
-        )
+        raise refusal("limit", f"differences of at most {limit:g}", f"{largest:g}")
     variance = float(differences.var(ddof=1))
     half = math.sqrt(2.0 * variance * logarithm / n) + 14.0 * limit * logarithm / (3.0 * (n - 1))
     mean = float(differences.mean())
@@ -251,3 +239,14 @@ def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -
         redrawn.append(np.where(apart, (again.mean(axis=1) - mean) / np.where(apart, spread, 1.0), np.inf))
     least, most = ends_of_t(np.concatenate(redrawn), chance)
     return mean - most * deviation, mean - least * deviation
+
+
+def ends_of_t(redrawn: Floats, chance: float) -> tuple[float, float]:
+    """The ``chance`` and 1 - ``chance`` quantiles of a bootstrap's t, ``redrawn`` (n,), each outwards.
+
+    One that is infinite or NaN, as of a redrawn sample without spread, is beyond either end.
+    """
+    beyond = ~np.isfinite(redrawn)
+    least = np.quantile(np.where(beyond, -np.inf, redrawn), chance, method="lower")
+    most = np.quantile(np.where(beyond, np.inf, redrawn), 1.0 - chance, method="higher")
+    return float(least), float(most)

@@ -17,11 +17,13 @@ from scipy.special import bdtr, bdtrik
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import upper_bound
 from safety_harness.statistics.binomial import chance_of_each
+from safety_harness.statistics.sample import refusal
 from safety_harness.statistics.sequential import anytime_upper
 
 Upper = Callable[[int, int, float], float]
 MOST_RUNS = 10**12
 _TAIL = 1e-12
+_TARGET = "violated in at most"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +40,8 @@ class Aim:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.target < 1.0:
-            place = Place(field="violated in at most")
             hint = "no number of runs shows that nothing can ever happen" if self.target == 0.0 else ""
-            raise StatisticsError(
-                place=place, expected="a share between 0 and 1", got=f"{self.target:g}", hint=hint
-            )
+            raise refusal(_TARGET, "a share between 0 and 1", f"{self.target:g}", hint)
         chance_of_each(self.confidence, self.family)
 
     def shown_by(self, violations: int, trials: int) -> bool:
@@ -58,11 +57,7 @@ def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
     while not aim.shown_by(allowed, most):
         least, most = most + 1, 2 * most
         if most > MOST_RUNS:
-            raise StatisticsError(
-                place=Place(field="violated in at most"),
-                expected=f"a target that {MOST_RUNS:.0e} runs can show",
-                got=f"{aim.target:g}",
-            )
+            raise refusal(_TARGET, f"a target that {MOST_RUNS:.0e} runs can show", f"{aim.target:g}")
     while least < most:
         middle = (least + most) // 2
         least, most = (least, middle) if aim.shown_by(allowed, middle) else (middle + 1, most)
@@ -87,11 +82,7 @@ def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> fl
     stream that may stop early it is the chance at its planned end: a lower bound.
     """
     if not (0.0 <= probability <= 1.0 and 0.0 < tested <= 1.0):
-        raise StatisticsError(
-            place=Place(field="power"),
-            expected="shares between 0 and 1",
-            got=f"{probability:g} and {tested:g}",
-        )
+        raise refusal("power", "shares between 0 and 1", f"{probability:g} and {tested:g}")
     if runs < 1 or tested == 1.0:
         return _power_of(aim, runs, probability)
     first, last = (int(bdtrik(chance, runs, tested)) for chance in (_TAIL, 1.0 - _TAIL))
@@ -110,12 +101,9 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
         runs = runs_needed(aim, allowed=allowed)
         if bdtr(allowed, runs, probability) >= wanted:
             return runs
-    raise StatisticsError(
-        place=Place(field="violated in at most"),
-        expected=f"a target clearly above the true probability {probability:g}",
-        got=f"{aim.target:g}",
-        hint=f"more than {most_allowed} violations would have to be allowed",
-    )
+    expected = f"a target clearly above the true probability {probability:g}"
+    hint = f"more than {most_allowed} violations would have to be allowed"
+    raise refusal(_TARGET, expected, f"{aim.target:g}", hint)
 
 
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:

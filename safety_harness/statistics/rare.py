@@ -33,10 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr, stdtrit
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import Floats
+from safety_harness.statistics.sample import Floats, refusal
 
 Margins = Callable[[Floats], Floats]
 """Points (n, d) of the unit cube -> margins (n,), negative where the claim is violated; never NaN."""
@@ -61,11 +60,8 @@ class Splitting:
 
     def __post_init__(self) -> None:
         if min(self.particles, self.steps) < 1 or self.replications < 2 or not 0.0 < self.survivors < 1.0:
-            raise StatisticsError(
-                place=Place(field="splitting"),
-                expected="particles, steps, at least two replications, and a share of survivors",
-                got=str(self),
-            )
+            expected = "particles, steps, at least two replications, and a share of survivors"
+            raise refusal("splitting", expected, str(self))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +138,7 @@ class _Judged:
         self.count += len(normal)
         if found.shape != (len(normal),) or np.isnan(found).any():
             got = f"{np.count_nonzero(np.isnan(found))} that are no number, of shape {found.shape}"
-            raise StatisticsError(place=Place(field="margins"), expected=f"{len(normal)} margins", got=got)
+            raise refusal("margins", f"{len(normal)} margins", got)
         return found
 
 

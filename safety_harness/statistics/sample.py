@@ -59,11 +59,11 @@ class Declaration:
 
     def __post_init__(self) -> None:
         if self.planned < 1:
-            raise _refusal("planned", "at least one episode", str(self.planned))
+            raise refusal("planned", "at least one episode", str(self.planned))
         for field in ("plan_sha256", "draws_sha256"):
             text = getattr(self, field)
             if not _SHA256.fullmatch(text):
-                raise _refusal(field, "a SHA-256, 64 hexadecimal digits", repr(text))
+                raise refusal(field, "a SHA-256, 64 hexadecimal digits", repr(text))
 
     @property
     def model_only(self) -> bool:
@@ -164,7 +164,7 @@ def fixed_length(sample: object) -> IndependentSample:
     """An IndependentSample whose length was fixed beforehand; StatisticsError for one that may stop early."""
     known = independent(sample)
     if known.declaration.stop_early:
-        raise _refusal(
+        raise refusal(
             "stop early",
             f"a stream of fixed length ({known.name})",
             "one that may stop at any time",
@@ -193,11 +193,11 @@ def checked_stream(
     for name, column, ndim in (("episodes", numbers, 1), *((n, c, dimensions) for n, c in runs.items())):
         if column.ndim != ndim or (column.size and column.dtype.kind not in "iu"):
             shape = "(n,)" if ndim == 1 else "(n, k)"
-            raise _refusal(name, f"whole numbers {shape}", f"{column.dtype} {column.shape}")
+            raise refusal(name, f"whole numbers {shape}", f"{column.dtype} {column.shape}")
     shapes = [column.shape for column in (*runs.values(), signed)]
     if len({numbers.shape[:1], codes.shape[:1]}) > 1 or len(set(shapes)) > 1:
         got = f"{numbers.shape}, and {', '.join(map(str, shapes))}"
-        raise _refusal("episodes", "as many episodes as outcomes, seeds, occasions and margins", got)
+        raise refusal("episodes", "as many episodes as outcomes, seeds, occasions and margins", got)
     _check_complete(declaration, numbers)
     _check_seeds(declaration, numbers, roots)
     order = np.argsort(numbers)
@@ -213,22 +213,22 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
     n, planned = len(numbers), declaration.planned
     where = f"of stratum {declaration.stratum!r}"
     if n == 0:
-        raise _refusal("episodes", f"at least one episode {where}", "none")
+        raise refusal("episodes", f"at least one episode {where}", "none")
     if n > planned:
-        raise _refusal(
+        raise refusal(
             "episodes", f"the {planned} planned episodes {where}", str(n), "more were run than declared"
         )
     found = np.unique(numbers)
     if len(found) < n:
         twice = int(numbers.size - found.size)
-        raise _refusal("episodes", f"every episode {where} once", f"{twice} more than once")
+        raise refusal("episodes", f"every episode {where} once", f"{twice} more than once")
     if found[0] != 0 or found[-1] != n - 1:
         got = f"{n} episodes from {found[0]} to {found[-1]}"
-        raise _refusal(
+        raise refusal(
             "episodes", f"episodes 0 to {n - 1} {where}", got, "some are missing: a choice was made"
         )
     if n < planned and not declaration.stop_early:
-        raise _refusal(
+        raise refusal(
             "episodes", f"the {planned} planned episodes {where}", f"{n}: incomplete", "run the rest"
         )
 
@@ -242,7 +242,7 @@ def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: 
         many = f"{seeds.size - len(found)} of {seeds.size} runs with another's"
         got = f"{many}, such as {twice} in episodes {who[0]} and {who[1]}"
         expected = f"a seed of its own for every run of stratum {declaration.stratum!r}"
-        raise _refusal("seeds", expected, got, "the same runs again are no further evidence")
+        raise refusal("seeds", expected, got, "the same runs again are no further evidence")
 
 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
@@ -251,17 +251,17 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
     unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
         k = _first(unknown)
-        raise _refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
+        raise refusal("outcomes", f"an outcome's number {where}", f"{codes[k]} for episode {k[0]}")
     infinite = np.isinf(margins)
     if infinite.any():
         k = _first(infinite)
         expected = f"finite margins, NaN where there is none, {where}"
-        raise _refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
+        raise refusal("margins", expected, f"{margins[k]} for episode {k[0]}")
     without = np.isin(codes, JUDGED) & np.isnan(margins)
     if without.any():
         k = _first(without)
         got = f"NaN for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
-        raise _refusal("margins", f"a margin wherever there is a verdict {where}", got)
+        raise refusal("margins", f"a margin wherever there is a verdict {where}", got)
     wrong = ((codes == EpisodeOutcome.HOLDS) & (margins < 0.0)) | (
         (codes == EpisodeOutcome.VIOLATED) & (margins > 0.0)
     )
@@ -269,7 +269,7 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
         k = _first(wrong)
         got = f"{margins[k]:+g} for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
         expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
-        raise _refusal("margins", expected, got)
+        raise refusal("margins", expected, got)
 
 
 def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[np.integer]) -> None:
@@ -286,7 +286,7 @@ def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[n
         if wrong.any():
             k = _first(wrong)
             got = f"{occasions[k]} in episode {k[0]}, {EpisodeOutcome(int(codes[k])).name.lower()}"
-            raise _refusal("exercised", f"{expected} (stratum {declaration.stratum!r})", got)
+            raise refusal("exercised", f"{expected} (stratum {declaration.stratum!r})", got)
 
 
 def _first(having: Flags) -> tuple[int, ...]:
@@ -294,5 +294,6 @@ def _first(having: Flags) -> tuple[int, ...]:
     return tuple(int(k) for k in np.argwhere(having)[0])
 
 
-def _refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
+def refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
+    """What is refused at ``field``, with what was expected there and what came."""
     return StatisticsError(place=Place(field=field), expected=expected, got=got, hint=hint)

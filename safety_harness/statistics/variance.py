@@ -15,15 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import fdtri
 
-from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.sample import JUDGED, Declaration, EpisodeOutcome, Floats, Ints, checked_stream
-from safety_harness.statistics.studentised import ends_of_t
+from safety_harness.statistics.paired import BOOTSTRAP_DRAWS, ends_of_t
+from safety_harness.statistics.sample import (
+    JUDGED,
+    Declaration,
+    EpisodeOutcome,
+    Floats,
+    Ints,
+    checked_stream,
+    refusal,
+)
 
 _OF_DESIGN = object()
-BOOTSTRAP_DRAWS = 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,11 +69,8 @@ class NestedSample:
             declaration, scenarios, outcomes, margins, seeds, exercised, dimensions=2
         )
         if min(codes.shape) < 2:
-            place = Place(field="outcomes")
             got = f"{codes.shape[0]} and {codes.shape[1]}"
-            raise StatisticsError(
-                place=place, expected="two scenarios and two draws of each, at least", got=got
-            )
+            raise refusal("outcomes", "two scenarios and two draws of each, at least", got)
         return cls(declaration=declaration, outcomes=codes, margins=signed, claim=claim, _made_by=_OF_DESIGN)
 
 
@@ -131,14 +134,10 @@ def variance_split(sample: NestedSample, confidence: float = 0.95) -> VarianceSp
     usable = np.isin(sample.outcomes, JUDGED) & np.isfinite(margins)
     if not usable.all():
         got = f"{np.count_nonzero(~usable)} of {margins.size} without"
-        raise StatisticsError(
-            place=Place(field="margins"), expected="a verdict with a margin of every run", got=got
-        )
+        raise refusal("margins", "a verdict with a margin of every run", got)
     between, within = (float(square) for square in _mean_squares(margins))
     if between <= 0.0 and within <= 0.0:
-        raise StatisticsError(
-            place=Place(field="margins"), expected="margins that differ", got="all the same"
-        )
+        raise refusal("margins", "margins that differ", "all the same")
     chance = chance_of_each(confidence, 2)
     degrees = (m - 1, m * (k - 1))
     ratio = between / within if within > 0.0 else math.inf

@@ -16,9 +16,8 @@ from random_formulas import formulas
 from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import FormulaError, InadmissibleError, Place
-from safety_harness.formulas.asked import parts_of
 from safety_harness.formulas.claim import FormulaClaim, judge_part
-from safety_harness.formulas.formula import Comparison, Formula, Not, Relation, Truth
+from safety_harness.formulas.formula import Comparison, Formula, Not, Relation, Truth, parts_of
 from safety_harness.formulas.language import (
     always,
     eventually,

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety_harness.exceptions import FormulaError, Place
-from safety_harness.formulas.asked import parts_of
 from safety_harness.formulas.formula import (
     Always,
     Comparison,
@@ -23,6 +22,7 @@ from safety_harness.formulas.formula import (
     Until,
     conjunction,
     disjunction,
+    parts_of,
 )
 from safety_harness.formulas.language import (
     always,

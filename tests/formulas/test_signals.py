@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_trial
 from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.formulas.cells import tent
-from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled
+from safety_harness.formulas.signal import Flag, Interpolation, Measure, Sampled, tent
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.capsules import load_capsules

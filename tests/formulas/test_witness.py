@@ -19,7 +19,7 @@ from safety_harness.formulas.formula import (
     Until,
 )
 from safety_harness.formulas.quantities import Span, mm, ms
-from safety_harness.formulas.witness import Witness, witness
+from safety_harness.formulas.semantics import Witness, witness
 
 ABOVE_0 = Comparison(X, Relation.ABOVE, mm(0))
 
