@@ -15,14 +15,13 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import decode, read_bytes, resolved
+from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY
-from safety_harness.scenario.recognised import ALL, foreign, has_a_key
 from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.units import near_miss, shown
 
 EXTENDS, WITHOUT, MATRIX, SUITE = "extends", "without", "matrix", "suite"
+SPACE_KEY = "scenario space"
 COMPOSING = (EXTENDS, WITHOUT, MATRIX)
 MAX_BYTES = 1_000_000  # of one file
 MOST_BYTES = 20_000_000  # of all the files that one path leads to
@@ -75,6 +74,11 @@ def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
     if not isinstance(tree, Mapping) or not _keys(tree) & {*ALL}:
         raise foreign(file, place)
     return tree
+
+
+def is_space(tree: Node) -> bool:
+    """Whether a tree begins a scenario space."""
+    return isinstance(tree, Mapping) and SPACE_KEY in _keys(tree)
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
-from safety_harness.scenario.compose import SUITE, Library, Variant, variants
+from safety_harness.scenario.compose import SUITE, Library, Variant, is_space, variants
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import files_of, resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
-from safety_harness.scenario.only_in_spaces import is_space
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import Below, FreeKeys, KeyTable, Several, Value, scalar_text
+from safety_harness.scenario.compose import SPACE_KEY, is_space
 from safety_harness.scenario.layout_tree import LayoutEntry, WrittenValue, written_tree
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY, is_space
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
 
 PROSE_WIDTH, FLOW_WIDTH = 120, 110

@@ -49,8 +49,7 @@ from safety_harness.scenario.moves import (
     shifted,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.recording import load_recording
-from safety_harness.scenario.recording_table import parse_recording
+from safety_harness.scenario.recording import NOT_LOADED, load_recording, parse_recording
 from safety_harness.scenario.settings_keys import SettingKey, setting_keys
 from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3
 
@@ -220,17 +219,16 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
         usage["starts_at_in_base_m"] = draw(vectors(st.floats(min_value=-5.0, max_value=5.0)))
     shift_in_base_m = draw(vectors(st.floats(min_value=-1.0, max_value=1.0)))
     delay_s = draw(st.sampled_from([0.0, 0.5, 3600.0]))
-    placed = {**usage, "starts_at_in_base_m": shifted(usage["starts_at_in_base_m"], shift_in_base_m)}
-    motion = load_recording(recording, forearm_length_m=forearm_length_m, delay_s=delay_s, **placed)
-    return RecordedHand(
+    hand = RecordedHand(
         name=draw(sentences),
         recording=Path("walks/walk.csv"),
-        motion=motion,
+        motion=NOT_LOADED,
         shift_in_base_m=shift_in_base_m,
         delay_s=delay_s,
         max_speed_mps=20.0 if usage["speed_factor"] > 1.0 else draw(st.sampled_from([None, 20.0])),
         **usage,
     )
+    return replace(hand, motion=load_recording(recording, hand, forearm_length_m=forearm_length_m))
 
 
 def fault_values(key: Key) -> st.SearchStrategy[Any]:
