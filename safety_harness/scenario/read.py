@@ -14,7 +14,7 @@ from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SPACE_KEY, SUITE, Library, Variant, variants
-from safety_harness.scenario.fault_phrases import read_faults
+from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.nodes import Mapping as MappingNode
