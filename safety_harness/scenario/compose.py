@@ -103,8 +103,7 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
     tree = _extended(path, library, ())
     if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
         return (Variant(path.stem, tree),)
-    root = Field(tree, path, path="", line=1)
-    matrix = dict(root.entries("a scenario"))[MATRIX]
+    matrix = dict(Field(tree, path, path="", line=1).entries("a scenario"))[MATRIX]
     plain = _without(tree, {MATRIX})
     found = []
     for combination in itertools.product(*_axes(matrix, plain)):
@@ -136,10 +135,9 @@ def merged(base: Node, over: Node) -> Node:
 def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
     """The tree of a file with what it extends below it; ``chain`` are the files on the way to it."""
     tree = library.tree(path, place)
-    root = Field(tree, path, path="", line=1)
     if not isinstance(tree, Mapping):
         return tree
-    given = dict(root.entries("a scenario"))
+    given = dict(Field(tree, path, path="", line=1).entries("a scenario"))
     if EXTENDS not in given:
         if WITHOUT in given:
             raise given[WITHOUT].error(f'the key "{EXTENDS}" beside it', got=f'"{WITHOUT}" alone')
@@ -177,10 +175,11 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
             hint = near_miss(word, _keys(base) | sentences)
             raise item.error("a key or a claim of the file that is extended", hint=hint)
         dropped.add(word)
-    base = _without(base, dropped)
-    if isinstance(claims, Mapping) and "claims" not in dropped:
-        base = _with(base, "claims", _without(claims, dropped))
-    return base
+    left = _without(base, dropped).entries
+    if isinstance(claims, Mapping):
+        fewer = _without(claims, dropped)
+        left = tuple((key, fewer if value is claims else value) for key, value in left)
+    return replace(base, entries=left)
 
 
 def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
@@ -265,11 +264,6 @@ def _keys(mapping: Mapping) -> set[str]:
 
 def _without(mapping: Mapping, keys: set[str]) -> Mapping:
     return replace(mapping, entries=tuple(entry for entry in mapping.entries if entry[0].text not in keys))
-
-
-def _with(mapping: Mapping, key: str, value: Node) -> Mapping:
-    entries = tuple((one, value if one.text == key else old) for one, old in mapping.entries)
-    return replace(mapping, entries=entries)
 
 
 def _size(node: Node) -> int:

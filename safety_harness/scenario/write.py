@@ -79,7 +79,7 @@ def _lines(tree: Tree) -> Iterator[str]:
                 yield f"{key}:"
                 yield from (f"  {line}" for line in _lines(value))
             else:
-                yield from (f"{key}: {line}".rstrip() for line in _lines(value))
+                yield from (f"{key}: {line}" for line in _lines(value))
     else:
         for item in tree:
             first, *others = _lines(item)
