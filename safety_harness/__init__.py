@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
     from safety_harness.settings import DEFAULTS, Settings
     from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WORLDS, WorldEntry
-    from safety_harness.space.boxes import InBox, InRegion
-    from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
+    from safety_harness.space.distributions import InBox, InRegion, InShell, TruncatedNormal, Uniform
     from safety_harness.space.read import parse_space, read_space
     from safety_harness.space.space import ScenarioSpace
     from safety_harness.space.strategy import strategy
@@ -138,8 +137,7 @@ _HOMES = {
     "search.trials": ("Trials", "in_kinematic", "in_pybullet"),
     "settings": ("DEFAULTS", "Settings"),
     "simulation.worlds": ("KINEMATIC", "PYBULLET", "WORLDS", "WorldEntry"),
-    "space.boxes": ("InBox", "InRegion"),
-    "space.distributions": ("InShell", "TruncatedNormal", "Uniform"),
+    "space.distributions": ("InBox", "InRegion", "InShell", "TruncatedNormal", "Uniform"),
     "space.read": ("parse_space", "read_space"),
     "space.space": ("ScenarioSpace",),
     "space.strategy": ("strategy",),

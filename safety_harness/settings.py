@@ -21,28 +21,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 from math import pi, radians
-from typing import Any, TypeVar
+from typing import TypeVar
 
 Vector3 = tuple[float, float, float]
 _TURN_RAD = 2.0 * pi
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Described:
-    """What a scenario file has to know of a setting: its meaning, and bounds in SI, both allowed.
-
-    Without bounds it has those of its dimension (``settings_keys.BY_DIMENSION``).  What lies beyond is a
-    slip of the unit or a system that nobody builds; within, every number that a run computes stays finite
-    and the servo loop stable (the largest gain times the longest control period is 0.5).  ``takes``
-    says in words what the value's type cannot; ``example`` is for a value that a default does not show.
-    """
-
-    meaning: str
-    least: float | None = None
-    most: float | None = None
-    takes: str = ""
-    example: str = ""
 
 
 def setting(
@@ -54,11 +37,15 @@ def setting(
     takes: str = "",
     example: str = "",
 ) -> T:
-    """A field with its default, and what ``Described`` has of it."""
-    found: Any = field(
-        default=default, metadata={"described": Described(meaning, least, most, takes, example)}
-    )
-    return found  # type: ignore[no-any-return]
+    """A field with its default and what a scenario file has to know of it: meaning, and bounds in SI.
+
+    Both bounds are allowed; without them it has those of its dimension (``units``).  What lies beyond is a
+    slip of the unit or a system that nobody builds; within, every number that a run computes stays finite
+    and the servo loop stable (the largest gain times the longest control period is 0.5).  ``takes``
+    says in words what the value's type cannot; ``example`` is for a value that a default does not show.
+    """
+    said = {"meaning": meaning, "least": least, "most": most, "takes": takes, "example": example}
+    return field(default=default, metadata=said)
 
 
 class ImageSource(Enum):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shlex
+from collections import ChainMap
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -23,7 +24,7 @@ from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.exceptions import InadmissibleError, Place
-from safety_harness.scenario.fields import SENTENCE, Replaced, is_sentence
+from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
@@ -215,7 +216,8 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         raise InadmissibleError(
             place=place, expected=f"an avoider's name or file, {SENTENCE}", got=repr(reference)
         )
-    return replace(scenario, avoider=reference, places=Replaced(scenario.places, "avoider", place))
+    places = ChainMap({"avoider": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
+    return replace(scenario, avoider=reference, places=places)
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:

@@ -19,7 +19,7 @@ from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.space.boxes import InBox, InRegion
+from safety_harness.space.distributions import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.whole_file import write_text, writing

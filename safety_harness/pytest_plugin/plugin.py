@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
-from safety_harness.scenario.recognised import is_titled
+from safety_harness.scenario.files import is_titled
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,

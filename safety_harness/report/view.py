@@ -20,7 +20,7 @@ from safety_harness.report.words import (
     margin_words,
     share_words,
 )
-from safety_harness.scenario.fault_phrases import fault_words
+from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace

@@ -34,7 +34,7 @@ from safety_harness.scenario.units import (
 REQUIRED = "required"
 T = TypeVar("T")
 # What a file is made of: a value on its line, or a mapping or a list below its key.
-Tree: TypeAlias = "str | Mapping[str, Tree] | Sequence[Mapping[str, Tree]]"
+Tree: TypeAlias = "str | Mapping[str, Tree] | Sequence[Tree]"
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_./()%-]*(?: [A-Za-z0-9_./()%-]+)*")
 _ESCAPES = {'"': '\\"', "\\": "\\\\", "\n": "\\n"}
 
@@ -278,6 +278,11 @@ class Key:
         for name in reversed(self.within):
             text = f"{name}: {{{text}}}"
         return text
+
+    @property
+    def path(self) -> tuple[str, ...]:
+        """The keys that lead to it: ("critical distance",), or ("calibration error", "offset")."""
+        return (*self.within, self.name)
 
     @property
     def required(self) -> bool:

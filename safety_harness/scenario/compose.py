@@ -15,14 +15,13 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import decode, read_bytes, resolved
+from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY
-from safety_harness.scenario.recognised import ALL, foreign, has_a_key
 from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.units import near_miss, shown
 
 EXTENDS, WITHOUT, MATRIX, SUITE = "extends", "without", "matrix", "suite"
+SPACE_KEY = "scenario space"
 COMPOSING = (EXTENDS, WITHOUT, MATRIX)
 MAX_BYTES = 1_000_000  # of one file
 MOST_BYTES = 20_000_000  # of all the files that one path leads to
@@ -77,6 +76,11 @@ def tree_of(text: str, file: Path, place: Place | None = None) -> Node:
     return tree
 
 
+def is_space(tree: Node) -> bool:
+    """Whether a tree begins a scenario space."""
+    return isinstance(tree, Mapping) and SPACE_KEY in _keys(tree)
+
+
 @dataclass(frozen=True)
 class Variant:
     """One scenario of a file: a tree without any key of composition, and the name that goes with it."""
@@ -99,8 +103,7 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
     tree = _extended(path, library, ())
     if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
         return (Variant(path.stem, tree),)
-    root = Field(tree, path, path="", line=1)
-    matrix = dict(root.entries("a scenario"))[MATRIX]
+    matrix = dict(Field(tree, path, path="", line=1).entries("a scenario"))[MATRIX]
     plain = _without(tree, {MATRIX})
     found = []
     for combination in itertools.product(*_axes(matrix, plain)):
@@ -132,10 +135,9 @@ def merged(base: Node, over: Node) -> Node:
 def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Place | None = None) -> Node:
     """The tree of a file with what it extends below it; ``chain`` are the files on the way to it."""
     tree = library.tree(path, place)
-    root = Field(tree, path, path="", line=1)
     if not isinstance(tree, Mapping):
         return tree
-    given = dict(root.entries("a scenario"))
+    given = dict(Field(tree, path, path="", line=1).entries("a scenario"))
     if EXTENDS not in given:
         if WITHOUT in given:
             raise given[WITHOUT].error(f'the key "{EXTENDS}" beside it', got=f'"{WITHOUT}" alone')
@@ -173,10 +175,11 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
             hint = near_miss(word, _keys(base) | sentences)
             raise item.error("a key or a claim of the file that is extended", hint=hint)
         dropped.add(word)
-    base = _without(base, dropped)
-    if isinstance(claims, Mapping) and "claims" not in dropped:
-        base = _with(base, "claims", _without(claims, dropped))
-    return base
+    left = _without(base, dropped).entries
+    if isinstance(claims, Mapping):
+        fewer = _without(claims, dropped)
+        left = tuple((key, fewer if value is claims else value) for key, value in left)
+    return replace(base, entries=left)
 
 
 def _axes(matrix: Field, plain: Mapping) -> list[list[tuple[str, Node]]]:
@@ -261,11 +264,6 @@ def _keys(mapping: Mapping) -> set[str]:
 
 def _without(mapping: Mapping, keys: set[str]) -> Mapping:
     return replace(mapping, entries=tuple(entry for entry in mapping.entries if entry[0].text not in keys))
-
-
-def _with(mapping: Mapping, key: str, value: Node) -> Mapping:
-    entries = tuple((one, value if one.text == key else old) for one, old in mapping.entries)
-    return replace(mapping, entries=entries)
 
 
 def _size(node: Node) -> int:

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
-from safety_harness.scenario.compose import SUITE, Library, Variant, variants
+from safety_harness.scenario.compose import SUITE, Library, Variant, is_space, variants
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import files_of, resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
-from safety_harness.scenario.only_in_spaces import is_space
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 
@@ -23,11 +22,77 @@ MOST_SCENARIOS = 10_000
 
 @dataclass
 class Gathered:
-    """What several paths lead to: the scenarios, the spaces if asked for, every mistake on the way."""
+    """What several paths lead to: the scenarios, the spaces if asked for, every mistake on the way.
+
+    It walks through files, folders and suites, path by path.
+    """
 
     scenarios: list[Scenario] = field(default_factory=list)
     spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, which another room reads
     errors: list[InputError] = field(default_factory=list)
+    _spaces_too: bool = False
+    _library: Library = field(default_factory=Library)
+    _seen: set[Path] = field(default_factory=set)
+    _names: dict[str, Path] = field(default_factory=dict)
+
+    def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
+        """What ``path``, named at ``place`` in the last of ``suites``, leads to."""
+        try:
+            for file in files_of(path, place):
+                asked_for_itself = resolved(file) in suites and file == path
+                if resolved(file) in self._seen and not asked_for_itself:
+                    continue
+                self._seen.add(resolved(file))
+                if len(self._seen) > MOST_FILES:
+                    raise ScenarioError(
+                        place=place or Place(file=file), expected=f"at most {MOST_FILES:,} files", got="more"
+                    )
+                self._add_file(file, place, suites)
+        except InputError as error:
+            self.errors.append(error)
+
+    def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        try:
+            tree = self._library.tree(file, place)
+            if isinstance(tree, Mapping) and any(key.text == SUITE for key, _ in tree.entries):
+                self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
+                return
+            for variant in variants(file, self._library):
+                if self._spaces_too and is_space(variant.tree):
+                    self.spaces.append((variant, file))
+                else:
+                    self._take(scenario_of_variant(variant, file))
+        except InputError as error:
+            self.errors.append(error)
+
+    def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
+        if resolved(file) in suites:
+            words = " names ".join(one.name for one in (*suites, file))
+            raise ScenarioError(
+                place=place or root.place, expected="suites that do not name each other", got=words
+            )
+        if len(suites) >= DEEPEST_SUITE:
+            expected = f"suites of at most {DEEPEST_SUITE} levels"
+            raise ScenarioError(place=place or root.place, expected=expected, got="a deeper one")
+        given = root.fields(SUITE_TABLE.names)
+        SUITE_TABLE.values(given)
+        for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
+            path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
+            self.add(path, item.place, (*suites, resolved(file)))
+
+    def _take(self, scenario: Scenario) -> None:
+        assert scenario.file is not None
+        if scenario.name in self._names:
+            raise ScenarioError(
+                place=Place(file=scenario.file),
+                expected="file names that tell the scenarios apart",
+                got=f"the name {scenario.name!r} again, after {self._names[scenario.name]}",
+            )
+        if len(self._names) >= MOST_SCENARIOS:
+            expected = f"at most {MOST_SCENARIOS:,} scenarios"
+            raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")
+        self._names[scenario.name] = scenario.file
+        self.scenarios.append(scenario)
 
 
 def read_all_scenarios(path: Path) -> tuple[Scenario, ...]:
@@ -44,83 +109,10 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     A file counts once, however often it is named; of a matrix only the first mistake is told.
     Scenario spaces are refused unless ``spaces`` asks for them.
     """
-    return _Gatherer(spaces).everything(paths)
-
-
-class _Gatherer:
-    """Walks through files, folders and suites."""
-
-    def __init__(self, spaces: bool) -> None:
-        self._spaces = spaces
-        self._library = Library()
-        self._gathered = Gathered()
-        self._seen: set[Path] = set()
-        self._names: dict[str, Path] = {}
-
-    def everything(self, paths: Iterable[Path]) -> Gathered:
-        paths = list(paths)
-        for path in paths:
-            self._add(path, None, ())
-        found = self._gathered
-        if not (found.scenarios or found.spaces or found.errors):
-            place = Place(file=paths[0] if paths else None)
-            found.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
-        return found
-
-    def _add(self, path: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        try:
-            for file in files_of(path, place):
-                asked_for_itself = resolved(file) in suites and file == path
-                if resolved(file) in self._seen and not asked_for_itself:
-                    continue
-                self._seen.add(resolved(file))
-                if len(self._seen) > MOST_FILES:
-                    raise ScenarioError(
-                        place=place or Place(file=file), expected=f"at most {MOST_FILES:,} files", got="more"
-                    )
-                self._add_file(file, place, suites)
-        except InputError as error:
-            self._gathered.errors.append(error)
-
-    def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        try:
-            tree = self._library.tree(file, place)
-            if isinstance(tree, Mapping) and any(key.text == SUITE for key, _ in tree.entries):
-                self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
-                return
-            for variant in variants(file, self._library):
-                if self._spaces and is_space(variant.tree):
-                    self._gathered.spaces.append((variant, file))
-                else:
-                    self._take(scenario_of_variant(variant, file))
-        except InputError as error:
-            self._gathered.errors.append(error)
-
-    def _add_suite(self, root: Field, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
-        if resolved(file) in suites:
-            words = " names ".join(one.name for one in (*suites, file))
-            raise ScenarioError(
-                place=place or root.place, expected="suites that do not name each other", got=words
-            )
-        if len(suites) >= DEEPEST_SUITE:
-            expected = f"suites of at most {DEEPEST_SUITE} levels"
-            raise ScenarioError(place=place or root.place, expected=expected, got="a deeper one")
-        given = root.fields(SUITE_TABLE.names)
-        SUITE_TABLE.values(given)
-        for item in given.required("scenarios").items("a list of files, folders and suites", least=1):
-            path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
-            self._add(path, item.place, (*suites, resolved(file)))
-
-    def _take(self, scenario: Scenario) -> None:
-        assert scenario.file is not None
-        if scenario.name in self._names:
-            raise ScenarioError(
-                place=Place(file=scenario.file),
-                expected="file names that tell the scenarios apart",
-                got=f"the name {scenario.name!r} again, after {self._names[scenario.name]}",
-            )
-        if len(self._names) >= MOST_SCENARIOS:
-            expected = f"at most {MOST_SCENARIOS:,} scenarios"
-            raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")
-        self._names[scenario.name] = scenario.file
-        self._gathered.scenarios.append(scenario)
+    found, paths = Gathered(_spaces_too=spaces), list(paths)
+    for path in paths:
+        found.add(path)
+    if not (found.scenarios or found.spaces or found.errors):
+        place = Place(file=paths[0] if paths else None)
+        found.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
+    return found

@@ -236,21 +236,3 @@ class Places(abc.Mapping[str, Place]):
 
     def __len__(self) -> int:
         return len(self._found)
-
-
-@dataclass(frozen=True)
-class Replaced(abc.Mapping[str, Place]):
-    """``places`` with another one of ``field``, found when it is first asked for as well."""
-
-    places: abc.Mapping[str, Place]
-    field: str
-    place: Place
-
-    def __getitem__(self, path: str) -> Place:
-        return self.place if path == self.field else self.places[path]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter({**self.places, self.field: self.place})
-
-    def __len__(self) -> int:
-        return len(self.places) + (self.field not in self.places)

@@ -1,23 +1,202 @@
-"""One layout for every scenario file; comments, units and the order of free keys stay as they were."""
+"""One layout for every scenario file; comments, units and the order of free keys stay as they were.
+
+The file is read with everything that a person sees in it (comments, blank lines, styles), then its lines
+are made anew.
+"""
 
 from __future__ import annotations
 
 import re
 import textwrap
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import StreamMark
+from ruamel.yaml.events import (
+    CollectionEndEvent,
+    CollectionStartEvent,
+    Event,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+)
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import Below, FreeKeys, KeyTable, Several, Value, scalar_text
-from safety_harness.scenario.layout_tree import LayoutEntry, WrittenValue, written_tree
+from safety_harness.scenario.compose import SPACE_KEY, is_space
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY, is_space
 from safety_harness.scenario.reference_tables import COMPOSED, TOP
 
 PROSE_WIDTH, FLOW_WIDTH = 120, 110
 _NUMBER = re.compile(r"[+-]?[.0-9][^,\[\]{}]*")
 _FIRST = ("scenario", SPACE_KEY, "suite", "about", *COMPOSED.names, "choices")
 _WHOLE_FILE = Below(tables=(TOP,))
+_MATRIX = FreeKeys(of=FreeKeys(of=_WHOLE_FILE, form=""), form="")
+_HEADER = re.compile(r"[|>][-+0-9]*[ ]+(#.*)")
+
+
+@dataclass
+class Comment:
+    """A comment: where it begins in the text, and on which line (from 0) and column."""
+
+    text: str
+    index: int
+    line: int
+    column: int
+
+
+@dataclass
+class WrittenValue:
+    """A value as it was written; ``raw`` is the text of a block of prose, its header first."""
+
+    kind: str  # "scalar", "list" or "mapping"
+    flow: bool = False
+    text: str = ""
+    style: str = ""  # of a scalar: "", "'", '"', "|" or ">"
+    raw: tuple[str, ...] = ()
+    entries: list[LayoutEntry] = field(default_factory=list)
+    tail: list[str] = field(default_factory=list)  # comments after the last entry
+
+
+@dataclass
+class LayoutEntry:
+    """A key with its value, or an item of a list; an empty text in ``before`` is a blank line."""
+
+    key: WrittenValue | None
+    value: WrittenValue
+    before: list[str] = field(default_factory=list)
+    beside_key: str = ""
+    beside: str = ""
+
+    @property
+    def name(self) -> str:
+        """The text of the key; empty for an item of a list."""
+        return self.key.text if self.key else ""
+
+
+def written_tree(text: str) -> tuple[WrittenValue, int]:
+    """The tree of a text that ``parse_tree`` takes, and how many comments there are in the text."""
+    told = ScalarEvent | CollectionStartEvent | CollectionEndEvent
+    events = [one for one in YAML(typ="safe", pure=True).parse(text) if isinstance(one, told)]
+    comments = list(_comments(text, events))
+    return _Builder(text, events, comments).root(), len(comments)
+
+
+def _comments(text: str, events: Sequence[Event]) -> Iterator[Comment]:
+    """Every # that begins a comment: at the beginning of a word, and not within a scalar."""
+    inside = bytearray(len(text) + 1)
+    for event in events:
+        if isinstance(event, ScalarEvent):
+            start, end = event.start_mark.index, event.end_mark.index
+            header = _HEADER.match(text, start) if event.style in ("|", ">") else None
+            if header is not None:
+                yield _comment_at(text, header.start(1))
+            inside[start:end] = b"1" * (end - start)
+    at = -1
+    while (at := text.find("#", at + 1)) >= 0:
+        if not inside[at] and (at == 0 or text[at - 1].isspace()):
+            yield _comment_at(text, at)
+            at = text.find("\n", at) if "\n" in text[at:] else len(text)
+
+
+def _comment_at(text: str, at: int) -> Comment:
+    begin, end = text.rfind("\n", 0, at) + 1, text.find("\n", at)
+    words = text[at : end if end >= 0 else len(text)].rstrip()
+    return Comment(words, at, text.count("\n", 0, at), at - begin)
+
+
+class _Builder:
+    """Goes through the events once; every comment is given to the entry that it belongs to."""
+
+    def __init__(self, text: str, events: list[Event], comments: list[Comment]) -> None:
+        self._text, self._events, self._next = text, events, 0
+        self._lines = text.split("\n")
+        self._comments = sorted(comments, key=lambda one: one.index)
+
+    def root(self) -> WrittenValue:
+        root = self._value()
+        if root.kind == "scalar" and self._comments:
+            root.tail = [one.text for one in self._comments]
+        else:
+            root.tail += self._taken(len(self._text) + 1, len(self._lines), first=False)
+        return root
+
+    def _value(self) -> WrittenValue:
+        event = self._events[self._next]
+        self._next += 1
+        if isinstance(event, ScalarEvent):
+            source = self._text[event.start_mark.index : event.end_mark.index].rstrip("\n")
+            raw = tuple(source.split("\n")) if event.style in ("|", ">") else ()
+            return WrittenValue("scalar", text=event.value, style=event.style or "", raw=raw)
+        assert isinstance(event, CollectionStartEvent)
+        flow = bool(event.flow_style)
+        mapping = isinstance(event, MappingStartEvent)
+        value = WrittenValue("mapping" if mapping else "list", flow)
+        while not isinstance(self._events[self._next], MappingEndEvent | SequenceEndEvent):
+            value.entries.append(self._entry(mapping, first=not value.entries))
+        end = self._events[self._next]
+        self._next += 1
+        limit = end.start_mark.index if flow else self._start_of_next()
+        least = 0 if flow else max(event.start_mark.column, 1)
+        deeper = [one for one in self._comments if one.index < limit and one.column >= least]
+        if deeper and deeper == self._comments[: len(deeper)]:
+            value.tail = self._taken(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
+        return value
+
+    def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
+        start = self._events[self._next].start_mark
+        before = self._taken(start.index, start.line, first=first)
+        key, beside_key = None, ""
+        if mapping:
+            key = self._value()
+            beside_key = self._beside()
+        value = self._value()
+        plain = value.flow or (value.kind == "scalar" and not value.raw)
+        beside = self._beside() if plain else ""
+        if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
+            beside = self._comments.pop(0).text  # beside the sign that begins the prose
+        return LayoutEntry(key, value, before, beside_key, beside)
+
+    def _end_mark(self) -> StreamMark:
+        mark: StreamMark = self._events[self._next - 1].end_mark
+        return mark
+
+    def _start_of_next(self) -> int:
+        """Where the next thing that is no end of a block begins."""
+        for event in self._events[self._next :]:
+            if not isinstance(event, CollectionEndEvent):
+                return int(event.start_mark.index)
+        return len(self._text) + 1
+
+    def _beside(self) -> str:
+        """The comment on the line where the last thing ends, after it and before anything else."""
+        last, mark = self._events[self._next - 1], self._end_mark()
+        if last.start_mark.index == mark.index:
+            return ""  # an empty value, which is marked where the next thing begins
+        here = [one for one in self._comments if one.line == mark.line and one.index >= mark.index]
+        follows = self._events[self._next].start_mark.index if self._next < len(self._events) else -1
+        if not here or mark.index < follows < here[0].index:
+            return ""
+        self._comments.remove(here[0])
+        return here[0].text
+
+    def _taken(self, index: int, line: int, *, first: bool) -> list[str]:
+        """The comments before ``index``, with the blank lines among and after them up to ``line``."""
+        found = [one for one in self._comments if one.index < index]
+        self._comments = self._comments[len(found) :]
+        begin = found[0].line if found else line
+        lines = [] if first else [""] * self._is_blank(begin - 1)
+        next_lines = [one.line for one in found[1:]] + [line]
+        for one, following in zip(found, next_lines, strict=False):
+            lines.append(one.text)
+            lines += [""] * (following < len(self._lines) and self._is_blank(following - 1))
+        return lines
+
+    def _is_blank(self, line: int) -> bool:
+        return 0 <= line < len(self._lines) and not self._lines[line].strip()
 
 
 def laid_out(text: str, file: Path | None = None) -> str:
@@ -42,18 +221,10 @@ def meaning(node: Node) -> object:
     if isinstance(node, Scalar):
         return node.text
     if isinstance(node, Mapping):
-        return {
-            key.text: list(_entries(value)) if key.text == "claims" else meaning(value)
-            for key, value in node.entries
-        }
+        said = {key.text: meaning(value) for key, value in node.entries}
+        claims = said.get("claims")
+        return said | ({"claims": list(claims.items())} if isinstance(claims, dict) else {})
     return [meaning(item) for item in node.items]
-
-
-def _entries(node: Node) -> Iterator[object]:
-    if not isinstance(node, Mapping):
-        yield meaning(node)
-        return
-    yield from ((key.text, meaning(value)) for key, value in node.entries)
 
 
 def _head(root: WrittenValue) -> Iterator[str]:
@@ -78,11 +249,10 @@ def _block(value: WrittenValue, kind: Value | None) -> list[str]:
         for entry in value.entries:
             lines += _item(entry, kind)
     else:
-        ordered, kinds = _ordered(value, kind)
-        for number, entry in enumerate(ordered):
+        for number, (entry, inner) in enumerate(_ordered(value, kind)):
             blank = ["" for line in entry.before[:1] if not line and number > 0]
             lines += blank + [line for line in _collapsed(entry.before) if line or number > 0][len(blank) :]
-            lines += _pair(entry, kinds[id(entry)])
+            lines += _pair(entry, inner)
     return lines + value.tail
 
 
@@ -122,13 +292,8 @@ def _pair(entry: LayoutEntry, kind: Value | None) -> list[str]:
         lines = _scalar_lines(value, f"{key}: ")
         above += [entry.beside_key] if entry.beside_key else []
         return [*above, *lines]
-    indent = "  "
-    below = _block(value, kind)
-    return [
-        *above,
-        _beside(f"{key}:", entry.beside_key),
-        *(indent + line if line else "" for line in below),
-    ]
+    below = (f"  {line}" if line else "" for line in _block(value, kind))
+    return [*above, _beside(f"{key}:", entry.beside_key), *below]
 
 
 def _beside(line: str, comment: str) -> str:
@@ -137,7 +302,7 @@ def _beside(line: str, comment: str) -> str:
 
 def _flow(value: WrittenValue, taken: int, kind: Value | None) -> str | None:
     """The value on one line, if it may stand on one: as it was written, or a list of numbers."""
-    if value.comments:
+    if any(value.tail):
         return None
     if value.kind == "scalar":
         text = _scalar(value)
@@ -149,10 +314,9 @@ def _flow(value: WrittenValue, taken: int, kind: Value | None) -> str | None:
     if not value.flow and not numbers:
         return None
     parts = []
-    entries, kinds = _ordered(value, kind) if value.kind == "mapping" else (value.entries, {})
-    for entry in entries:
-        inner = _flow(entry.value, 0, kinds.get(id(entry)))
-        if inner is None:
+    for entry, of_entry in _ordered(value, kind if value.kind == "mapping" else None):
+        inner = _flow(entry.value, 0, of_entry)
+        if inner is None or any((*entry.before, entry.beside_key, entry.beside)):
             return None
         parts.append(inner if entry.key is None else f"{_scalar(entry.key)}: {inner}".rstrip())
     text = f"[{', '.join(parts)}]" if value.kind == "list" else f"{{{', '.join(parts)}}}"
@@ -166,9 +330,7 @@ def _is_long_prose(value: WrittenValue, taken: int) -> bool:
 
 def _scalar(value: WrittenValue) -> str:
     """A scalar on one line: quoted only where it has to be."""
-    if value.style or "\n" in value.text:
-        return scalar_text(value.text)
-    return value.text
+    return scalar_text(value.text) if value.style or "\n" in value.text else value.text
 
 
 def _scalar_lines(value: WrittenValue, before: str) -> list[str]:
@@ -182,35 +344,26 @@ def _scalar_lines(value: WrittenValue, before: str) -> list[str]:
         if not regular or any(character.isdigit() for character in header.split("#")[0]):
             return [before + scalar_text(value.text.rstrip("\n"))]
         return [before + header[0], *(f"  {line[width:]}" if line[width:] else "" for line in lines)]
-    if _is_long_prose(value, len(before)):
-        return [f"{before}>", *(f"  {line}" for line in _wrapped(value.text))]
-    return [before + _scalar(value)]
+    if not _is_long_prose(value, len(before)):
+        return [before + _scalar(value)]
+    lines = textwrap.wrap(value.text, PROSE_WIDTH - 2, break_long_words=False, break_on_hyphens=False)
+    return [f"{before}>", *(f"  {line}" for line in lines)]
 
 
-def _wrapped(text: str) -> list[str]:
-    return textwrap.wrap(text, PROSE_WIDTH - 2, break_long_words=False, break_on_hyphens=False)
-
-
-def _ordered(value: WrittenValue, kind: Value | None) -> tuple[list[LayoutEntry], dict[int, Value | None]]:
-    """The entries in the documented order, free keys as they are; and what each entry's value is."""
-    kinds: dict[int, Value | None] = {}
+def _ordered(value: WrittenValue, kind: Value | None) -> list[tuple[LayoutEntry, Value | None]]:
+    """The entries in the documented order, free keys and items as they are; each with its value's kind."""
     if isinstance(kind, FreeKeys):
-        kinds = {id(one): kind.of for one in value.entries}
-        return value.entries, kinds
-    names: Sequence[str] = ()
-    known: dict[str, Value | None] = {}
-    if isinstance(kind, Below):
-        table = _table_of(kind, {one.key.text for one in value.entries if one.key is not None})
-        names = _FIRST + table.names if table is TOP else table.names
-        known = {key.name: key.value for key in table.keys}
-        if table is TOP:
-            known["matrix"] = FreeKeys(of=FreeKeys(of=_WHOLE_FILE, form=""), form="")
-    place = {name: at for at, name in reversed(list(enumerate(names)))}
-    for entry in value.entries:
-        assert entry.key is not None
-        kinds[id(entry)] = known.get(entry.key.text)
-    ordered = sorted(value.entries, key=lambda one: place.get(one.key.text if one.key else "", len(names)))
-    return ordered, kinds
+        return [(entry, kind.of) for entry in value.entries]
+    if not isinstance(kind, Below):
+        return [(entry, None) for entry in value.entries]
+    table = _table_of(kind, {entry.name for entry in value.entries})
+    known: dict[str, Value] = {key.name: key.value for key in table.keys}
+    names = table.names
+    if table is TOP:
+        known["matrix"], names = _MATRIX, _FIRST + names
+    place = {name: names.index(name) for name in names}
+    ordered = sorted(value.entries, key=lambda one: place.get(one.name, len(names)))
+    return [(entry, known.get(entry.name)) for entry in ordered]
 
 
 def _table_of(kind: Below, keys: set[str]) -> KeyTable:

@@ -69,25 +69,18 @@ Node = Scalar | Sequence | Mapping
 def parse_tree(text: str, file: Path | None) -> Node:
     """The tree of a YAML text with exactly one document; ScenarioError for anything else."""
     if "\t" in text:
-        raise ScenarioError(
-            place=Place(file=file, line=text.count("\n", 0, text.index("\t")) + 1),
-            expected="spaces",
-            got="a tab",
-            hint="a scenario file has no tabs, neither to indent nor within a line",
-        )
+        line = text.count("\n", 0, text.index("\t")) + 1
+        hint = "a scenario file has no tabs, neither to indent nor within a line"
+        raise _error(file, line, "spaces", "a tab", hint=hint)
     events = _events(text, file)
-    documents = 0
     root: Node | None = None
     for event in events:
         if isinstance(event, DocumentStartEvent):
-            documents += 1
-            if documents > 1:
-                raise ScenarioError(
-                    place=Place(file=file, line=_line(event)), expected="one document", got="a second one"
-                )
+            if root is not None:
+                raise _error(file, _line(event), "one document", "a second one")
             root = _Builder(events, file).node(next(events), path="", depth=0)
     if root is None:
-        raise ScenarioError(place=Place(file=file, line=1), expected="a scenario", got="an empty file")
+        raise _error(file, 1, "a scenario", "an empty file")
     return root
 
 
@@ -109,9 +102,8 @@ class _Builder:
     def node(self, event: Event, *, path: str, depth: int) -> Node:
         self.nodes += 1
         if self.nodes > _MOST_NODES:
-            raise self._error(
-                _line(event), path, f"at most {_MOST_NODES:,} keys and values in a file", "more"
-            )
+            expected = f"at most {_MOST_NODES:,} keys and values in a file"
+            raise _error(self.file, _line(event), expected, "more", path)
         self._refuse_what_has_no_use(event, path, depth)
         line = _line(event)
         if isinstance(event, SequenceStartEvent):
@@ -134,11 +126,12 @@ class _Builder:
         while not isinstance(event := next(self.events), MappingEndEvent):
             key = self.node(event, path=path, depth=depth)
             if not isinstance(key, Scalar):
-                raise self._error(key.line, path, "a key of plain words", "a list or a mapping as a key")
+                got = "a list or a mapping as a key"
+                raise _error(self.file, key.line, "a key of plain words", got, path)
             below = join(path, key.text)
             if key.text in first_line:
                 got = f'"{key.text}" a second time (first on line {first_line[key.text]})'
-                raise self._error(key.line, below, "each key once", got)
+                raise _error(self.file, key.line, "each key once", got, below)
             first_line[key.text] = key.line
             value = self.node(next(self.events), path=below, depth=depth)
             if isinstance(value, Scalar) and not value.text:
@@ -148,18 +141,14 @@ class _Builder:
     def _refuse_what_has_no_use(self, event: Event, path: str, depth: int) -> None:
         line = _line(event)
         if isinstance(event, AliasEvent):
-            raise self._error(line, path, "the value itself", f"the alias *{event.anchor}")
+            raise _error(self.file, line, "the value itself", f"the alias *{event.anchor}", path)
         assert isinstance(event, ScalarEvent | CollectionStartEvent)
         if event.anchor is not None:
-            raise self._error(line, path, "a value without an anchor", f"the anchor &{event.anchor}")
+            raise _error(self.file, line, "a value without an anchor", f"the anchor &{event.anchor}", path)
         if event.tag is not None:
-            raise self._error(line, path, "a value without a tag", f"the tag {event.tag}")
+            raise _error(self.file, line, "a value without a tag", f"the tag {event.tag}", path)
         if depth > _MAX_DEPTH:
-            raise self._error(line, path, f"at most {_MAX_DEPTH} levels", "a deeper nesting")
-
-    def _error(self, line: int, path: str, expected: str, got: str) -> ScenarioError:
-        place = Place(file=self.file, line=line, field=path or None)
-        return ScenarioError(place=place, expected=expected, got=got)
+            raise _error(self.file, line, f"at most {_MAX_DEPTH} levels", "a deeper nesting", path)
 
 
 def _events(text: str, file: Path | None) -> Iterator[Event]:
@@ -178,12 +167,16 @@ def _events(text: str, file: Path | None) -> Iterator[Event]:
 
 
 def _syntax_error(file: Path | None, line: int | None, problem: str) -> ScenarioError:
-    return ScenarioError(
-        place=Place(file=file, line=line),
-        expected="well-formed YAML",
-        got=f"a syntax error: {' '.join(problem.split())}",
-        hint='a text with ": " or " #" in it, or one that begins with a sign such as % or @, needs quotes',
-    )
+    hint = 'a text with ": " or " #" in it, or one that begins with a sign such as % or @, needs quotes'
+    got = f"a syntax error: {' '.join(problem.split())}"
+    return _error(file, line, "well-formed YAML", got, hint=hint)
+
+
+def _error(
+    file: Path | None, line: int | None, expected: str, got: str, path: str = "", hint: str = ""
+) -> ScenarioError:
+    place = Place(file=file, line=line, field=path or None)
+    return ScenarioError(place=place, expected=expected, got=got, hint=hint)
 
 
 def _line(event: Event) -> int:

@@ -6,18 +6,19 @@ checks that need no kinematics are made here, every error has file, line and fie
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario.compose import COMPOSING, MATRIX, SUITE, Library, Variant, variants
-from safety_harness.scenario.fault_phrases import read_faults
+from safety_harness.scenario.compose import COMPOSING, MATRIX, SPACE_KEY, SUITE, Library, Variant, variants
+from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.scenario.nodes import Node, parse_tree
-from safety_harness.scenario.only_in_spaces import refuse_distributions
+from safety_harness.scenario.nodes import Mapping as MappingNode
+from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.read_hands import read_hands
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
@@ -28,6 +29,12 @@ MOST_TICKS = 1_000_000
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
 ) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
+
+# What a scenario must not have: distributions, which belong to scenario spaces.
+_HINT = f'a file that begins with "{SPACE_KEY}:" may have distributions in place of values'
+_SENTENCES = re.compile(r"from [+-]?[0-9.].* to .+|normal .+(\+-|\+/-|±).+|one of .+,.+")
+_KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"in"}, {"repeat", "moves"})
+_PROSE = ("scenario", "about", "claims")
 
 
 def read_scenario(path: Path) -> Scenario:
@@ -96,6 +103,36 @@ def scenario_of(
         places=Places(root),
         **values,
     )
+
+
+def refuse_distributions(root: Field) -> None:
+    """ScenarioError, with a hint, for a scenario space and for a value that a distribution stands for."""
+    if not isinstance(root.node, MappingNode):
+        return
+    for key, field in root.entries("a scenario"):
+        if key == SPACE_KEY:
+            raise field.error(
+                "one scenario",
+                got="a scenario space",
+                hint="safety-harness sample draws scenarios from it",
+            )
+        if key not in _PROSE:
+            _refuse_below(field)
+
+
+def _refuse_below(field: Field) -> None:
+    if isinstance(field.node, Scalar):
+        if _SENTENCES.fullmatch(field.node.text.strip()):
+            raise field.error("one value", hint=_HINT)
+    elif isinstance(field.node, Sequence):
+        for item in field.items("a list"):
+            _refuse_below(item)
+    else:
+        entries = field.entries("a mapping")
+        if {key for key, _ in entries} in _KEYS:
+            raise field.error("one value", got=f"a mapping with the key {entries[0][0]}", hint=_HINT)
+        for _, child in entries:
+            _refuse_below(child)
 
 
 def _check_duration(duration_s: float, field: Field, settings: Settings) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,13 @@ from safety_harness.scenario.model import (
     RecordedHand,
 )
 from safety_harness.scenario.moves import MOVE, REACHING_MPS, HandMove, Reach, Sweep, Wait, Wander, shifted
-from safety_harness.scenario.recording import load_recording
-from safety_harness.scenario.recording_table import MAX_BYTES, Recording, parse_recording
+from safety_harness.scenario.recording import (
+    MAX_BYTES,
+    NOT_LOADED,
+    Recording,
+    load_recording,
+    parse_recording,
+)
 from safety_harness.scenario.units import shown
 from safety_harness.settings import Settings, Vector3
 
@@ -34,11 +39,6 @@ SMALLEST_BOX_M = 0.01  # from corner to corner
 SHORTEST_SWEEP_M = 0.001
 # The moves follow the keys that have to be there, in a message.
 _MOVING_KEYS = (*MOVING_HAND.names[:3], "moves", *MOVING_HAND.names[3:-1])
-# What of a hand ``load_recording`` takes as it is.
-_USAGE = (
-    *("track", "elbow_track", "elbow_towards_in_base_m", "turn_rad", "delay_s", "speed_factor"),
-    *("from_s", "to_s", "longest_gap_s", "fastest_jump_mps"),
-)
 
 
 def read_hands(
@@ -119,14 +119,10 @@ def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, byte
     recording = _recording(given, values["recording"], values.pop("motion", ""), carried)
     values.setdefault("name", values["track"].replace("_", " "))
     values["elbow_track"] = _elbow_track(given, values, recording)
-    motion = load_recording(
-        recording,
-        forearm_length_m=settings.hand.forearm_length_m,
-        starts_at_in_base_m=shifted(values["starts_at_in_base_m"], values["shift_in_base_m"]),
-        places={key: given.required(key).place for key in given},
-        **{name: values[name] for name in _USAGE},
-    )
-    hand = RecordedHand(motion=motion, **values)
+    hand = RecordedHand(motion=NOT_LOADED, **values)
+    places = {key: given.required(key).place for key in given}
+    motion = load_recording(recording, hand, forearm_length_m=settings.hand.forearm_length_m, places=places)
+    hand = replace(hand, motion=motion)
     _refuse_too_fast(given, hand)
     return hand
 
@@ -158,12 +154,6 @@ def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, byt
     if digest and found != digest:
         place, got = given.required("sha256").place, f"one with {found}"
         raise RecordingError(place=place, expected="a recording with this SHA-256", got=got)
-    return _parsed(data, file)
-
-
-@lru_cache(maxsize=8)
-def _parsed(data: bytes, file: Path) -> Recording:
-    """Parsed once for all the scenarios that repeat the same bytes."""
     return parse_recording(data, file)
 
 

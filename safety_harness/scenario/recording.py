@@ -1,16 +1,22 @@
 """Recorded hands: a CSV file of marker positions becomes a motion in the robot's base frame.
 
 The file has a column ``time_s`` and, for each tracked point, ``<track>_x_m``, ``<track>_y_m`` and
-``<track>_z_m``.  Real recordings have gaps (empty cells) and swapped markers (jumps of several
-metres a second); both are mended by straight motion as far as the user's bounds allow, reported
-in words, and refused beyond.  Nothing is smoothed.
+``<track>_z_m``; its table is bounded in size, and text until a track of it is used.  Real recordings
+have gaps (empty cells) and swapped markers (jumps of several metres a second); both are mended by
+straight motion as far as the user's bounds allow, reported in words, and refused beyond.  Nothing is
+smoothed.
 """
 
 from __future__ import annotations
 
+import csv
+import hashlib
+import io
+import itertools
 import math
 from collections.abc import Mapping
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,66 +24,323 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, RecordingError
-from safety_harness.scenario.model import RecordedMotion
-from safety_harness.scenario.recording_table import (
-    LARGEST_COORDINATE_M,
-    TIME_COLUMN,
-    Recording,
-    number_in,
-    recording_error,
-)
-from safety_harness.scenario.tracks import MendedTrack, Track, mend
+from safety_harness.scenario.files import decode
+from safety_harness.scenario.model import RecordedHand, RecordedMotion
+from safety_harness.scenario.moves import shifted
 from safety_harness.scenario.units import near_miss, shown
 from safety_harness.settings import Vector3
 
+MAX_BYTES = 20_000_000
+MAX_ROWS = 200_000  # half an hour at 100 Hz
+MAX_COLUMNS = 1_000
+TIME_COLUMN = "time_s"
+_LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
+LARGEST_COORDINATE_M = 100.0
+_SHORTEST_STEP_S = 1e-6
 _NEAREST_ELBOW_M = 1e-3
+_NOTHING: NDArray[np.float64] = np.zeros((0, 3))
+NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
+_MISSING_ROWS = 1.5  # sampling periods between two rows; beyond it, rows are missing in between
+_ROUNDING_S = 1e-9  # 10.67 - 10.47 is not quite 0.2
+_ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording as it stands in its file: cells are read as numbers only when a track is used."""
+
+    file: Path
+    sha256: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    line: NDArray[np.int64]  # (n,) of each row in the file
+    time_s: NDArray[np.float64]  # (n,) rising strictly
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """The names of the points that have all three columns."""
+        stems = (name.removesuffix("_x_m") for name in self.header if name.endswith("_x_m"))
+        return tuple(stem for stem in stems if {f"{stem}_y_m", f"{stem}_z_m"} <= set(self.header))
+
+    def elbow_of(self, track: str) -> str | None:
+        """The same side's elbow, ``right_elbow`` for ``right_hand``, if it was recorded."""
+        elbow = track.replace("hand", "elbow")
+        return elbow if elbow != track and elbow in self.tracks else None
+
+
+@lru_cache(maxsize=8)  # once for all the scenarios that repeat the same bytes
+def parse_recording(data: bytes, file: Path) -> Recording:
+    """The table in the bytes of a CSV file; RecordingError when there is none with a time column."""
+    text = decode(data, most=MAX_BYTES, file=file, error=RecordingError)
+    header, rows, lines = _read_table(text, file)
+    column = header.index(TIME_COLUMN)
+    time_s = np.array(
+        [
+            _number(row[column], file, line, TIME_COLUMN, _LARGEST_TIME_S)
+            for row, line in zip(rows, lines, strict=True)
+        ]
+    )
+    _check_time(time_s, lines, file)
+    return Recording(
+        file=file,
+        sha256=hashlib.sha256(data).hexdigest(),
+        header=header,
+        rows=tuple(rows),
+        line=np.array(lines, dtype=np.int64),
+        time_s=time_s,
+    )
+
+
+def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str, ...]], list[int]]:
+    """Header, rows and the rows' line numbers; empty lines are skipped."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    rows: list[tuple[str, ...]] = []
+    lines: list[int] = []
+    try:
+        for row in reader:
+            if not row:
+                continue
+            if len(row) > MAX_COLUMNS:
+                expected, got = f"at most {MAX_COLUMNS:,} columns", f"{len(row):,}"
+                raise recording_error(file, reader.line_num, expected=expected, got=got)
+            if len(rows) > MAX_ROWS:  # the first is the header
+                raise recording_error(
+                    file, reader.line_num, expected=f"at most {MAX_ROWS:,} samples", got="more"
+                )
+            rows.append(tuple(cell.strip() for cell in row))
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise recording_error(
+            file, reader.line_num, expected="a table of cells with commas", got=str(error)
+        ) from error
+    if not rows:
+        raise recording_error(file, 1, expected="a line with the names of the columns", got="an empty file")
+    header = rows[0]
+    if TIME_COLUMN not in header:
+        ours = any(name.endswith("_x_m") for name in header)  # nothing is quoted of what may be anybody's
+        got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
+        hint = near_miss(TIME_COLUMN, header)
+        raise recording_error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
+    if len(set(header)) < len(header):
+        name = next(name for at, name in enumerate(header) if name in header[:at])
+        raise recording_error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')
+    for cells, line in zip(rows, lines, strict=True):
+        if len(cells) != len(header):
+            raise recording_error(
+                file, line, expected=f"{len(header)} cells, as in the first line", got=str(len(cells))
+            )
+    return header, rows[1:], lines[1:]
+
+
+def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
+    if len(time_s) < 2:
+        raise recording_error(file, expected="at least two samples", got=str(len(time_s)))
+    for index in np.flatnonzero(~np.isfinite(time_s)):
+        raise recording_error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
+    for index in np.flatnonzero(np.diff(time_s) < _SHORTEST_STEP_S):
+        got = f"{time_s[index + 1]:.12g} s after {time_s[index]:.12g} s"
+        raise recording_error(
+            file, lines[index + 1], TIME_COLUMN, expected="a time later than the one before", got=got
+        )
+
+
+def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: float) -> float:
+    """The number in a cell; NaN for an empty one (a gap), for which some programs write nan."""
+    if cell.lower() in ("", "nan"):
+        return math.nan
+    expected = f"a number of at most {largest:g}, or an empty cell for a gap"
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.inf
+    if not abs(value) <= largest or "_" in cell:
+        raise recording_error(file, int(line), column, expected=expected, got=shown(cell))
+    return value
+
+
+def recording_error(
+    file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
+) -> RecordingError:
+    """The error for a place in a recording."""
+    place = Place(file=file, line=line, field=column)
+    return RecordingError(place=place, expected=expected, got=got, hint=hint)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """The samples of one point within the window that is used.
+
+    ``time_s`` (n,) rises strictly; ``position_m`` (n, 3) is NaN where a cell was empty; ``line``
+    (n,) is each sample's line in ``file``, for messages; ``window_s`` is what was asked for.
+    """
+
+    name: str
+    file: Path
+    time_s: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+    line: NDArray[np.int64]
+    window_s: tuple[float, float]
+
+    @cached_property
+    def longest_step_s(self) -> float:
+        """The longest time between two rows between which none is missing."""
+        return _MISSING_ROWS * (float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 0.0)
+
+    def speed_mps(self, one: int, other: int) -> float:
+        """From one sample straight to another."""
+        way_m = np.linalg.norm(self.position_m[other] - self.position_m[one])
+        return float(way_m / (self.time_s[other] - self.time_s[one]))
+
+
+@dataclass(frozen=True, eq=False)
+class MendedTrack:
+    """A track whose swapped samples are gone.  ``usable`` (n,) marks what is left."""
+
+    track: Track
+    usable: NDArray[np.bool_]
+    note: str  # what was bridged and removed; empty when nothing was
+
+    def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(k, 3) the positions at the times (k,), straight between usable samples."""
+        known_s, known_m = self.track.time_s[self.usable], self.track.position_m[self.usable]
+        return np.stack([np.interp(time_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
+
+
+def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> MendedTrack:
+    """Take swapped samples out, hold every gap against ``longest_gap_s``, say what is bridged.
+
+    RecordingError when fewer than two samples can be used or a gap is too long.
+    """
+    seen: NDArray[np.bool_] = np.asarray(np.isfinite(track.position_m).all(axis=1))
+    usable, jumps = _without_jumps(track, seen, fastest_jump_mps)
+    good = np.flatnonzero(usable).tolist()
+    if good:
+        _check_ends(track, good, seen, longest_gap_s)
+    if len(good) < 2:
+        begin, end = map(_seconds, track.window_s)
+        expected = f"at least two usable samples from {begin} to {end}"
+        raise recording_error(track.file, None, track.name, expected=expected, got=str(len(good)))
+    bridged_s = []
+    for before, after in itertools.pairwise(good):
+        gap_s = float(track.time_s[after] - track.time_s[before])
+        if gap_s > longest_gap_s + _ROUNDING_S:
+            ends_s = float(track.time_s[before]), float(track.time_s[after])
+            raise _too_long(track, before + 1, ends_s, seen, longest_gap_s)
+        if after - before > 1 or gap_s > track.longest_step_s:
+            bridged_s.append(gap_s)
+    return MendedTrack(track, usable, _note(track, good, bridged_s, jumps))
+
+
+def _without_jumps(
+    track: Track, seen: NDArray[np.bool_], fastest_mps: float
+) -> tuple[NDArray[np.bool_], str]:
+    """Which of the ``seen`` samples are the marker itself, and in words which jumps the others were.
+
+    A sample that could be reached from the last good one only faster than ``fastest_mps`` is
+    another marker's.  So is each sample that follows it without a break or a second jump:
+    time alone makes a swapped marker plausible again, although it has not come back.
+    """
+    usable = np.zeros(len(seen), dtype=np.bool_)
+    indices = np.flatnonzero(seen).tolist()
+    last_good = previous = -1
+    jumps, fastest = 0, 0.0
+    for index in indices:
+        if last_good < 0:
+            usable[index], last_good, previous = True, index, index
+            continue
+        speed_mps = track.speed_mps(previous, index)
+        step_s = track.time_s[index] - track.time_s[previous]
+        unbroken = index == previous + 1 and step_s <= track.longest_step_s
+        swapped = not usable[previous] and unbroken and speed_mps <= fastest_mps
+        good = not swapped and track.speed_mps(last_good, index) <= fastest_mps
+        if speed_mps > fastest_mps:
+            fastest = max(fastest, speed_mps)
+        if good:
+            usable[index], last_good = True, index
+        elif usable[previous]:
+            jumps += 1
+        previous = index
+    samples = _count(len(indices) - int(usable.sum()), "sample")
+    words = f"{_count(jumps, 'jump')} removed ({samples}, fastest {fastest:.3g} m/s)"
+    return usable, words if jumps else ""
+
+
+def _check_ends(track: Track, good: list[int], seen: NDArray[np.bool_], longest_gap_s: float) -> None:
+    """Refuse a window that begins or ends with a gap that is too long to ignore."""
+    begin_s, end_s = track.window_s
+    first_s, last_s = float(track.time_s[good[0]]), float(track.time_s[good[-1]])
+    if first_s - begin_s > longest_gap_s + _ROUNDING_S:
+        raise _too_long(track, 0, (begin_s, first_s), seen, longest_gap_s)
+    if end_s - last_s > longest_gap_s + _ROUNDING_S:
+        after = min(good[-1] + 1, len(seen) - 1)
+        raise _too_long(track, after, (last_s, end_s), seen, longest_gap_s)
+
+
+def _too_long(
+    track: Track, index: int, gap_s: tuple[float, float], seen: NDArray[np.bool_], longest_gap_s: float
+) -> RecordingError:
+    begin, end, length = (_seconds(time_s) for time_s in (*gap_s, gap_s[1] - gap_s[0]))
+    got = f"none for {length}, from {begin} to {end} of the file"
+    if seen[index] and index > 0:
+        got += f", after a jump of {track.speed_mps(index - 1, index):.3g} m/s"
+    expected = f"a usable sample every {_seconds(longest_gap_s)} or sooner"
+    line = int(track.line[index])
+    return recording_error(track.file, line, track.name, expected=expected, got=got, hint=_ADVICE)
+
+
+def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> str:
+    parts = []
+    if good[0] > 0:
+        parts.append(f"starts {_seconds(track.time_s[good[0]] - track.time_s[0])} late")
+    if bridged_s:
+        parts.append(f"{_count(len(bridged_s), 'gap')} of at most {_seconds(max(bridged_s))} bridged")
+    if good[-1] < len(track.time_s) - 1:
+        parts.append(f"ends {_seconds(track.time_s[-1] - track.time_s[good[-1]])} early")
+    parts += [jumps] if jumps else []
+    return f"{track.name.replace('_', ' ')}: {', '.join(parts)}" if parts else ""
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def _seconds(time_s: float) -> str:
+    return f"{round(float(time_s), 3):.12g} s"
 
 
 def load_recording(
     recording: Recording,
+    hand: RecordedHand,
     *,
-    track: str,
-    elbow_track: str | None,
-    elbow_towards_in_base_m: Vector3 | None,
     forearm_length_m: float,
-    starts_at_in_base_m: Vector3,
-    turn_rad: float,
-    speed_factor: float,
-    from_s: float | None,
-    to_s: float | None,
-    longest_gap_s: float,
-    fastest_jump_mps: float,
-    delay_s: float = 0.0,
     places: Mapping[str, Place] = MappingProxyType({}),
 ) -> RecordedMotion:
-    """The recording's window, mended, turned about the vertical and put where the user wants it.
+    """The window of the recording that ``hand`` uses, mended, turned and put where the user wants it.
 
-    The first used sample of ``track`` comes to ``starts_at_in_base_m`` at time 0, and the hand rests
-    there for ``delay_s``.  Gaps and jumps are measured in the recording's own time, before
-    ``speed_factor``.  The elbow is that of ``elbow_track``; without one it lies ``forearm_length_m``
-    from the hand towards ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and
-    where: in the recording, or at the one of ``places`` whose key (``track``, ``from``, ...) asks for
-    what is not there.
+    The first used sample of ``hand.track`` comes to its start at time 0, and the hand rests there for
+    ``delay_s``.  Gaps and jumps are measured in the recording's own time, before ``speed_factor``.  The
+    elbow is that of ``elbow_track``; without one it lies ``forearm_length_m`` from the hand towards
+    ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and where: in the recording,
+    or at the one of ``places`` whose key (``track``, ``from``, ...) asks for what is not there.
     """
-    window_s = _window(recording, from_s, to_s, places)
-    names = (track,) if elbow_track is None else (track, elbow_track)
+    window_s = _window(recording, hand.from_s, hand.to_s, places)
+    names = (hand.track,) if hand.elbow_track is None else (hand.track, hand.elbow_track)
     for key, name in zip(("track", "elbow track"), names, strict=False):
         _refuse_unknown_track(recording, name, places.get(key))
-    mended = [_mended(recording, name, window_s, longest_gap_s, fastest_jump_mps) for name in names]
+    mended = [_mended(recording, name, window_s, hand.longest_gap_s, hand.fastest_jump_mps) for name in names]
     time_s = _common_times(mended, recording.file)
-    hand_m = mended[0].at(time_s)
-    turned = _turned(hand_m - hand_m[0], turn_rad)
-    hand_in_base_m = turned + np.array(starts_at_in_base_m)
-    if elbow_track is not None:
-        turned = _turned(mended[1].at(time_s) - hand_m[0], turn_rad)
-        elbow_in_base_m = turned + np.array(starts_at_in_base_m)
+    start_in_base_m = np.array(shifted(hand.starts_at_in_base_m, hand.shift_in_base_m))
+    recorded_m = mended[0].at(time_s)
+    hand_in_base_m = _turned(recorded_m - recorded_m[0], hand.turn_rad) + start_in_base_m
+    if hand.elbow_track is not None:
+        elbow_in_base_m = _turned(mended[1].at(time_s) - recorded_m[0], hand.turn_rad) + start_in_base_m
     else:
-        assert elbow_towards_in_base_m is not None
+        assert hand.elbow_towards_in_base_m is not None
         elbow_in_base_m = _elbows_towards(
-            elbow_towards_in_base_m, hand_in_base_m, forearm_length_m, recording, places
+            hand.elbow_towards_in_base_m, hand_in_base_m, forearm_length_m, recording, places
         )
-    played_s = (time_s - time_s[0]) / speed_factor + delay_s
-    if delay_s > 0.0:
+    played_s = (time_s - time_s[0]) / hand.speed_factor + hand.delay_s
+    if hand.delay_s > 0.0:
         played_s = np.concatenate([[0.0], played_s])
         hand_in_base_m, elbow_in_base_m = (
             np.concatenate([one[:1], one]) for one in (hand_in_base_m, elbow_in_base_m)
@@ -127,29 +390,19 @@ def _mended(
     longest_gap_s: float,
     fastest_jump_mps: float,
 ) -> MendedTrack:
-    return mend(
-        _track(recording, name, window_s), longest_gap_s=longest_gap_s, fastest_jump_mps=fastest_jump_mps
-    )
-
-
-def _track(recording: Recording, name: str, window_s: tuple[float, float]) -> Track:
-    """The samples of one point within the window."""
+    """One point of the recording within the window, mended."""
     inside = np.flatnonzero((recording.time_s >= window_s[0]) & (recording.time_s <= window_s[1]))
     columns = [(column, recording.header.index(column)) for column in (f"{name}_{axis}_m" for axis in "xyz")]
     position_m = [
         [
-            number_in(
-                recording.rows[row][at],
-                recording.file,
-                int(recording.line[row]),
-                column,
-                largest=LARGEST_COORDINATE_M,
+            _number(
+                recording.rows[row][at], recording.file, recording.line[row], column, LARGEST_COORDINATE_M
             )
             for column, at in columns
         ]
         for row in inside
     ]
-    return Track(
+    track = Track(
         name=name,
         file=recording.file,
         time_s=recording.time_s[inside],
@@ -157,6 +410,7 @@ def _track(recording: Recording, name: str, window_s: tuple[float, float]) -> Tr
         line=recording.line[inside],
         window_s=window_s,
     )
+    return _mend(track, longest_gap_s, fastest_jump_mps)
 
 
 def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:

@@ -18,8 +18,7 @@ from safety_harness.scenario.codec import (
     below,
 )
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
-from safety_harness.scenario.fault_phrases import fault_tables
-from safety_harness.scenario.faults import MOST_FAULTS
+from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.model import (
     DEFAULT_AVOIDER,

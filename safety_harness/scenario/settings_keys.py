@@ -8,9 +8,9 @@ name, the form of its value from the type of its default.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from enum import Enum
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from safety_harness.scenario.codec import (
@@ -27,7 +27,7 @@ from safety_harness.scenario.codec import (
 from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
-from safety_harness.settings import DEFAULTS, DecisionCost, Described, Settings
+from safety_harness.settings import DEFAULTS, DecisionCost, Settings
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -57,39 +57,20 @@ _MAPPINGS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class SettingKey(Key):
-    """One field of a settings dataclass, ``attribute``, and how it is written."""
-
-    above: str = ""  # the key of the mapping in which it stands: "calibration error"; mostly none
-    number: QuantityValue  # its value, or each of its numbers; of a word without a meaning
-    own_bounds: bool  # narrower than those of every setting of that dimension
-
-    @property
-    def path(self) -> tuple[str, ...]:
-        """The keys that lead to it: ("critical distance",), or ("calibration error", "offset")."""
-        return (self.above, self.name) if self.above else (self.name,)
-
-
-def setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
+def setting_keys(group: type[Any]) -> tuple[Key, ...]:
     """The keys of one settings dataclass, in its order."""
-    return _setting_keys(group)  # type: ignore[arg-type]  # a class can be hashed, whatever its instances
+    return _KEYS[group]
 
 
-@lru_cache
-def _setting_keys(group: type[Any]) -> tuple[SettingKey, ...]:
-    return tuple(_setting_key(one.name, one.default, one.metadata["described"]) for one in fields(group))
-
-
-def _setting_key(attribute: str, default: Any, described: Described) -> SettingKey:
+def _setting_key(attribute: str, default: Any, said: Mapping[str, Any]) -> Key:
     dimension = next(one for one in _BY_SUFFIX if attribute.endswith(one.suffix))
     name = attribute.removesuffix(dimension.suffix).replace("_", " ")
     for frame in _FRAMES:
         name = name.removesuffix(frame)
     above = next((first for first in _MAPPINGS if name.startswith(first + " ")), "")
     least, most = dimension.least, dimension.most
-    if described.least is not None and described.most is not None:
-        least, most = described.least, described.most
+    if said["least"] is not None:
+        least, most = said["least"], said["most"]
     elif isinstance(default, tuple):  # of coordinates or angles, which may have either sign
         most = LARGEST_ANGLE_RAD if dimension is ANGLE else LARGEST_COORDINATE_M
         least = -most
@@ -101,21 +82,19 @@ def _setting_key(attribute: str, default: Any, described: Described) -> SettingK
         or_word=EVERY_TICK if default is None else None,
     )
     value = _value(default, number)
-    said = described.takes
-    if not said and described.least is None and not isinstance(value, Word):
+    takes = said["takes"]
+    if not takes and said["least"] is None and not isinstance(value, Word):
         # Without the bounds that its dimension gives to every setting.
-        said = value.name if isinstance(value, QuantityValue) else value.words.partition(", each")[0]
-    return SettingKey(
+        takes = value.name if isinstance(value, QuantityValue) else value.words.partition(", each")[0]
+    return Key(
         name=name.removeprefix(f"{above} "),
         value=value,
-        meaning=described.meaning,
-        example=described.example or (dimension.example if default is None else ""),
-        said=said,
+        meaning=said["meaning"],
+        example=said["example"] or (dimension.example if default is None else ""),
+        said=takes,
         attribute=attribute,
         fallback=default,
-        above=above,
-        number=number,
-        own_bounds=described.least is not None,
+        within=(above,) if above else (),
     )
 
 
@@ -138,6 +117,12 @@ def _value(default: Any, number: QuantityValue) -> Value:
     return Several(of=number, form=form + each, expected=expected, count=count)
 
 
+_KEYS: dict[type[Any], tuple[Key, ...]] = {
+    type(group): tuple(_setting_key(one.name, one.default, one.metadata) for one in fields(group))
+    for group in vars(DEFAULTS).values()
+}
+
+
 def read_group(field: Field, default: G) -> G:
     """``default`` with the values that the mapping ``field`` changes."""
     keys = setting_keys(type(default))
@@ -146,14 +131,12 @@ def read_group(field: Field, default: G) -> G:
     for above in _MAPPINGS:
         inner = given.optional(above)
         if inner is not None:
-            names = {key.name: key for key in keys if key.above == above}
-            within = inner.fields(tuple(names))
-            for name in within:
-                changes[names[name].attribute] = names[name].value.read(within.required(name))
+            names = {key.name: key for key in keys if key.within == (above,)}
+            for name, value in inner.fields(tuple(names)).by_key.items():
+                changes[names[name].attribute] = names[name].value.read(value)
     for key in keys:
-        value = given.optional(key.name)
-        if value is not None and not key.above:
-            changes[key.attribute] = key.value.read(value)
+        if key.name in given and not key.within:
+            changes[key.attribute] = key.value.read(given.required(key.name))
     return replace(default, **changes)
 
 
@@ -164,7 +147,7 @@ def write_group(group: DataclassInstance, default: DataclassInstance | None) -> 
         value = getattr(group, key.attribute)
         # repr, because a negative zero equals a positive one and is another number all the same.
         if default is None or repr(getattr(default, key.attribute)) != repr(value):
-            inner = written.setdefault(key.above, {}) if key.above else written
+            inner = written.setdefault(key.within[0], {}) if key.within else written
             inner[key.name] = key.value.write(value)
     return written
 
@@ -174,10 +157,10 @@ def group_table(group: str, path: str) -> KeyTable:
     keys: dict[str, Key] = {}
     inner: dict[str, list[Key]] = {}
     for one in setting_keys(type(getattr(DEFAULTS, group.replace(" ", "_")))):
-        key = replace(one, within=(*path.split("."), *one.path[:-1]))
+        key = replace(one, within=(*path.split("."), *one.within))
         keys[one.path[0]] = key  # of a mapping only its place, filled below
-        if one.above:
-            inner.setdefault(one.above, []).append(key)
+        if one.within:
+            inner.setdefault(one.within[0], []).append(key)
     for name, members in inner.items():
         table = KeyTable(name=name, where=f"{name} of {group}", keys=tuple(members))
         keys[name] = Key(name, Below(tables=(table,)), *_MAPPINGS[name], or_else="none")

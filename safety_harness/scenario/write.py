@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from safety_harness.scenario.codec import Tree
-from safety_harness.scenario.fault_phrases import write_fault
+from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, write_group
@@ -38,7 +38,7 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
     return tree
 
 
-def text_of(tree: Mapping[str, Tree]) -> str:
+def text_of(tree: Tree) -> str:
     """The YAML text of such a tree."""
     return "\n".join(_lines(tree)) + "\n"
 
@@ -68,18 +68,20 @@ def _group(settings: Settings, default: Settings | None, name: str) -> dict[str,
     return write_group(getattr(settings, name), getattr(default, name) if default is not None else None)
 
 
-def _lines(tree: Mapping[str, Tree], indent: str = "") -> Iterator[str]:
-    for key, value in tree.items():
-        if isinstance(value, str):
-            yield f"{indent}{key}: {value}"
-        elif not value:
-            yield f"{indent}{key}: {'{}' if isinstance(value, Mapping) else '[]'}"
-        elif isinstance(value, Mapping):
-            yield f"{indent}{key}:"
-            yield from _lines(value, indent + "  ")
-        else:
-            yield f"{indent}{key}:"
-            for item in value:
-                first, *others = _lines(item)
-                yield f"{indent}  - {first}"
-                yield from (f"{indent}    {other}" for other in others)
+def _lines(tree: Tree) -> Iterator[str]:
+    if isinstance(tree, str):
+        yield tree
+    elif not tree:
+        yield "{}" if isinstance(tree, Mapping) else "[]"
+    elif isinstance(tree, Mapping):
+        for key, value in tree.items():
+            if value and not isinstance(value, str):
+                yield f"{key}:"
+                yield from (f"  {line}" for line in _lines(value))
+            else:
+                yield from (f"{key}: {line}" for line in _lines(value))
+    else:
+        for item in tree:
+            first, *others = _lines(item)
+            yield f"- {first}"
+            yield from (f"  {other}" for other in others)

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.space.boxes import InRegion
-from safety_harness.space.distributions import Choice
+from safety_harness.space.distributions import Choice, InRegion
 from safety_harness.space.space import ScenarioSpace
 
 Points = NDArray[np.float64]

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.geometry.regions import Box, Region
-from safety_harness.scenario.compose import MATRIX, Library, variants
+from safety_harness.scenario.compose import MATRIX, SPACE_KEY, Library, variants
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
-from safety_harness.scenario.only_in_spaces import SPACE_KEY
-from safety_harness.space.boxes import InRegion
-from safety_harness.space.distributions import Choice
+from safety_harness.space.distributions import Choice, InRegion
 from safety_harness.space.reading import TemplateReader
 from safety_harness.space.regions import region_named, seen_by
 from safety_harness.space.space import ScenarioSpace

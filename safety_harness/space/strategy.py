@@ -19,8 +19,15 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import LARGEST_SEED, Scenario
-from safety_harness.space.boxes import Distribution, InBox, InRegion
-from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
+from safety_harness.space.distributions import (
+    Choice,
+    Distribution,
+    InBox,
+    InRegion,
+    InShell,
+    TruncatedNormal,
+    Uniform,
+)
 from safety_harness.space.space import ScenarioSpace
 
 Vector = NDArray[np.float64]

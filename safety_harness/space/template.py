@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from safety_harness.exceptions import Place
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
-from safety_harness.space.boxes import Distribution
+from safety_harness.space.distributions import Distribution
 
 
 @dataclass(frozen=True)

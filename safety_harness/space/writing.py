@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
-from safety_harness.scenario.codec import scalar_text
-from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
+from safety_harness.scenario.codec import Tree, scalar_text
+from safety_harness.scenario.nodes import Mapping, Node, Scalar
+from safety_harness.scenario.write import text_of
 from safety_harness.space.space import ScenarioSpace
 
 _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
@@ -14,43 +14,15 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 def write_space(space: ScenarioSpace) -> str:
     """YAML text from which ``parse_space`` gives the same space again, but for its name and places."""
-    return "\n".join(_block(space.tree, "")) + "\n"
+    return text_of(_tree(space.tree))
 
 
-def _block(node: Node, indent: str) -> Iterator[str]:
-    """The lines of a mapping or a list."""
-    if isinstance(node, Mapping):
-        for key, value in node.entries:
-            name = f"{indent}{_scalar(key.text)}:"
-            if _in_a_line(value):
-                yield f"{name} {_line(value)}".rstrip()
-            else:
-                yield name
-                yield from _block(value, indent + "  ")
-    else:
-        assert isinstance(node, Sequence)
-        for item in node.items:
-            if _in_a_line(item):
-                yield f"{indent}- {_line(item)}"
-            else:
-                first, *others = _block(item, indent + "  ")
-                yield f"{indent}- {first.strip()}"
-                yield from others
-
-
-def _in_a_line(node: Node) -> bool:
-    if isinstance(node, Sequence):
-        return all(_in_a_line(item) and not isinstance(item, Mapping) for item in node.items)
-    return isinstance(node, Scalar) or not node.entries
-
-
-def _line(node: Node) -> str:
+def _tree(node: Node) -> Tree:
+    """A node as ``text_of`` takes it: a list without mappings on one line."""
     if isinstance(node, Scalar):
-        return _scalar(node.text)
-    if isinstance(node, Sequence):
-        return "[" + ", ".join(map(_line, node.items)) + "]"
-    return "{}"
-
-
-def _scalar(text: str) -> str:
-    return text if _QUANTITY.fullmatch(text) else scalar_text(text)
+        return node.text if _QUANTITY.fullmatch(node.text) else scalar_text(node.text)
+    if isinstance(node, Mapping):
+        return {str(_tree(key)): _tree(value) for key, value in node.entries}
+    items = [_tree(item) for item in node.items]
+    texts = [item for item in items if isinstance(item, str)]
+    return f"[{', '.join(texts)}]" if len(texts) == len(items) else items

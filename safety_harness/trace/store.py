@@ -26,7 +26,7 @@ from safety_harness.exceptions import InputError, Place, TraceError
 from safety_harness.scenario.files import refuse_no_file, told
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
-from safety_harness.scenario.recording_table import MAX_BYTES
+from safety_harness.scenario.recording import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario

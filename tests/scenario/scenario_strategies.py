@@ -12,8 +12,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from safety_harness.scenario.codec import Key, QuantityValue, Several
-from safety_harness.scenario.fault_phrases import OWN_KEYS
-from safety_harness.scenario.faults import EVERY_FAULT, MOST_FALSE_HANDS, FalseHand, Fault, Joint
+from safety_harness.scenario.faults import EVERY_FAULT, MOST_FALSE_HANDS, OWN_KEYS, FalseHand, Fault, Joint
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     ACCELERATIONS_MPS2,
@@ -49,9 +48,9 @@ from safety_harness.scenario.moves import (
     shifted,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.recording import load_recording
-from safety_harness.scenario.recording_table import parse_recording
-from safety_harness.scenario.settings_keys import SettingKey, setting_keys
+from safety_harness.scenario.recording import NOT_LOADED, load_recording, parse_recording
+from safety_harness.scenario.settings_keys import setting_keys
+from safety_harness.scenario.units import TIME
 from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3
 
 
@@ -136,16 +135,29 @@ starts = st.one_of(
 )
 
 
-def setting_values(key: SettingKey, default: Any) -> st.SearchStrategy[Any]:
+def number_of(key: Key) -> QuantityValue:
+    """The value of a setting, or each of its numbers; for one that is a word or a text, any time."""
+    value: Any = key.value
+    while isinstance(value, Several):
+        value = value.of
+    return (
+        value if isinstance(value, QuantityValue) else QuantityValue(TIME, least=TIME.least, most=TIME.most)
+    )
+
+
+def setting_values(key: Key, default: Any) -> st.SearchStrategy[Any]:
     """Values that a file may give for one field of the settings."""
-    number = st.floats(min_value=key.number.least, max_value=key.number.most)
+    bounds = number_of(key)
+    number = st.floats(min_value=bounds.least, max_value=bounds.most)
     if isinstance(default, DecisionCost):
         times = st.lists(number, min_size=1, max_size=2).map(sorted).map(tuple)
         return st.sampled_from(DecisionCost) | st.builds(DecisionTimes, quantiles_s=times)
     if isinstance(default, Enum):
         return st.sampled_from(type(default))
     if isinstance(default, int):
-        return st.integers(min_value=int(key.number.least), max_value=int(key.number.most))
+        assert bounds.least is not None
+        assert bounds.most is not None
+        return st.integers(min_value=int(bounds.least), max_value=int(bounds.most))
     if isinstance(default, tuple) and isinstance(default[0], tuple):
         return st.lists(st.tuples(number, number), min_size=3, max_size=6).map(tuple)
     if isinstance(default, tuple):
@@ -220,17 +232,16 @@ def recorded_hands(draw: st.DrawFn, forearm_length_m: float) -> RecordedHand:
         usage["starts_at_in_base_m"] = draw(vectors(st.floats(min_value=-5.0, max_value=5.0)))
     shift_in_base_m = draw(vectors(st.floats(min_value=-1.0, max_value=1.0)))
     delay_s = draw(st.sampled_from([0.0, 0.5, 3600.0]))
-    placed = {**usage, "starts_at_in_base_m": shifted(usage["starts_at_in_base_m"], shift_in_base_m)}
-    motion = load_recording(recording, forearm_length_m=forearm_length_m, delay_s=delay_s, **placed)
-    return RecordedHand(
+    hand = RecordedHand(
         name=draw(sentences),
         recording=Path("walks/walk.csv"),
-        motion=motion,
+        motion=NOT_LOADED,
         shift_in_base_m=shift_in_base_m,
         delay_s=delay_s,
         max_speed_mps=20.0 if usage["speed_factor"] > 1.0 else draw(st.sampled_from([None, 20.0])),
         **usage,
     )
+    return replace(hand, motion=load_recording(recording, hand, forearm_length_m=forearm_length_m))
 
 
 def fault_values(key: Key) -> st.SearchStrategy[Any]:

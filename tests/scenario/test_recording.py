@@ -14,10 +14,9 @@ from hypothesis.extra.numpy import arrays
 from scenario_strategies import RECORDING, csv_of
 
 from safety_harness.exceptions import Place, RecordingError
-from safety_harness.scenario import recording_table, tracks
-from safety_harness.scenario.model import RecordedMotion
-from safety_harness.scenario.recording import load_recording
-from safety_harness.scenario.recording_table import parse_recording
+from safety_harness.scenario import recording
+from safety_harness.scenario.model import RecordedHand, RecordedMotion
+from safety_harness.scenario.recording import NOT_LOADED, load_recording, parse_recording
 
 FILE = Path("walk.csv")
 FOLDER = Path(__file__).parents[2] / "scenarios/recordings"
@@ -35,7 +34,6 @@ def motion_of(data: bytes, **changes: Any) -> RecordedMotion:
         "track": "right_hand",
         "elbow_track": None,
         "elbow_towards_in_base_m": (50.0, 0.0, 0.0),
-        "forearm_length_m": 0.3,
         "starts_at_in_base_m": START,
         "turn_rad": 0.0,
         "speed_factor": 1.0,
@@ -44,7 +42,8 @@ def motion_of(data: bytes, **changes: Any) -> RecordedMotion:
         "longest_gap_s": 0.2,
         "fastest_jump_mps": 5.0,
     }
-    return load_recording(parse_recording(data, FILE), **(usage | changes))
+    hand = RecordedHand(name="right", recording=FILE, motion=NOT_LOADED, **(usage | changes))
+    return load_recording(parse_recording(data, FILE), hand, forearm_length_m=0.3)
 
 
 def refusal(data: bytes, **changes: Any) -> RecordingError:
@@ -280,10 +279,10 @@ class TestElbows:
         assert refusal(walk(), elbow_towards_in_base_m=on_the_way).got == "a hand that passes through it"
 
     def test_the_same_side_has_the_default_elbow(self) -> None:
-        recording = parse_recording(RECORDING, FILE)
-        assert recording.elbow_of("right_hand") == "right_elbow"
-        assert recording.elbow_of("left_hand") is None
-        assert recording.elbow_of("right_elbow") is None
+        parsed = parse_recording(RECORDING, FILE)
+        assert parsed.elbow_of("right_hand") == "right_elbow"
+        assert parsed.elbow_of("left_hand") is None
+        assert parsed.elbow_of("right_elbow") is None
 
 
 HEAD = b"time_s,right_hand_x_m,right_hand_y_m,right_hand_z_m\n"
@@ -343,7 +342,7 @@ def test_what_is_no_recording_is_refused_with_line_and_column(
 def test_a_recording_that_is_too_large_is_refused(
     monkeypatch: pytest.MonkeyPatch, limit: str, data: bytes, line: int | None, expected: str
 ) -> None:
-    monkeypatch.setattr(recording_table, limit, 2)
+    monkeypatch.setattr(recording, limit, 2)
     error = refusal(data)
     assert (error.place, error.expected) == (Place(file=FILE, line=line), expected)
 
@@ -354,7 +353,7 @@ def test_the_work_on_a_recording_grows_with_its_length_and_not_with_its_square(
     """The usual step between samples is looked for once a track, however many samples there are."""
     medians: list[int] = []
     median = np.median
-    monkeypatch.setattr(tracks.np, "median", lambda values: medians.append(len(values)) or median(values))
+    monkeypatch.setattr(recording.np, "median", lambda values: medians.append(len(values)) or median(values))
     assert_is_the_straight_motion(motion_of(walk(swapped(20, 21), empty={50})))
     assert medians == [len(TIME) - 1]
 

@@ -9,11 +9,13 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from scenario_strategies import number_of
 from scenario_texts import FILE, SHORTEST, VALID, changed, line_of, parse, refusal
 
 from safety_harness.exceptions import InputError, Place, RecordingError, ScenarioError
+from safety_harness.scenario.codec import Key
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, SettingKey, setting_keys
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
 from safety_harness.scenario.units import format_quantity
 from safety_harness.settings import DEFAULTS
 
@@ -106,7 +108,9 @@ def test_every_number_of_the_settings_has_bounds_that_a_file_cannot_leave(group:
         value = getattr(default, key.attribute)
         if isinstance(value, Enum) or (isinstance(value, tuple) and isinstance(value[0], tuple)):
             continue
-        for bound, beyond in ((key.number.least, -np.inf), (key.number.most, np.inf)):
+        bounds = number_of(key)
+        for bound, beyond in ((bounds.least, -np.inf), (bounds.most, np.inf)):
+            assert bound is not None
             outside = bound + np.sign(beyond) if isinstance(value, int) else np.nextafter(bound, beyond)
             within, without = (setting_text(group, key, value, number) for number in (bound, float(outside)))
             assert parse(within)
@@ -116,12 +120,11 @@ def test_every_number_of_the_settings_has_bounds_that_a_file_cannot_leave(group:
             assert error.place.field.partition("[")[0].endswith(key.name)
 
 
-def setting_text(group: str, key: SettingKey, default: object, number: float) -> str:
+def setting_text(group: str, key: Key, default: object, number: float) -> str:
     """The shortest file with one setting."""
+    dimension = number_of(key).dimension
     whole = isinstance(default, int)
-    value = (
-        f"{int(number)} {key.number.dimension.si}" if whole else format_quantity(number, key.number.dimension)
-    )
+    value = f"{int(number)} {dimension.si}" if whole else format_quantity(number, dimension)
     if isinstance(default, tuple):
         value = f"[{', '.join([value] * len(default))}]"
     for word in reversed(key.path):

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
+from scenario_strategies import number_of
 
 from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.scenario import fault_phrases, model, moves, units
+from safety_harness.scenario import model, moves, units
 from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
-from safety_harness.scenario.faults import EVERY_FAULT
+from safety_harness.scenario.faults import EVERY_FAULT, OWN_KEYS, TIMES
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.reference_tables import TCP_START, TOP
@@ -130,7 +131,7 @@ def test_the_composed_example_and_the_suite_can_be_read(tmp_path: Path) -> None:
         ("## A hand that repeats a recording", model.RECORDED_HAND.names),
         ("## `tcp start`", TCP_START.names),
         ("## `object`", {key.path[0] for key in setting_keys(type(DEFAULTS.object))}),
-        ("### The time of a fault", fault_phrases.TIMES),
+        ("### The time of a fault", TIMES),
         ("## `hand sensor`", {key.path[0] for key in setting_keys(type(DEFAULTS.hand_sensor))}),
         ("## `camera`", {word for key in setting_keys(type(DEFAULTS.camera)) for word in key.path}),
     ],
@@ -150,7 +151,7 @@ def test_the_page_names_every_fault_with_its_keys() -> None:
     section = TEXT.split("## `faults`", 1)[1].split("| key |", 1)[0]
     lines = {words: line for words, line in re.findall(r"^\| `(.*?: .*?)` \|(.*?)\|", section, re.M)}
     assert list(lines) == [f"{kind.said.subject}: {kind.said.predicate}" for kind in EVERY_FAULT]
-    for own in fault_phrases.OWN_KEYS.values():
+    for own in OWN_KEYS.values():
         line = lines[f"{own.told_by}: {own.name}"]
         assert tuple(re.findall("`(.*?)`", line)) == own.names
 
@@ -205,10 +206,11 @@ def test_the_tables_have_every_keys_own_bounds_and_no_others(group: str) -> None
     at_the_top = group in ("object", "camera", "hand sensor")
     table = {row.keys: row.value for row in rows(f"## `{group}`" if at_the_top else f"### `{group}`")}
     kind = type(getattr(DEFAULTS, group.replace(" ", "_")))
-    for key in setting_keys(kind):
+    for field, key in zip(fields(kind), setting_keys(kind), strict=True):
         _, comma, told = table[key.path].rpartition(", ")
-        if key.own_bounds:
-            bounds = (key.number.least, key.number.most)
-            assert bounds_of(told.removeprefix("each "), key.number.dimension) == bounds, key.path
+        if field.metadata["least"] is not None:
+            number = number_of(key)
+            bounds = (number.least, number.most)
+            assert bounds_of(told.removeprefix("each "), number.dimension) == bounds, key.path
         else:
             assert not comma or " to " not in told

@@ -5,6 +5,7 @@ from enum import Enum
 
 import numpy as np
 import pytest
+from scenario_strategies import number_of
 
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.settings import DEFAULTS, Clock, Servo
@@ -45,9 +46,9 @@ def test_every_default_lies_within_its_bounds(group: type) -> None:
     for key in setting_keys(group):
         value = getattr(group(), key.attribute)
         numbers = np.ravel([] if value is None or isinstance(value, Enum) else value)
-        assert np.all((key.number.least <= numbers) & (numbers <= key.number.most)), key.name
+        assert np.all((number_of(key).least <= numbers) & (numbers <= number_of(key).most)), key.name
 
 
 def test_the_largest_gain_is_stable_at_the_longest_control_period() -> None:
-    most = {key.attribute: key.number.most for group in (Clock, Servo) for key in setting_keys(group)}
+    most = {key.attribute: number_of(key).most for group in (Clock, Servo) for key in setting_keys(group)}
     assert max(most["gain_far"], most["gain_near"]) * most["control_period_s"] < 1.0

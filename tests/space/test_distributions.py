@@ -11,8 +11,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from safety_harness.geometry.regions import Box, Region
-from safety_harness.space.boxes import Distribution, InBox, InRegion
-from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
+from safety_harness.space.distributions import (
+    Choice,
+    Distribution,
+    InBox,
+    InRegion,
+    InShell,
+    TruncatedNormal,
+    Uniform,
+)
 
 SHELL = InRegion(
     "unseen", Region(Box((-1.0, -1.0, 0.0), (2.0, 1.0, 1.0)), Box((-0.5, -0.5, 0.25), (0.5, 0.5, 0.75)))

@@ -14,7 +14,7 @@ from safety_harness.exceptions import ModelError, RegionError
 from safety_harness.geometry.regions import Box
 from safety_harness.learning.dataset import SPACES, space_named
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.boxes import InRegion
+from safety_harness.space.distributions import InRegion
 from safety_harness.space.read import parse_space
 from safety_harness.space.regions import REGIONS, paper_seen, region_named, seen_by
 

@@ -10,8 +10,7 @@ from spaces import EVERYTHING, FILES, HEAD, everything, of_duration
 from safety_harness import parse_scenario
 from safety_harness.exceptions import InputError, ScenarioError
 from safety_harness.scenario.nodes import parse_tree
-from safety_harness.space.boxes import InBox, InRegion
-from safety_harness.space.distributions import Choice, InShell, TruncatedNormal, Uniform
+from safety_harness.space.distributions import Choice, InBox, InRegion, InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.template import Parameter
 

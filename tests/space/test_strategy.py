@@ -14,7 +14,7 @@ from spaces import FILES, HEAD, everything, of_duration
 
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.moves import MoveTo
-from safety_harness.space.boxes import InRegion
+from safety_harness.space.distributions import InRegion
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.strategy import near, strategy, values

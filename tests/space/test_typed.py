@@ -8,8 +8,7 @@ from spaces import EVERYTHING, FILES, FOLDER, everything
 from safety_harness import parse_scenario
 from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
-from safety_harness.space.boxes import InBox, InRegion
-from safety_harness.space.distributions import InShell, TruncatedNormal, Uniform
+from safety_harness.space.distributions import InBox, InRegion, InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.typed import OneOf, Ref, Repeat, Switch, Value, space_from
