@@ -32,11 +32,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.processes import Limits, Processes
+from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Processes
 from safety_harness.campaign.runner import run_campaign
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Event
 from safety_harness.exceptions import CampaignError
 from tests.campaign.benches import Plain, row_of
 from tests.campaign.clusters import scheduler, workers

@@ -17,9 +17,9 @@ import numpy as np
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.processes import Arrived, Chunk, Lost, WorkerPool
 from safety_harness.campaign.rows import Row
 from safety_harness.campaign.summary import CampaignTally, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Lost, WorkerPool
 from safety_harness.statistics.binomial import chance_of_each, ends_of
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper

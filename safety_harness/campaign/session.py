@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
@@ -15,9 +16,8 @@ from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
-from safety_harness.campaign.processes import LIMITS, Limits, Processes
+from safety_harness.campaign.processes import LIMITS, Limits, Processes, WorkerPool, bench_of_file
 from safety_harness.campaign.runner import RunnerProgress, run_campaign
-from safety_harness.campaign.worker import PlanFromFile, WorkerPool
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]
@@ -26,7 +26,7 @@ MakesCrew = Callable[[Plan], WorkerPool]
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
     """A crew on this machine: as many processes as cores, if not said otherwise."""
     size = workers or len(os.sched_getaffinity(0))
-    return lambda plan: Processes(PlanFromFile(plan.file.resolve(), plan.identity), size, limits)
+    return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
 
 def carry_on(
@@ -82,13 +82,11 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
     LedgerError that names what has changed since.
     """
     file = ledger.declared.plan_file
-    if file.is_file():
+    with ExitStack() as stack:
+        if not file.is_file():
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-"))
+            file = unpacked(ledger.files, Path(folder))
         plan = read_plan(file)
-        ledger.refuse_other(plan.identity)
-        yield plan
-        return
-    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
-        plan = read_plan(unpacked(ledger.files, Path(folder)))
         ledger.refuse_other(plan.identity)
         yield plan
 

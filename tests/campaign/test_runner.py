@@ -16,11 +16,10 @@ import pytest
 from safety_harness.campaign.episodes import EpisodeRunner, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import Limits, Processes
+from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Lost, Processes
 from safety_harness.campaign.runner import ATTEMPTS, RunnerProgress, run_campaign
 from safety_harness.campaign.session import carry_on, plan_of, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Event, Lost
 from safety_harness.exceptions import CampaignError, InadmissibleError, LedgerError, OutputError
 from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
