@@ -14,7 +14,7 @@ from itertools import islice
 
 import numpy as np
 
-from safety_harness.campaign.episodes import random_episodes, root_seed
+from safety_harness.campaign.episodes import failed_row, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Arrived, Chunk, Lost, WorkerPool
@@ -130,7 +130,8 @@ class _Runner:
 
     def commit(self) -> None:
         """Note down what has come; kept for the next time if it cannot be written."""
-        rows = [row for row in self._rows if not self._is_beyond(row)]
+        ends = [stratum.stopped_after for stratum in self.tally.strata]  # what lies beyond is no part of it
+        rows = [row for row in self._rows if (end := ends[row.stratum]) is None or row.episode < end]
         if rows:
             self.ledger.record(rows)
         self._rows = []
@@ -143,11 +144,6 @@ class _Runner:
             if self.tally.strata[stratum].stopped_after is None:
                 self.ledger.stop(stratum, after)
                 self.tally = tally_of(self.ledger)
-
-    def _is_beyond(self, row: Row) -> bool:
-        """Did its stratum end before it?"""
-        after = self.tally.strata[row.stratum].stopped_after
-        return after is not None and row.episode >= after
 
     def _arrived(self, event: Arrived) -> None:
         waiting = self._out[event.chunk]
@@ -168,9 +164,8 @@ class _Runner:
             key = (event.chunk.stratum, episode)
             self._tried[key] += blamed
             if self._tried[key] >= ATTEMPTS:
-                seed = root_seed(self.plan, *key)
                 why = f"failed to run, {self._tried[key]} times: {event.why}"
-                self._rows.append(Row.failed(*key, seed, len(self.plan.claims), why))
+                self._rows.append(failed_row(self.plan, *key, why))
                 self._done += 1
             else:
                 self._again.append(Chunk(event.chunk.stratum, (episode,), event.chunk.keep_violations))
@@ -239,7 +234,7 @@ class Stopping:
         self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
-        self._decided: dict[int, int] = {}
+        self.decided: dict[int, int] = {}  # strata, and after how many episodes
         if self._active:
             for stratum in range(count):
                 self._read(ledger, stratum)
@@ -253,11 +248,6 @@ class Stopping:
             for stratum in range(len(self._ahead)):
                 self._advance(stratum)
 
-    @property
-    def decided(self) -> dict[int, int]:
-        """Strata that are decided, and after how many episodes."""
-        return self._decided
-
     def _read(self, ledger: Ledger, stratum: int) -> None:
         columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
         for k, episode in enumerate(columns[0][0].tolist()):
@@ -266,12 +256,12 @@ class Stopping:
 
     def _advance(self, stratum: int) -> None:
         ahead = self._ahead[stratum]
-        while stratum not in self._decided and self._reached[stratum] in ahead:
+        while stratum not in self.decided and self._reached[stratum] in ahead:
             for claim, outcome in enumerate(ahead.pop(self._reached[stratum])):
                 self._counts[stratum, claim, outcome] += 1
             self._reached[stratum] += 1
             if self._reached[stratum] % EVERY == 0 and self._is_decided(stratum):
-                self._decided[stratum] = self._reached[stratum]
+                self.decided[stratum] = self._reached[stratum]
 
     def _is_decided(self, stratum: int) -> bool:
         for target, counts in zip(self._targets, self._counts[stratum], strict=True):
