@@ -18,13 +18,11 @@ from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint
+from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
 from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
-from safety_harness.search.disagreement import Disagreement, disagreement_of
-from safety_harness.search.findings import Findings, Group, TriedPoint
-from safety_harness.search.outcomes import RUN_FAILED
+from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
@@ -87,6 +85,7 @@ class SearchSession:
     budget: int
     output: SearchOutput
     confirming: ScenarioRunner = in_pybullet
+    findings: Findings = field(init=False)
     baseline: Findings | None = None
     written: list[WrittenCounterexample] = field(default_factory=list)
     confirmed: int = 0
@@ -98,19 +97,8 @@ class SearchSession:
         """Was it ended by Ctrl-C?"""
         return self.findings.interrupted
 
-    def search(self, make: MakesSearcher) -> None:
+    def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
-        self.findings = self._search(make, self.trials)
-
-    def sample(self) -> None:
-        """The baseline, with counts of its own; unless the search was interrupted."""
-        if not self.findings.interrupted and self.unwritable is None:
-            self.output.say("the baseline: uniform sampling with the same budget")
-            anew = replace(self.trials, coverage=Coverage(), violations=Coverage())
-            self.baseline = self._search(UniformSampling, anew, folder="baseline")
-            self.findings.interrupted = self.baseline.interrupted
-
-    def _search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         cube = Cube.of(trials.space)
         saved = 0
 
@@ -274,9 +262,12 @@ def search_space(
     InadmissibleError for a space of which next to no point can be tried.
     """
     session = SearchSession(trials, out, budget, output)
-    session.search(make)
-    if baseline:
-        session.sample()
+    session.findings = session.search(make, trials)
+    if baseline and not session.findings.interrupted and session.unwritable is None:
+        output.say("the baseline: uniform sampling with the same budget")
+        anew = replace(trials, coverage=Coverage(), violations=Coverage())
+        session.baseline = session.search(UniformSampling, anew, folder="baseline")
+        session.findings.interrupted = session.baseline.interrupted
     session.conclude(write_page)
     return session
 
