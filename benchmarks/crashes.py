@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Processes
-from safety_harness.campaign.runner import run_campaign
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.exceptions import CampaignError
@@ -80,14 +80,14 @@ def checked(path: Path, plan: Plan, expected: str) -> None:
 def write(path: Path, plan: Plan) -> None:
     """What the process that is killed does."""
     with Ledger.open(path, write=True) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
 
 
 def kill_writers(moments: int, rng: random.Random, folder: Path) -> str:
     """Fork, kill after a random time, look at the ledger; begin a new one whenever one is complete."""
     plan = plan_in(folder, PLAN.replace("runs: 30", "runs: 4000").replace("runs: 20", "runs: 1000"))
     with Ledger.create(folder / "whole", plan) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
         expected = fingerprint_of(ledger)
     context, killed, ledgers, written, before = multiprocessing.get_context("fork"), 0, 0, 0, 0
     path = folder / "ledger-0"
@@ -116,7 +116,7 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
     """In one campaign, each as soon as it has come up again."""
     plan = plan_in(folder, PLAN.replace("runs: 30", f"runs: {40 * moments}"))
     with Ledger.create(folder / "whole", plan) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
         expected = fingerprint_of(ledger)
     killed, over = 0, threading.Event()
     with closing(Processes(Plain(seconds=0.01), 2, Limits())) as crew:
@@ -133,7 +133,7 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
         with Ledger.create(folder / "ledger", plan) as ledger:
             killer.start()
             try:
-                run_campaign(plan, ledger, crew)
+                CampaignRunner(plan, ledger, crew).run()
             finally:
                 over.set()
                 killer.join()

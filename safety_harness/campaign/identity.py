@@ -76,11 +76,6 @@ def identity_of(
     return Identity(tuple(parts.items()))
 
 
-def stratum_number(name: str) -> int:
-    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
-    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
-
-
 MOST_BYTES = 200_000_000  # of all files together
 REFERRING = ("avoider", "recording")
 

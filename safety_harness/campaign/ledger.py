@@ -217,7 +217,7 @@ class Ledger:
         question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
         rows = list(self.all(question, stratum, claim))
         episodes, outcomes = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
-        return episodes, outcomes, np.array([np.nan if m is None else m for *_, m in rows], np.float64)
+        return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
         """What estimates of a claim in a stratum are made of; StatisticsError while episodes are missing.
@@ -240,7 +240,7 @@ class Ledger:
         episodes, outcomes, seeds, exercised = (
             np.array([row[k] for row in rows], np.int64) for k in range(4)
         )
-        margins = np.array([np.nan if row[4] is None else row[4] for row in rows], np.float64)
+        margins = np.array([row[4] for row in rows], np.float64)
         return IndependentSample.of_stream(
             declaration, episodes, outcomes, margins, seeds=seeds, exercised=exercised, claim=claim
         )

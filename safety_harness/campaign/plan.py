@@ -6,6 +6,7 @@ docs/campaigns.md is the reference of the file.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +14,7 @@ from typing import TypeVar
 
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.campaign.identity import (
-    Identity,
-    PlanFile,
-    files_of_plan,
-    identity_of,
-    references_in,
-    stratum_number,
-)
+from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
 from safety_harness.exceptions import Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
@@ -113,11 +107,6 @@ class Plan:
         return self.file.stem
 
     @property
-    def sha256(self) -> str:
-        """Stands for everything that its results depend on."""
-        return self.identity.sha256
-
-    @property
     def runs(self) -> int:
         """Of all strata together."""
         return sum(stratum.runs for stratum in self.strata)
@@ -180,6 +169,11 @@ def read_plan(path: Path) -> Plan:
     )
 
 
+def stratum_number(name: str) -> int:
+    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
+
+
 def scenarios_by_avoider(plan: Plan) -> Iterator[Scenario]:
     """One scenario of the plan for each avoider that its runs may have."""
     seen: set[str] = set()
@@ -212,15 +206,14 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     for item in at.items("a list of strata", least=1, most=MOST_STRATA):
         given = item.fields(("stratum", "space", "runs"))
         name = given.required("stratum").sentence("a name")
-        if any(name == other.name or stratum_number(name) == other.number for other in strata):
+        if any(stratum_number(name) == other.number for other in strata):
             raise given.required("stratum").error("a name that no other stratum has")
         runs = given.required("runs").integer(least=1, most=MOST_RUNS)
         space = given.required("space")
-        file = folder / space.sentence("the file of a scenario space, relative to the plan")
+        expected = "the file of a scenario space, relative to the plan"
+        file = folder / space.sentence(expected)
         if not file.is_file():
-            raise space.error(
-                "the file of a scenario space, relative to the plan", got=f"no such file: {file}"
-            )
+            raise space.error(expected, got=f"no such file: {file}")
         strata.append(Stratum(name, read_space(file, library), runs))
     return tuple(strata)
 

@@ -17,7 +17,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
 from safety_harness.campaign.processes import LIMITS, Limits, Processes, WorkerPool, bench_of_file
-from safety_harness.campaign.runner import RunnerProgress, run_campaign
+from safety_harness.campaign.runner import CampaignRunner
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]
@@ -34,7 +34,7 @@ def carry_on(
     path: Path,
     make_crew: MakesCrew,
     *,
-    on_progress: Callable[[RunnerProgress], None] = lambda progress: None,
+    on_progress: Callable[[CampaignRunner], None] = lambda runner: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
 ) -> bool:
@@ -42,7 +42,7 @@ def carry_on(
 
     A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
     is one for an avoider that cannot be made.  LedgerError if it is another plan's, or if another runner is
-    at work on it; otherwise as ``run_campaign``.
+    at work on it; otherwise as ``CampaignRunner.run``.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
@@ -59,7 +59,7 @@ def carry_on(
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
-        return run_campaign(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
+        return CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part).run()
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:

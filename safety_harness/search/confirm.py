@@ -130,10 +130,13 @@ def disagreement_of(
         admitted = admit(replace(found, claims=claims))
     except InputError as error:
         return Disagreement(group, complaint, InOneWorld(error), InOneWorld(error))
-    return Disagreement(group, complaint, _in(searched, admitted), _in(confirming, admitted))
+    return Disagreement(
+        group, complaint, in_one_world(searched, admitted), in_one_world(confirming, admitted)
+    )
 
 
-def _in(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
+def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
+    """Run and judge a scenario."""
     run = world([admitted])[0]
     if isinstance(run, Exception):
         return InOneWorld(run)

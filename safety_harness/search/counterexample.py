@@ -22,7 +22,7 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.robot.description import urdf_file
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint, Confirm, failure_of
+from safety_harness.search.confirm import Complaint, Confirm, failure_of, in_one_world
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.cube import Points
 from safety_harness.search.shrink import Shrunk, shrink, simpler
@@ -181,20 +181,16 @@ def counterexample_of(
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     shrunk = shrink(found, confirm, budget=budget)
-    run = world([admit(shrunk.scenario)])[0]
-    evaluations: tuple[Evaluation, ...] = ()
-    if isinstance(run, Trace):
-        properties = [property_of(claim, run.scenario) for claim in run.scenario.claims]
-        evaluations = tuple(prop.evaluate(run) for prop in properties)
+    last = in_one_world(world, admit(shrunk.scenario))
     whole = not shrunk.interrupted
     return Counterexample(
         complaint,
         found,
         shrunk,
-        run,
-        evaluations,
+        last.run,
+        last.evaluations,
         margin,
-        tuple(circumstances(run)) if isinstance(run, Trace) else (),
+        tuple(circumstances(last.run)) if isinstance(last.run, Trace) else (),
         tuple(ingredients(shrunk.scenario, complaint, world)) if whole else (),
         confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
     )

@@ -21,7 +21,7 @@ from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Chunk, Limits
-from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from safety_harness.cli.campaign import run
@@ -102,7 +102,7 @@ def test_workers_of_a_cluster_that_crash_hang_and_are_killed_cost_nothing(
     path, killed = tmp_path / "ledger.sqlite", []
     crew = DaskCrew(plan, shared, Limits(silence_s=2.0, first_s=1.0))
 
-    def watch(progress: RunnerProgress) -> None:
+    def watch(progress: CampaignRunner) -> None:
         if progress.done_now >= 6 and not killed:
             killed.extend(crew._client.run(os.getpid).values())
             os.kill(killed[0], signal.SIGKILL)

@@ -15,7 +15,7 @@ from safety_harness.campaign import cluster
 from safety_harness.campaign.cluster import DaskCrew, run_chunk
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Lost
-from safety_harness.campaign.runner import run_campaign
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.summary import tally_of
 from safety_harness.exceptions import CampaignError, LedgerError, Place
 from tests.campaign.benches import row_of
@@ -197,7 +197,7 @@ def test_an_episode_that_kills_every_worker_fails_alone_whatever_was_beside_it(
 
     monkeypatch.setattr(crew, "take", next_events)
     with ledger_in(tmp_path, plan) as ledger:
-        assert run_campaign(plan, ledger, crew)
+        assert CampaignRunner(plan, ledger, crew).run()
         assert [one.failed for one in tally_of(ledger).strata] == [1, 0]
         failed = list(ledger.all("SELECT stratum, episode, failure FROM episode WHERE failure IS NOT NULL"))
     assert failed == [(0, 5, "failed to run, 4 times: its worker died")]
@@ -222,7 +222,7 @@ def test_workers_that_cannot_begin_a_task_fail_no_episode_but_the_campaign(
     monkeypatch.setattr(client, "submit", refused)
     with ledger_in(tmp_path, plan) as ledger:
         with pytest.raises(CampaignError, match=r"10 tasks in a row: .* No module named 'safety_harness'"):
-            run_campaign(plan, ledger, crew)
+            CampaignRunner(plan, ledger, crew).run()
         assert tally_of(ledger).done == 0
 
 

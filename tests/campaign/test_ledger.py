@@ -108,7 +108,7 @@ def test_a_sample_is_the_whole_stream_or_none(tmp_path: Path, plan: Plan) -> Non
         ledger.record([row(29, margin=-0.1)])
         sample = ledger.sample("near", plan.claims[0].sentence)
         assert (sample.trials, sample.violations) == (30, 1)
-        assert sample.declaration.plan_sha256 == plan.sha256
+        assert sample.declaration.plan_sha256 == plan.identity.sha256
         assert sample.declaration.model_only
         with pytest.raises(KeyError, match="is none of"):
             ledger.sample("far", plan.claims[0].sentence)
