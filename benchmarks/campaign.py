@@ -62,7 +62,7 @@ def run(plan: Plan, path: Path, crew: Processes) -> tuple[float, float, float]:
         arrived.append((time.monotonic(), progress.tally.done))
 
     with Ledger.create(path, plan) as ledger, closing(crew):
-        while crew.ready < crew.size:
+        while not all(worker.ready for worker in crew.workers):
             crew.take(0.1)  # what starting costs is no matter of length
         own_s = time.process_time()
         assert CampaignRunner(plan, ledger, crew, on_progress=watch).run()

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import random
 import signal
 import subprocess
@@ -124,9 +123,10 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
         def kill() -> None:
             nonlocal killed
             while killed < moments and not over.wait(rng.uniform(0.0, 0.4)):
-                if crew.ready:  # else all of them were killed while they were coming up
+                ready = [worker for worker in crew.workers if worker.ready]
+                if ready:  # else all of them were killed while they were coming up
                     with suppress(ProcessLookupError):  # it has been killed a moment ago
-                        os.kill(rng.choice(crew.processes), signal.SIGKILL)
+                        rng.choice(crew.workers).process.kill()
                         killed += 1
 
         killer = threading.Thread(target=kill)

@@ -109,31 +109,25 @@ def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
 
 
 @dataclass(frozen=True)
-class _Ready:
-    """The worker has read the plan."""
-
-
-@dataclass(frozen=True)
-class _ChunkDone:
-    """A chunk is finished; ``resident_bytes`` of the worker now."""
+class _Free:
+    """The worker waits for a chunk, the first one or the next; ``resident_bytes`` of it now."""
 
     resident_bytes: int
 
 
 def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
-    """Answer chunks with their rows one by one, then ChunkDone; ends when nobody is there any more."""
+    """Answer chunks with their rows one by one, then that it is free; ends when nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
         bench = make()
-        connection.send(_Ready())
         while True:
+            connection.send(_Free(resident_bytes(os.getpid())))
             chunk: Chunk | None = connection.recv()
             if chunk is None:
                 return
             for row in bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations):
                 connection.send(row)
-            connection.send(_ChunkDone(resident_bytes(os.getpid())))
     except InputError as error:
         connection.send(error)
     except (EOFError, BrokenPipeError):
@@ -204,7 +198,7 @@ class Processes:
     size: int
     limits: Limits = LIMITS
     replaced: int = 0
-    _workers: list[_Worker] = field(default_factory=list)
+    workers: list[_Worker] = field(default_factory=list)
     _false_starts: int = 0
     _looked_s: float = 0.0
     _mistake: InputError | None = None
@@ -213,26 +207,16 @@ class Processes:
         one_thread_each()
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["safety_harness.campaign.processes"])
-        self._workers += [self._started() for _ in range(self.size)]
+        self.workers += [self._started() for _ in range(self.size)]
 
     @property
     def free(self) -> int:
         """Workers without a chunk."""
-        return sum(worker.chunk is None for worker in self._workers)
-
-    @property
-    def ready(self) -> int:
-        """Workers that have made their bench."""
-        return sum(worker.ready for worker in self._workers)
-
-    @property
-    def processes(self) -> list[int]:
-        """The workers' process numbers."""
-        return [worker.process.pid or 0 for worker in self._workers]
+        return sum(worker.chunk is None for worker in self.workers)
 
     def give(self, chunk: Chunk) -> None:
         """To a worker without one, rather one that is ready."""
-        worker = max((w for w in self._workers if w.chunk is None), key=lambda w: w.ready)
+        worker = max((w for w in self.workers if w.chunk is None), key=lambda w: w.ready)
         worker.chunk = chunk
         worker.heard_s = time.monotonic()
         if worker.ready:
@@ -242,22 +226,22 @@ class Processes:
         """Rows as they come, and chunks that are lost; a mistake in the plan once all before it was told."""
         if self._mistake is not None:
             raise self._mistake
-        by_connection = {worker.connection: worker for worker in self._workers}
+        by_connection = {worker.connection: worker for worker in self.workers}
         events: list[Event] = []
         for connection in wait(list(by_connection), timeout=min(timeout_s, _LOOK_S)):
             assert isinstance(connection, Connection)
             self._hear(by_connection[connection], events)
         if time.monotonic() - self._looked_s > _LOOK_S:
             self._looked_s = time.monotonic()
-            for worker in list(self._workers):
+            for worker in list(self.workers):
                 self._look_at(worker, events)
         return events
 
     def close(self) -> None:
         """Kill all of them."""
-        for worker in self._workers:
+        for worker in self.workers:
             worker.end()
-        self._workers.clear()
+        self.workers.clear()
 
     def _started(self) -> _Worker:
         ours, theirs = self._context.Pipe()
@@ -275,7 +259,7 @@ class Processes:
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
         """All that a worker has said; its end, when there is nothing more to hear."""
         rows: list[Row] = []
-        done: _ChunkDone | None = None  # then it has nothing more to say, and may be another soon
+        done: _Free | None = None  # with its chunk; then it has nothing more to say, and may be another soon
         ended = False
         try:
             while done is None and worker.connection.poll():
@@ -283,15 +267,14 @@ class Processes:
                 worker.heard_s = time.monotonic()
                 if isinstance(message, InputError):
                     self._mistake = message
-                elif isinstance(message, _Ready):
-                    worker.ready = True
-                    self._false_starts = 0
-                    if worker.chunk is not None:
-                        self._send(worker, worker.chunk)
                 elif isinstance(message, Row):
                     rows.append(message)
-                else:
+                elif worker.ready:
                     done = message
+                else:
+                    worker.ready, self._false_starts = True, 0
+                    if worker.chunk is not None:
+                        self._send(worker, worker.chunk)
         except (EOFError, OSError):
             ended = True
         if worker.chunk is not None and (rows or done):
@@ -301,7 +284,7 @@ class Processes:
         elif done is not None:
             self._finish_chunk(worker, done)
 
-    def _finish_chunk(self, worker: _Worker, done: _ChunkDone) -> None:
+    def _finish_chunk(self, worker: _Worker, done: _Free) -> None:
         assert worker.chunk is not None
         worker.rows += len(worker.chunk.episodes)
         worker.chunks += 1
@@ -324,9 +307,8 @@ class Processes:
         if not worker.ready:
             self._false_starts += 1
             if self._false_starts >= _MOST_FALSE_STARTS:
-                raise CampaignError(
-                    f"{_MOST_FALSE_STARTS} workers in a row ended before they were ready: {why}"
-                )
+                often = f"{_MOST_FALSE_STARTS} workers in a row"
+                raise CampaignError(f"{often} ended before they were ready: {why}")
         if worker.chunk is not None:
             events.append(Lost(worker.chunk, why, times=int(worker.ready)))
         self.replaced += 1
@@ -334,7 +316,7 @@ class Processes:
 
     def _renew(self, worker: _Worker) -> None:
         worker.end()
-        self._workers[self._workers.index(worker)] = self._started()
+        self.workers[self.workers.index(worker)] = self._started()
 
 
 def _how_it_ended(process: ForkServerProcess) -> str:

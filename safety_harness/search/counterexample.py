@@ -24,11 +24,10 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, failure_of, in_one_world
 from safety_harness.search.coverage import cell_of
-from safety_harness.search.cube import Points
+from safety_harness.search.findings import TriedPoint
 from safety_harness.search.shrink import Shrunk, shrink, simpler
-from safety_harness.search.trials import ScenarioRunner
+from safety_harness.search.trials import ScenarioRunner, Trials
 from safety_harness.space.regions import Seen, seen_by
-from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
@@ -113,7 +112,6 @@ class Counterexample:
     """
 
     complaint: Complaint
-    found: Scenario
     shrunk: Shrunk
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...]
@@ -141,17 +139,13 @@ class Counterexample:
     @property
     def scenario(self) -> Scenario:
         """What is written."""
-        claims = self.shrunk.scenario.claims
+        shrunk = self.shrunk.scenario
+        claims = shrunk.claims
         if self.evaluations:
             pairs = zip(claims, self.evaluations, strict=True)
             claims = tuple(replace(claim, expected=evaluation.verdict) for claim, evaluation in pairs)
         title = "the run fails" if self.complaint.claim is None else self.complaint.sentence
-        return replace(
-            self.shrunk.scenario,
-            title=f"counterexample: {title}",
-            about="",
-            claims=claims,
-        )
+        return replace(shrunk, title=f"counterexample: {title}", about="", claims=claims)
 
     @cached_property
     def structure(self) -> str:
@@ -185,7 +179,6 @@ def counterexample_of(
     whole = not shrunk.interrupted
     return Counterexample(
         complaint,
-        found,
         shrunk,
         last.run,
         last.evaluations,
@@ -239,12 +232,12 @@ def _evidence(trace: Trace) -> list[str]:
     ]
 
 
-def origin_of(space: ScenarioSpace, point: Points, number: int, seed: int, searcher: str) -> list[str]:
+def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
     """How it was found: the search, and every value of the space, exactly."""
-    lines = [
-        f"Found in the space {space.name}: point {number} of searcher {searcher}, seed {seed}; as found:"
-    ]
-    values = space.values_at(np.asarray(point, float)[None])[0]
+    space = trials.space
+    search = f"point {tried.number} of searcher {searcher}, seed {trials.seed}"
+    lines = [f"Found in the space {space.name}: {search}; as found:"]
+    values = space.values_at(tried.point[None])[0]
     for parameter in space.parameters:
         own = values[parameter.columns]
         if np.any(np.isnan(own)):

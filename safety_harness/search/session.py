@@ -161,13 +161,15 @@ class SearchSession:
             tried, shrunk = tried + 1, shrunk + (one is not None)
             if one is None:
                 continue
-            same = next((other for other in told if one.is_same_as(other.one)), None)
-            if same is None:
-                told.append(self._save(one, group, findings))
+            for same in told:
+                if one.is_same_as(same.one):
+                    same.groups.append(group)
+                    break
             else:
-                same.groups.append(group)
-        for line in (line for written in told for line in written.lines):
-            self.output.result(line)
+                told.append(self._save(one, group, findings))
+        for written in told:
+            for line in written.lines:
+                self.output.result(line)
         left = groups[tried:]
         if left and not self.findings.interrupted:
             runs = sum(group.count for group in left)
@@ -204,15 +206,11 @@ class SearchSession:
     def _found(self, folder: Path, episode: TriedPoint) -> Scenario:
         return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
 
-    def _origin(self, episode: TriedPoint, findings: Findings) -> list[str]:
-        trials = self.trials
-        return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
-
     def _save(self, one: Counterexample, group: Group, findings: Findings) -> WrittenCounterexample:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, self._origin(group.worst, findings), trace_file)
+        text = text_of(one, origin_of(self.trials, group.worst, findings.searcher), trace_file)
         if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
             try:
                 with writing(trace_file):
@@ -230,7 +228,8 @@ class SearchSession:
             replace(claim, expected=Verdict.VIOLATED) if claim == complaint.claim else claim
             for claim in found.claims
         )
-        head = [f"As found, not shrunk: {complaint.sentence}", *self._origin(group.first, findings)]
+        origin = origin_of(self.trials, group.first, findings.searcher)
+        head = [f"As found, not shrunk: {complaint.sentence}", *origin]
         comments = "".join(f"# {line}\n" for line in head)
         text = comments + "\n" + write_scenario(replace(found, claims=tuple(claims)))
         self._write(self._file(folder, complaint, number + 1), text)

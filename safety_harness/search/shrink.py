@@ -13,14 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 from safety_harness.exceptions import InputError
-from safety_harness.scenario.model import (
-    JoinedHand,
-    MovingHand,
-    OffsetStart,
-    PoseStart,
-    RecordedHand,
-    Scenario,
-)
+from safety_harness.scenario.model import MovingHand, OffsetStart, PoseStart, RecordedHand, Scenario
 from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
@@ -64,8 +57,9 @@ def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
     if len(scenario.hands) > 0:
         yield "without any hand", replace(scenario, hands=())
     for hand in scenario.hands:
-        others = tuple(o for o in scenario.hands if o is not hand and not _joined(o, hand.name))
-        yield f"without the {hand.name}", replace(scenario, hands=others)
+        name = hand.name
+        others = tuple(o for o in scenario.hands if o is not hand and getattr(o, "joined_to", "") != name)
+        yield f"without the {name}", replace(scenario, hands=others)
     yield from _of_settings(scenario)
     for k, hand in enumerate(scenario.hands):
         if isinstance(hand, MovingHand):
@@ -106,10 +100,8 @@ def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
         for one in fields(default):
             value = getattr(default, one.name)
             if getattr(own, one.name) != value:
-                yield (
-                    f"with the default {name}, {one.name}",
-                    with_value(scenario, (*path, one.name), value),
-                )
+                without = with_value(scenario, (*path, one.name), value)
+                yield f"with the default {name}, {one.name}", without
 
 
 def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
@@ -130,10 +122,6 @@ def _words(scenario: Scenario, path: Path) -> str:
 
 def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
     return members[:k] + members[k + 1 :]
-
-
-def _joined(hand: object, name: str) -> bool:
-    return isinstance(hand, JoinedHand) and hand.joined_to == name
 
 
 @dataclass(frozen=True)
@@ -189,7 +177,7 @@ def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
         "duration_s": LEAST_S,
     }
     for k, hand in enumerate(scenario.hands):
-        if not isinstance(hand, JoinedHand):
+        if isinstance(hand, MovingHand | RecordedHand):
             at = ("hands", k)
             yield from _below(scenario, at, {"delay_s": 0.0, "speed_factor": 1.0, "turn_rad": 0.0})
             for j in range(len(getattr(hand, "moves", ()))):
@@ -207,8 +195,8 @@ def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator
             if isinstance(value, float):
                 axis = path[-1]
                 own = target[axis] if isinstance(target, tuple) and isinstance(axis, int) else target
-                words = next(str(step) for step in reversed(path) if isinstance(step, str))
-                yield ShrinkTarget(path, own, next(_STEPS[end] for end in _STEPS if words.endswith(end)))
+                last = next(step for step in reversed(path) if isinstance(step, str))
+                yield ShrinkTarget(path, own, next(_STEPS[end] for end in _STEPS if last.endswith(end)))
 
 
 Violates = Callable[[Scenario], bool]

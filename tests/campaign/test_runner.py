@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -265,7 +263,7 @@ def test_workers_killed_at_any_moment_cost_nothing(tmp_path: Path, plan: Plan, u
             for k in range(4):
                 if over.wait(0.15):
                     return
-                os.kill(crew.processes[k % 2], signal.SIGKILL)
+                crew.workers[k % 2].process.kill()
 
         killer = threading.Thread(target=kill)
         killer.start()
@@ -292,8 +290,9 @@ def test_workers_that_cannot_be_started_are_said_to_be(tmp_path: Path, plan: Pla
 
 def test_workers_end_when_nobody_is_there_any_more(plan: Plan) -> None:
     with crew_of(Plain(), size=1) as crew:
-        (process,) = crew.processes
-        crew._workers[0].lifeline.close()
+        (worker,) = crew.workers
+        process = worker.process.pid
+        worker.lifeline.close()
         for _ in range(500):
             if not Path(f"/proc/{process}").exists() or "Z" in Path(f"/proc/{process}/stat").read_text():
                 break

@@ -62,7 +62,6 @@ def counterexample() -> Counterexample:
     number = next(k for k, one in enumerate(run.evaluations) if one.verdict.value == "violated")
     return Counterexample(
         complaint=Complaint(scenario.claims[number]),
-        found=scenario,
         shrunk=Shrunk(scenario, used=88, steps=(), settled=True, interrupted=False),
         run=run.trace,
         evaluations=run.evaluations,
