@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Processes
-from safety_harness.campaign.runner import RunnerProgress, run_campaign
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
 from tests.campaign.benches import Plain, row_of
@@ -58,14 +58,14 @@ def run(plan: Plan, path: Path, crew: Processes) -> tuple[float, float, float]:
     """Episodes a second from the first to the last that arrives, the runner's and the workers' seconds."""
     arrived: list[tuple[float, int]] = []
 
-    def watch(progress: RunnerProgress) -> None:
+    def watch(progress: CampaignRunner) -> None:
         arrived.append((time.monotonic(), progress.tally.done))
 
     with Ledger.create(path, plan) as ledger, closing(crew):
-        while crew.ready < crew.size:
+        while not all(worker.ready for worker in crew.workers):
             crew.take(0.1)  # what starting costs is no matter of length
         own_s = time.process_time()
-        assert run_campaign(plan, ledger, crew, on_progress=watch)
+        assert CampaignRunner(plan, ledger, crew, on_progress=watch).run()
         own_s = time.process_time() - own_s
         work_s = next(ledger.all("SELECT sum(seconds) FROM episode"))[0]
     first = next(k for k, (_, done) in enumerate(arrived) if done)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import os
 import random
 import signal
 import subprocess
@@ -32,11 +31,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.processes import Limits, Processes
-from safety_harness.campaign.runner import run_campaign
+from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Processes
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Event
 from safety_harness.exceptions import CampaignError
 from tests.campaign.benches import Plain, row_of
 from tests.campaign.clusters import scheduler, workers
@@ -81,14 +79,14 @@ def checked(path: Path, plan: Plan, expected: str) -> None:
 def write(path: Path, plan: Plan) -> None:
     """What the process that is killed does."""
     with Ledger.open(path, write=True) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
 
 
 def kill_writers(moments: int, rng: random.Random, folder: Path) -> str:
     """Fork, kill after a random time, look at the ledger; begin a new one whenever one is complete."""
     plan = plan_in(folder, PLAN.replace("runs: 30", "runs: 4000").replace("runs: 20", "runs: 1000"))
     with Ledger.create(folder / "whole", plan) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
         expected = fingerprint_of(ledger)
     context, killed, ledgers, written, before = multiprocessing.get_context("fork"), 0, 0, 0, 0
     path = folder / "ledger-0"
@@ -117,7 +115,7 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
     """In one campaign, each as soon as it has come up again."""
     plan = plan_in(folder, PLAN.replace("runs: 30", f"runs: {40 * moments}"))
     with Ledger.create(folder / "whole", plan) as ledger:
-        run_campaign(plan, ledger, AtOnce())
+        CampaignRunner(plan, ledger, AtOnce()).run()
         expected = fingerprint_of(ledger)
     killed, over = 0, threading.Event()
     with closing(Processes(Plain(seconds=0.01), 2, Limits())) as crew:
@@ -125,16 +123,17 @@ def kill_workers(moments: int, rng: random.Random, folder: Path) -> str:
         def kill() -> None:
             nonlocal killed
             while killed < moments and not over.wait(rng.uniform(0.0, 0.4)):
-                if crew.ready:  # else all of them were killed while they were coming up
+                ready = [worker for worker in crew.workers if worker.ready]
+                if ready:  # else all of them were killed while they were coming up
                     with suppress(ProcessLookupError):  # it has been killed a moment ago
-                        os.kill(rng.choice(crew.processes), signal.SIGKILL)
+                        rng.choice(crew.workers).process.kill()
                         killed += 1
 
         killer = threading.Thread(target=kill)
         with Ledger.create(folder / "ledger", plan) as ledger:
             killer.start()
             try:
-                run_campaign(plan, ledger, crew)
+                CampaignRunner(plan, ledger, crew).run()
             finally:
                 over.set()
                 killer.join()

@@ -30,10 +30,10 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.processes import resident_bytes
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import resident_bytes
 from safety_harness.statistics.sample import EpisodeOutcome
 
 SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
@@ -73,7 +73,7 @@ class Watch:
     last_s: float = 0.0
     most_bytes: int = 0
 
-    def __call__(self, progress: RunnerProgress) -> None:
+    def __call__(self, progress: CampaignRunner) -> None:
         """Told of every batch that was committed."""
         since_s = time.monotonic() - self.begun_s
         if since_s - self.last_s >= 30.0:

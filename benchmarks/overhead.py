@@ -24,7 +24,7 @@ import numpy as np
 from ratios import Ratio
 
 from safety_harness.search.cube import Column, Cube
-from safety_harness.search.outcomes import Goal, Outcomes
+from safety_harness.search.findings import Goal, Outcomes
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 

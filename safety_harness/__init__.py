@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from safety_harness.scenario.write import write_scenario
     from safety_harness.search.coverage import Coverage
     from safety_harness.search.cube import Column, Cube
-    from safety_harness.search.findings import Findings
-    from safety_harness.search.outcomes import Goal, Outcomes
+    from safety_harness.search.findings import Findings, Goal, Outcomes
     from safety_harness.search.search import find_violations
     from safety_harness.search.searchers import searcher_named
     from safety_harness.search.shrink import shrink
@@ -129,8 +128,7 @@ _HOMES = {
     "scenario.write": ("write_scenario",),
     "search.coverage": ("Coverage",),
     "search.cube": ("Column", "Cube"),
-    "search.findings": ("Findings",),
-    "search.outcomes": ("Goal", "Outcomes"),
+    "search.findings": ("Findings", "Goal", "Outcomes"),
     "search.search": ("find_violations",),
     "search.searchers": ("searcher_named",),
     "search.shrink": ("shrink",),

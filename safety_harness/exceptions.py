@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 
@@ -60,6 +61,11 @@ class InputError(SafetyHarnessError):
         self.hint = on_one_line(hint)
         text = f"{place}: expected {self.expected}; got {self.got}"
         super().__init__(text + (f" ({self.hint})" if self.hint else ""))
+
+    def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
+        """On its way between processes: exceptions with keywords are not pickled by themselves."""
+        make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)
+        return make, ()
 
 
 def explanation(error: BaseException) -> str:

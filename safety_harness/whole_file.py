@@ -22,16 +22,12 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         part.unlink(missing_ok=True)  # of an earlier process that had our number
         yield part
-        _onto_the_disk(part)  # the renaming must not reach it before the contents
+        with part.open("rb") as file:
+            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
         os.replace(part, path)
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-
-
-def _onto_the_disk(path: Path) -> None:
-    with path.open("rb") as file:
-        os.fsync(file.fileno())
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -22,7 +22,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -31,9 +31,8 @@ from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.identity import Identity, PlanFile, unpacked
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import LIMITS, Limits
+from safety_harness.campaign.processes import LIMITS, Arrived, Chunk, Event, Limits, Lost, bench_of_file
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.worker import Arrived, Chunk, Event, Lost, Mistake, PlanFromFile
 from safety_harness.exceptions import CampaignError, InputError, Place, ScenarioError
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network
@@ -43,46 +42,32 @@ _MOST_REFUSED = 10  # chunks in a row that no worker could begin
 _OF_THREAD = threading.local()  # avoiders are not made to be asked by two at once
 
 
-@dataclass(frozen=True)
-class Shipment:
-    """A plan on its way to a machine that has none of its files."""
-
-    files: tuple[PlanFile, ...]
-    identity: Identity
-
-
-@dataclass(frozen=True)
-class Unable:
-    """A chunk that a worker could not run; ``times`` as for ``Lost``."""
-
-    why: str
-    times: int = 0
-
-
-def run_chunk(shipment: Shipment, chunk: Chunk) -> list[Row] | Mistake | Unable:
-    """What a Dask worker does with a chunk.
+def run_chunk(
+    files: Sequence[PlanFile], identity: Identity, chunk: Chunk
+) -> Sequence[Row] | InputError | Lost:
+    """What a Dask worker does with a chunk; the machine that it is on has none of the plan's files.
 
     Nothing is raised: of an exception whose traceback cannot be pickled Dask's client never hears.
     """
     try:
-        bench = _bench(shipment)
+        bench = _bench(files, identity)
         return list(bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations))
     except InputError as error:
-        mistake = Mistake.of(error)
-        return replace(mistake, got=f"{mistake.got} (the worker {os.uname().nodename}:{os.getpid()})")
+        got = f"{error.got} (the worker {os.uname().nodename}:{os.getpid()})"
+        return type(error)(place=error.place, expected=error.expected, got=got, hint=error.hint)
     except MemoryError:
-        return Unable("its worker had no memory left", times=1)
+        return Lost(chunk, "its worker had no memory left")
     except Exception as error:
-        return Unable(described(error))
+        return Lost(chunk, described(error), times=0)
 
 
-def _bench(shipment: Shipment) -> EpisodeRunner:
+def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
     """Made once for a plan; its files stay until the thread ends or takes up another plan."""
-    if getattr(_OF_THREAD, "plan", "") != shipment.identity.sha256:
+    if getattr(_OF_THREAD, "plan", "") != identity.sha256:
         _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
-        file = unpacked(shipment.files, Path(_OF_THREAD.folder.name))
-        _OF_THREAD.bench = PlanFromFile(file, shipment.identity)()
-        _OF_THREAD.plan = shipment.identity.sha256
+        file = unpacked(files, Path(_OF_THREAD.folder.name))
+        _OF_THREAD.bench = bench_of_file(file, identity)
+        _OF_THREAD.plan = identity.sha256
     bench: EpisodeRunner = _OF_THREAD.bench
     return bench
 
@@ -109,6 +94,7 @@ class DaskCrew:
     address: str
     limits: Limits = LIMITS
     replaced: int = 0
+    size: int = 0  # threads of all workers when they were counted last; workers may come later
     _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of giving
     _suspects: set[Chunk] = field(default_factory=set)
     _waiting: Chunk | None = None  # a suspect, until nothing else is under way
@@ -119,14 +105,8 @@ class DaskCrew:
     def __post_init__(self) -> None:
         self._client = connected(self.address, _ANSWER_S)
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
-        self._shipment = Shipment(self.plan.files, self.plan.identity)
         self._looked_s = -math.inf
         self._look_around([])
-
-    @property
-    def size(self) -> int:
-        """Threads of all workers when they were counted last; workers may come later."""
-        return self._threads
 
     @property
     def free(self) -> int:
@@ -143,7 +123,7 @@ class DaskCrew:
             self._submit(chunk, alone=False)
 
     def _submit(self, chunk: Chunk, alone: bool) -> None:
-        future = self._client.submit(run_chunk, self._shipment, chunk, pure=False)
+        future = self._client.submit(run_chunk, self.plan.files, self.plan.identity, chunk, pure=False)
         self._under_way[future] = _Task(chunk, alone, time.monotonic())
         future.add_done_callback(self._finished.put)
 
@@ -184,13 +164,11 @@ class DaskCrew:
             found = future.result(_ANSWER_S)
         except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
             return [Lost(task.chunk, f"its result could not be fetched: {type(error).__name__}", times=0)]
-        if isinstance(found, Mistake):
-            self._mistake = found.error
+        if isinstance(found, InputError):
+            self._mistake = found
             return []
-        if isinstance(found, Unable):
-            return [
-                Lost(task.chunk, found.why, found.times) if found.times else self._refusal(task, found.why)
-            ]
+        if isinstance(found, Lost):
+            return [found if found.times else self._refusal(task, found.why)]
         self._refused = 0
         return [Arrived(task.chunk, tuple(found), last=True)]
 
@@ -228,7 +206,7 @@ class DaskCrew:
         self._looked_s = time.monotonic()
         try:
             threads: dict[str, int] = self._client.nthreads()
-            self._threads = sum(threads.values())
+            self.size = sum(threads.values())
             self._look_for_hung(threads, events)
         except (OSError, TimeoutError) as error:
             if not events:  # they come first
@@ -284,7 +262,11 @@ def connected(where: str, timeout_s: float) -> Any:
         asyncio.run(_refuse_no_scheduler(address, timeout_s))
         return make(address=address, timeout=timeout_s, set_as_default=False)
     except Exception as error:  # whatever listens there may answer anything
-        raise _none(where, error) from error
+        raise ScenarioError(
+            place=Place(field="--cluster"),
+            expected="the address (tcp://...) or the file of a Dask scheduler that answers",
+            got=f"{where}: {str(error) or type(error).__name__}",
+        ) from error
 
 
 def _address_in(file: Path) -> str:
@@ -308,11 +290,3 @@ async def _refuse_no_scheduler(address: str, timeout_s: float) -> None:
     except TimeoutError:
         raise TimeoutError(f"no answer within {timeout_s:g} s") from None
     comm.abort()
-
-
-def _none(where: str, error: Exception) -> InputError:
-    return ScenarioError(
-        place=Place(field="--cluster"),
-        expected="the address (tcp://...) or the file of a Dask scheduler that answers",
-        got=f"{where}: {str(error) or type(error).__name__}",
-    )

@@ -8,6 +8,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -52,12 +53,23 @@ def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
     return frozenset(rng.choice(one.runs, count, replace=False).tolist()) if count else frozenset()
 
 
+def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: int = 0) -> Row:
+    """An episode that could not be run, which counts for none of the claims."""
+    return Row(
+        stratum=stratum,
+        episode=episode,
+        seed=root_seed(plan, stratum, episode),
+        judgements=(ClaimJudgement(EpisodeOutcome.FAILED),) * len(plan.claims),
+        draws=draws,
+        failure=failure,
+    )
+
+
 @dataclass(frozen=True)
 class Drawn:
-    """An episode ready to be run, how many draws it took, and the root of its seeds."""
+    """An episode ready to be run, and how many draws it took."""
 
     episode: int
-    seed: int
     draws: int
     admitted: Admitted
 
@@ -82,18 +94,16 @@ class EpisodeRunner:
 
         ``keep_violations`` says whether traces of violations are still wanted.
         """
-        if self.plan.world.batch:
-            yield from self._together(stratum, episodes, keep_violations)
-            return
-        for episode in episodes:
+        for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
             begun_s = time.perf_counter()
-            drawn = self._drawn(stratum, episode)
-            if isinstance(drawn, Row):
-                yield drawn
-                continue
-            run = next(run_all([drawn.admitted], self.plan.world))
-            row = self._judged(stratum, drawn, run, keep_violations)
-            yield replace(row, seconds=time.perf_counter() - begun_s)
+            drawn = [self._guarded(stratum, k, partial(self.draw, stratum, k)) for k in group]
+            runs = run_all([one.admitted for one in drawn if isinstance(one, Drawn)], self.plan.world)
+            rows = [
+                one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
+                for one in drawn
+            ]
+            each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
+            yield from (replace(row, seconds=each_s) for row in rows)
 
     def scenario(self, stratum: int, episode: int, draw: int) -> Scenario:
         """A draw for an episode, with the plan's claims and avoider."""
@@ -104,65 +114,45 @@ class EpisodeRunner:
         return self.plan.with_avoider(scenario)
 
     def draw(self, stratum: int, episode: int) -> Drawn | Row:
-        """The first draw that admission lets through; after HOPELESS refusals a row that says so."""
-        seed = root_seed(self.plan, stratum, episode)
+        """The first draw that admission lets through; after too many refusals a row that says so."""
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
             try:
-                scenario = self.scenario(stratum, episode, k)
-                return Drawn(episode, seed, k + 1, self._admit(scenario))
+                return Drawn(episode, k + 1, self._admit(self.scenario(stratum, episode, k)))
             except InputError as error:
                 refused[why_refused(error)] += 1
         reason, count = refused.most_common(1)[0]
         failure = f"none of {MAX_REJECTION_RATIO} draws can be tried; {count} times: {reason}"
-        return Row.failed(stratum, episode, seed, len(self.plan.claims), failure, draws=MAX_REJECTION_RATIO)
+        return failed_row(self.plan, stratum, episode, failure, draws=MAX_REJECTION_RATIO)
 
     def _admit(self, scenario: Scenario) -> Admitted:
         if not self.programs and is_executed(scenario.avoider):
             raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
         return self._admitter.admit(scenario)
 
-    def _together(self, stratum: int, episodes: Sequence[int], keep_violations: bool) -> Iterator[Row]:
-        begun_s = time.perf_counter()
-        drawn = [self._drawn(stratum, episode) for episode in episodes]
-        ready = [one for one in drawn if isinstance(one, Drawn)]
-        runs = run_all([one.admitted for one in ready], self.plan.world)
-        rows = [
-            one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
-            for one in drawn
-        ]
-        each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
-        yield from (replace(row, seconds=each_s) for row in rows)
-
-    def _drawn(self, stratum: int, episode: int) -> Drawn | Row:
-        return self._guarded(stratum, episode, lambda: self.draw(stratum, episode))
-
     def _judged(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
-        return self._guarded(stratum, drawn.episode, lambda: self._row(stratum, drawn, run, keep_violations))
+        work = partial(self._row, stratum, drawn, run, keep_violations)
+        return self._guarded(stratum, drawn.episode, work)
 
-    def _guarded(
-        self, stratum: int, episode: int, work: Callable[[], _Done], again: bool = True
-    ) -> _Done | Row:
+    def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
         """An error of ours would come in every worker: once it has come twice, the episode has failed to run.
 
         InputError, where the plan is to blame, MemoryError, where this process is, and CampaignError for a
         program that is not to be executed, are raised.
         """
-        try:
-            return work()
-        except (InputError, MemoryError, CampaignError):
-            raise
-        except Exception as error:
-            if again:
-                return self._guarded(stratum, episode, work, again=False)
-            seed = root_seed(self.plan, stratum, episode)
-            failure = f"an error of the harness itself: {described(error)}{_where(error)}"
-            return Row.failed(stratum, episode, seed, len(self.plan.claims), failure)
+        for _ in range(2):
+            try:
+                return work()
+            except (InputError, MemoryError, CampaignError):
+                raise
+            except Exception as error:
+                failure = f"an error of the harness itself: {described(error)}{_where(error)}"
+        return failed_row(self.plan, stratum, episode, failure)
 
     def _row(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
         if isinstance(run, Exception):
-            failure, claims = f"the run failed: {described(run)}", len(self.plan.claims)
-            return Row.failed(stratum, drawn.episode, drawn.seed, claims, failure, draws=drawn.draws)
+            failure = f"the run failed: {described(run)}"
+            return failed_row(self.plan, stratum, drawn.episode, failure, draws=drawn.draws)
         row = self.row_of(stratum, drawn.episode, drawn.draws, run)
         wanted = drawn.episode in self._kept_whatever(stratum) or (keep_violations and row.violates)
         return replace(row, trace=trace_bytes(run)) if wanted else row

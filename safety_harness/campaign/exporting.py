@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import csv
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.exceptions import OutputError, Place, ScenarioError
+from safety_harness.campaign.opening import OUTCOME
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, parse_quantity
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.whole_file import replacing
+from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late")
 # Name, where it is, and its type in Parquet.
@@ -21,7 +21,7 @@ _COLUMNS = (
     ("stratum", "s.name", "string"),
     ("episode", "j.episode", "int64"),
     ("claim", "c.sentence", "string"),
-    ("outcome", "j.outcome", "string"),
+    ("outcome", OUTCOME, "string"),
     ("margin_si", "j.margin", "float64"),
     ("worst_time_s", "j.worst_time_s", "float64"),
     ("exercised", "j.exercised", "int64"),
@@ -38,7 +38,6 @@ _QUESTION = (
     "JOIN episode e ON e.stratum = j.stratum AND e.episode = j.episode LEFT JOIN cell l ON l.id = e.cell "
     "ORDER BY j.stratum, j.claim, j.episode"
 )
-_OUTCOME = [name for name, *_ in _COLUMNS].index("outcome")
 _AT_ONCE = 50_000  # lines
 SUFFIXES = (".csv", ".parquet")
 
@@ -52,17 +51,14 @@ def export(ledger: Ledger, out: Path) -> int:
         raise ScenarioError(
             place=Place(file=out), expected=f"a file that ends in {' or '.join(SUFFIXES)}", got=out.name
         )
-    try:
-        with replacing(out) as unfinished:
-            return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
-    except OSError as error:
-        raise OutputError.of(out, error) from error
+    with writing(out), replacing(out) as unfinished:
+        return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
 
 
 def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
     """Write every stored trace as a file that ``replay`` and ``judge`` take."""
     paths = []
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for stratum, episode, violation in ledger.traces():
             word = "violation" if violation else "random"
@@ -70,17 +66,7 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
             with replacing(path) as unfinished:
                 unfinished.write_bytes(ledger.trace(stratum, episode) or b"")
             paths.append(path)
-    except OSError as error:
-        raise OutputError.of(folder, error) from error
     return paths
-
-
-def _lines(ledger: Ledger) -> Iterator[list[Any]]:
-    words = {int(outcome): outcome.name.lower() for outcome in EpisodeOutcome}
-    for row in ledger.all(_QUESTION):
-        line = list(row)
-        line[_OUTCOME] = words[line[_OUTCOME]]
-        yield line
 
 
 def _csv(ledger: Ledger, path: Path) -> int:
@@ -88,8 +74,8 @@ def _csv(ledger: Ledger, path: Path) -> int:
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(name for name, *_ in _COLUMNS)
-        for line in _lines(ledger):
-            writer.writerow("" if value is None else value for value in line)
+        for line in ledger.all(_QUESTION):
+            writer.writerow(line)
             count += 1
     return count
 
@@ -106,7 +92,7 @@ def _parquet(ledger: Ledger, path: Path) -> int:
             hint="pip install 'safety-harness[export]', or write a .csv",
         ) from None
     schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in _COLUMNS])
-    count, lines = 0, _lines(ledger)
+    count, lines = 0, ledger.all(_QUESTION)
     with ParquetWriter(path, schema, compression="zstd") as writer:
         while batch := list(islice(lines, _AT_ONCE)):
             columns = [pyarrow.array([line[k] for line in batch], kind.type) for k, kind in enumerate(schema)]
@@ -127,27 +113,27 @@ def question_of(
     A claim or stratum is named whole, or by words that only one has; ``below`` is a margin with its unit.
     """
     declared = ledger.declared
+    outcomes = tuple(one.name.lower() for one in EpisodeOutcome)
     filters: list[tuple[str, object]] = []
-    if stratum is not None:
-        filters.append(("stratum = ?", _meant(declared.strata, stratum, "--stratum")))
-    if claim is not None:
-        filters.append(("claim = ?", _meant(declared.claims, claim, "--claim")))
-    if outcome is not None:
-        names = tuple(one.name.lower() for one in EpisodeOutcome)
-        filters.append(("outcome = ?", _meant(names, outcome, "--outcome")))
+    for option, word, names in (
+        ("stratum", stratum, declared.strata),
+        ("claim", claim, declared.claims),
+        ("outcome", outcome, outcomes),
+    ):
+        if word is not None:
+            filters.append((f"{option} = ?", _meant(names, word, f"--{option}")))
     if below is not None:
+        place = Place(field="--below")
         units = {
             unit
             for name, unit in zip(declared.claims, declared.units, strict=True)
             if claim is None or claim in name
         }
         if len(units) != 1:
-            place = Place(field="--below")
-            raise ScenarioError(
-                place=place, expected="--claim beside it, whose unit it has", got="several claims"
-            )
+            expected = "--claim beside it, whose unit it has"
+            raise ScenarioError(place=place, expected=expected, got="several claims")
         dimension = _DIMENSIONS.get(units.pop().name.lower().replace("_", " "), NUMBER)
-        filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))
+        filters.append(("margin < ?", parse_quantity(below, dimension, place)))
     where = " AND ".join(text for text, _ in filters) or "1"
     values = tuple(value for _, value in filters)
     return f"SELECT * FROM results WHERE {where} ORDER BY margin IS NULL, margin, stratum, episode", values

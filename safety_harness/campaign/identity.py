@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import LedgerError, OutputError, Place, ScenarioError
+from safety_harness.exceptions import LedgerError, Place, ScenarioError
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
@@ -21,6 +21,7 @@ from safety_harness.scenario.references import file_and_name
 from safety_harness.simulation.worlds import load_engines
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
+from safety_harness.whole_file import writing
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,6 @@ def identity_of(
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
     return Identity(tuple(parts.items()))
-
-
-def stratum_number(name: str) -> int:
-    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
-    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
 MOST_BYTES = 200_000_000  # of all files together
@@ -135,11 +131,9 @@ def unpacked(files: Iterable[PlanFile], folder: Path) -> Path:
             raise ScenarioError(
                 place=Place(file=Path(file.name)), expected="a file below the plan's folder", got="another"
             )
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.data)
-        except OSError as error:
-            raise OutputError.of(path, error) from error
         first = first or path
     assert first is not None
     return first

@@ -7,9 +7,12 @@ before leaves no part of a batch.  Others may read while one process writes.
 from __future__ import annotations
 
 import hashlib
+import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,24 +20,41 @@ from urllib.parse import quote
 
 import numpy as np
 
-from safety_harness.campaign.declared import declare, read_declared
 from safety_harness.campaign.identity import Identity, PlanFile
-from safety_harness.campaign.opening import connect, explained
-from safety_harness.campaign.opening import create as create_tables
+from safety_harness.campaign.opening import connect, create, explained, refuse_any_file, unusable
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
-from safety_harness.exceptions import LedgerError, OutputError, Place
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
+from safety_harness.properties.base import Unit
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
+from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
-from safety_harness.whole_file import replacing
+from safety_harness.whole_file import replacing, writing
 
-_EPISODE = f"INSERT INTO episode VALUES ({', '.join('?' * 15)})"
+_EPISODE = f"INSERT INTO episode VALUES ({'?, ' * 10}(SELECT id FROM cell WHERE words = ?){', ?' * 4})"
 _SAMPLE = (
     "SELECT j.episode, j.outcome, e.seed, j.exercised, j.margin FROM judgement j JOIN episode e "
     "ON e.stratum = j.stratum AND e.episode = j.episode WHERE j.stratum = ? AND j.claim = ? "
     "AND j.episode < coalesce(?, j.episode + 1)"
 )
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
+
+
+@dataclass(frozen=True)
+class Declared:
+    """The plan in a ledger; ``strata`` with their ``planned`` episodes, ``claims`` with their ``units``."""
+
+    title: str
+    plan_file: Path
+    identity: Identity
+    seed: int
+    world: WorldEntry
+    confidence: float
+    stop_early: bool
+    strata: tuple[str, ...]
+    planned: tuple[int, ...]
+    claims: tuple[str, ...]
+    units: tuple[Unit, ...]
+    targets: tuple[float | None, ...]
 
 
 class Ledger:
@@ -45,26 +65,23 @@ class Ledger:
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
-        self._connection = connection
-        self.declared = read_declared(connection, path)
+        self.connection = connection
+        self.declared = _declared(connection, path)
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Ledger:
         """A ledger without episodes at ``path``, where there must be none: whole or not at all."""
-        if path.exists():
-            raise LedgerError(place=Place(file=path), expected="no file there yet", got="one")
-        try:
-            with replacing(path) as unfinished, explained(path):
-                connection = sqlite3.connect(unfinished, isolation_level=None)
-                try:
-                    connection.execute("BEGIN")
-                    create_tables(connection)
-                    declare(connection, plan, path)
-                    connection.execute("COMMIT")
-                finally:
-                    connection.close()
-        except OSError as error:
-            raise OutputError.of(path, error) from error
+        refuse_any_file(path)
+        with (
+            writing(path),
+            replacing(path) as unfinished,
+            explained(path),
+            closing(sqlite3.connect(unfinished, isolation_level=None)) as connection,
+        ):
+            connection.execute("BEGIN")
+            create(connection)
+            _declare(connection, plan, path)
+            connection.execute("COMMIT")
         return cls.open(path, write=True, check=False)
 
     @classmethod
@@ -88,12 +105,7 @@ class Ledger:
 
     def close(self) -> None:
         """Let go of the file."""
-        self._connection.close()
-
-    @property
-    def connection(self) -> sqlite3.Connection:
-        """For questions of one's own."""
-        return self._connection
+        self.connection.close()
 
     def refuse_other(self, identity: Identity) -> None:
         """LedgerError that names what has changed since the ledger's plan was declared."""
@@ -119,51 +131,40 @@ class Ledger:
 
     def record(self, rows: Iterable[Row]) -> None:
         """Note episodes down, all of them or none; LedgerError if one of them is there already."""
+        execute = self.connection.execute
         with self.transaction():
             for row in rows:
-                self._insert(row)
-
-    def _insert(self, row: Row) -> None:
-        execute = self._connection.execute
-        counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
-        words = (self._cell(row.cell) if row.cell else None, row.mishap or None, row.failure or None)
-        here = (row.seconds, row.worker)
-        execute(_EPISODE, (row.stratum, row.episode, row.seed, row.draws, *counts, *words, *here))
-        for claim, one in enumerate(row.judgements):
-            found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)  # a NaN becomes NULL
-            execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))
-        if row.trace is not None:
-            execute(
-                "INSERT INTO trace VALUES (?, ?, ?, ?)", (row.stratum, row.episode, row.violates, row.trace)
-            )
-
-    def _cell(self, words: str) -> int:
-        """The number of a cell of the coverage; none is remembered that a transaction may take back."""
-        found = self._connection.execute("SELECT id FROM cell WHERE words = ?", (words,)).fetchone()
-        if found is None:
-            return int(
-                self._connection.execute("INSERT INTO cell (words) VALUES (?)", (words,)).lastrowid or 0
-            )
-        return int(found[0])
+                counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
+                if row.cell:
+                    execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
+                words = (row.cell, row.mishap or None, row.failure or None)
+                here = (row.seconds, row.worker)
+                execute(_EPISODE, (row.stratum, row.episode, row.seed, row.draws, *counts, *words, *here))
+                for claim, one in enumerate(row.judgements):
+                    found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
+                    execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL
+                if row.trace is not None:
+                    kept = (row.stratum, row.episode, row.violates, row.trace)
+                    execute("INSERT INTO trace VALUES (?, ?, ?, ?)", kept)
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """All of what is written within, or none of it."""
         with explained(self.path):
-            self._connection.execute("BEGIN IMMEDIATE")
+            self.connection.execute("BEGIN IMMEDIATE")
             try:
                 yield
-                self._connection.execute("COMMIT")
+                self.connection.execute("COMMIT")
             except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
+                if self.connection.in_transaction:
+                    self.connection.execute("ROLLBACK")
                 raise
 
     def begin_session(self, began: str, workers: str, machine: str) -> None:
         """Note down who works on it, for people: nothing depends on it."""
         with self.transaction():
             insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
-            self._connection.execute(insert, (began, workers, machine))
+            self.connection.execute(insert, (began, workers, machine))
 
     def missing(self, stratum: int) -> Iterator[range]:
         """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
@@ -185,15 +186,15 @@ class Ledger:
         """Remove stored traces: of violations beyond those that the plan keeps."""
         with self.transaction():
             delete = "DELETE FROM trace WHERE stratum = ? AND episode = ?"
-            self._connection.executemany(delete, ((stratum, episode) for episode in episodes))
+            self.connection.executemany(delete, ((stratum, episode) for episode in episodes))
 
     def stop(self, stratum: int, after: int) -> None:
         """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
         with self.transaction():
             for table in ("trace", "judgement", "episode"):
                 delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
-                self._connection.execute(delete, (stratum, after))
-            self._connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
+                self.connection.execute(delete, (stratum, after))
+            self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
 
     def stopped_after(self, stratum: int) -> int | None:
         """The number of episodes after which the stratum was stopped; None if it was not."""
@@ -216,7 +217,7 @@ class Ledger:
         question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
         rows = list(self.all(question, stratum, claim))
         episodes, outcomes = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
-        return episodes, outcomes, np.array([np.nan if m is None else m for *_, m in rows], np.float64)
+        return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
         """What estimates of a claim in a stratum are made of; StatisticsError while episodes are missing.
@@ -239,31 +240,78 @@ class Ledger:
         episodes, outcomes, seeds, exercised = (
             np.array([row[k] for row in rows], np.int64) for k in range(4)
         )
-        margins = np.array([np.nan if row[4] is None else row[4] for row in rows], np.float64)
+        margins = np.array([row[4] for row in rows], np.float64)
         return IndependentSample.of_stream(
             declaration, episodes, outcomes, margins, seeds=seeds, exercised=exercised, claim=claim
         )
 
-    def execute(self, statement: str) -> None:
-        """One statement in SQL, within a transaction."""
-        self._connection.execute(statement)
-
     @contextmanager
     def attached(self, path: Path, name: str) -> Iterator[None]:
         """Another ledger, to be read under a name in SQL."""
-        self._connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
+        self.connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
         try:
             yield
         finally:
-            self._connection.execute(f"DETACH {name}")
+            self.connection.execute(f"DETACH {name}")
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
         """The rows of the answer to a question in SQL."""
         with explained(self.path):
-            yield from self._connection.execute(question, values)
+            yield from self.connection.execute(question, values)
 
 
 def _place(names: tuple[str, ...], name: str) -> int:
     if name not in names:
         raise KeyError(f"{name!r} is none of {', '.join(names)}")
     return names.index(name)
+
+
+def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
+    """Write the plan down, with all its files, in the ledger of that path."""
+    about = {
+        "title": plan.title,
+        "plan file": portable(os.path.relpath(plan.file.resolve(), ledger.resolve().parent), ledger.parent),
+        "identity": plan.identity.as_json(),
+        "plan": json.dumps(
+            {
+                "seed": plan.seed,
+                "world": plan.world.label,
+                "confidence": plan.confidence,
+                "stop early": plan.stop_early,
+            }
+        ),
+    }
+    connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
+    connection.executemany(
+        "INSERT INTO file (name, data) VALUES (?, ?)", [(f.name, f.data) for f in plan.files]
+    )
+    strata = [(k, one.name, one.space.name, one.runs) for k, one in enumerate(plan.strata)]
+    connection.executemany("INSERT INTO stratum VALUES (?, ?, ?, ?, NULL)", strata)
+    claims = [(k, one.sentence, one.unit.name, one.target, one.hazard) for k, one in enumerate(plan.claims)]
+    connection.executemany("INSERT INTO claim VALUES (?, ?, ?, ?, ?)", claims)
+
+
+def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
+    """As it was written; LedgerError for what no plan can have given."""
+    with explained(path):
+        about = dict(connection.execute("SELECT key, value FROM about"))
+        strata = connection.execute("SELECT name, planned FROM stratum ORDER BY id").fetchall()
+        claims = connection.execute("SELECT sentence, unit, target FROM claim ORDER BY id").fetchall()
+    try:
+        plan = json.loads(about["plan"])
+        return Declared(
+            title=about["title"],
+            plan_file=path.parent / about["plan file"],
+            identity=Identity.from_json(about["identity"]),
+            seed=int(plan["seed"]),
+            world=worlds_by_label()[str(plan["world"])],
+            confidence=float(plan["confidence"]),
+            stop_early=bool(plan["stop early"]),
+            strata=tuple(name for name, _ in strata),
+            planned=tuple(int(planned) for _, planned in strata),
+            claims=tuple(sentence for sentence, *_ in claims),
+            units=tuple(Unit[unit] for _, unit, _ in claims),
+            targets=tuple(target for *_, target in claims),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise unusable(path, "a ledger with its plan", f"none that can be read ({error!r})") from error

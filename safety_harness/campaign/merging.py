@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.opening import explained, only_runner
+from safety_harness.campaign.opening import explained, only_runner, refuse_any_file, unusable
 from safety_harness.campaign.session import plan_of
-from safety_harness.exceptions import LedgerError, OutputError, Place
+from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
-from safety_harness.whole_file import replacing
+from safety_harness.whole_file import replacing, writing
 
 _EPISODE = "seed, draws, decisions, proposed, opposite, stopped, faults, late, mishap, failure"
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
@@ -26,17 +26,11 @@ def merge(into: Path, ledgers: Sequence[Path]) -> int:
     episode; nothing is written then.
     """
     with Ledger.open(ledgers[0]) as first, only_runner(into):
-        if into.exists():
-            raise LedgerError(place=Place(file=into), expected="no file there yet", got="one")
+        refuse_any_file(into)
         if first.declared.stop_early:
-            raise LedgerError(
-                place=Place(file=ledgers[0]), expected="a plan of fixed length", got="one that may stop early"
-            )
-        try:
-            with replacing(into) as unfinished:
-                return _merged(unfinished, first, ledgers)
-        except OSError as error:
-            raise OutputError.of(into, error) from error
+            raise unusable(ledgers[0], "a plan of fixed length", "one that may stop early")
+        with writing(into), replacing(into) as unfinished:
+            return _merged(unfinished, first, ledgers)
 
 
 def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
@@ -72,16 +66,16 @@ def _take_over(whole: Ledger, path: Path) -> None:
                     got="another one",
                     hint="machines of different kinds, or an avoider that does not repeat itself",
                 )
-        whole.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
-        whole.execute(
+        whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
+        whole.connection.execute(
             "INSERT OR IGNORE INTO episode "
             "SELECT e.stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, "
             "e.stopped, e.faults, e.late, c.id, e.mishap, e.failure, e.seconds, e.worker "
             "FROM part.episode e LEFT JOIN part.cell p ON p.id = e.cell LEFT JOIN cell c ON c.words = p.words"
         )
-        whole.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")
-        whole.execute("INSERT OR IGNORE INTO trace SELECT * FROM part.trace")
-        whole.execute(
+        whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")
+        whole.connection.execute("INSERT OR IGNORE INTO trace SELECT * FROM part.trace")
+        whole.connection.execute(
             "INSERT INTO session (began, workers, machine) SELECT began, workers, machine FROM part.session"
         )
 
@@ -104,13 +98,13 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,
     StatisticsError while episodes are missing, or for others than the same.
     """
-    _refuse_other_spaces(first, second)
+    if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
+        expected = f"a campaign over the same spaces as {first.path}"
+        raise unusable(second.path, expected, "spaces with another text")
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
     if not strata or not claims:
-        raise LedgerError(
-            place=Place(file=second.path), expected="a stratum and a claim of the other ledger", got="none"
-        )
+        raise unusable(second.path, "a stratum and a claim of the other ledger", "none")
     pairs = [(stratum, claim) for stratum in strata for claim in claims]
     confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
     return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)
@@ -118,7 +112,6 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
 
 def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:
     """Episodes with a violation that the first did not have, the largest loss of margin first."""
-    found = []
     with second.attached(first.path, "first"):
         rows = second.all(
             "SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin "
@@ -129,16 +122,7 @@ def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]
             "ORDER BY ifnull(b.margin, 0) - a.margin DESC, s.name, c.sentence, a.episode LIMIT ?",
             most,
         )
-        for stratum, episode, claim, unit, before, after in rows:
-            found.append(Worse(stratum, episode, claim, Unit[unit], before, after))
-    return found
-
-
-def _refuse_other_spaces(first: Ledger, second: Ledger) -> None:
-    """Common random numbers are common only where the spaces are."""
-    if first.draws_sha256 != second.draws_sha256:
-        raise LedgerError(
-            place=Place(file=second.path),
-            expected=f"a campaign over the same spaces as {first.path}",
-            got="spaces with another text",
-        )
+        return [
+            Worse(stratum, episode, claim, Unit[unit], *margins)
+            for stratum, episode, claim, unit, *margins in rows
+        ]

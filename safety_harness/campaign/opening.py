@@ -1,6 +1,6 @@
 """Connections to a ledger: who may write, what is checked first, what SQLite's errors mean to people.
 
-And its tables, and how a ledger of an earlier version becomes one of this.
+And its tables.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from safety_harness.exceptions import InputError, LedgerError, OutputError, Place
+from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.whole_file import writing
 
 BUSY_MS = 30_000  # that others may keep the ledger from being written
 LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
@@ -31,16 +32,16 @@ def refuse_no_ledger(path: Path) -> None:
             header = stream.read(100)
         size = path.stat().st_size
     except OSError as error:
-        raise _error(path, "a ledger that can be read", error.strerror or str(error)) from error
+        raise unusable(path, "a ledger that can be read", error.strerror or str(error)) from error
     if len(header) < 100 or not header.startswith(_MAGIC):
-        raise _error(path, "a ledger (an SQLite database)", "another file, or a part of one")
+        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of one")
     if int.from_bytes(header[68:72], "big") != APPLICATION_ID and not _unfinished(path):
-        raise _error(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "an SQLite database of something else")
     page = int.from_bytes(header[16:18], "big")
     page = 65536 if page == 1 else page
     pages = int.from_bytes(header[28:32], "big")
     if size < page * pages and not _unfinished(path):
-        raise _error(path, f"{_WHOLE}: {page * pages:,} bytes", f"{size:,}: it has been truncated")
+        raise unusable(path, f"{_WHOLE}: {page * pages:,} bytes", f"{size:,}: it has been truncated")
 
 
 def _unfinished(path: Path) -> bool:
@@ -70,14 +71,11 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
             if alone:
                 _refuse_other_tables(connection, path)
             if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
-                found = connection.execute(f"PRAGMA {'integrity' if alone else 'quick'}_check(1)").fetchone()[
-                    0
-                ]
+                kind = "integrity" if alone else "quick"
+                (found,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
                 if found != "ok":
-                    raise _error(path, _WHOLE, f"damage: {' '.join(found.split())}")
-            if write:
-                migrate(connection)
-            else:
+                    raise unusable(path, _WHOLE, f"damage: {' '.join(found.split())}")
+            if not write:
                 connection.execute("PRAGMA query_only = ON")
         except BaseException:
             connection.close()
@@ -88,24 +86,19 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
 def _open(path: Path, mode: str) -> sqlite3.Connection:
     uri = f"file:{quote(str(path.absolute()))}?mode={mode}"
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_MS / 1e3)
-    if mode == "rw":
-        for_writing(connection)
+    if mode == "rw":  # a commit is on the disk when it returns, and readers read meanwhile
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = OFF")
     return connection
-
-
-def for_writing(connection: sqlite3.Connection) -> None:
-    """A commit is on the disk when it returns, and readers read meanwhile."""
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    connection.execute("PRAGMA foreign_keys = OFF")
 
 
 def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-        raise _error(path, "a ledger", "an SQLite database of something else")
+        raise unusable(path, "a ledger", "an SQLite database of something else")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if not 1 <= version <= VERSION:
-        raise _error(path, f"a ledger of version 1 to {VERSION}", f"version {version}, of a newer program")
+        raise unusable(path, f"a ledger of version 1 to {VERSION}", f"version {version}, of a newer program")
 
 
 def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
@@ -119,7 +112,7 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
     if other:
-        raise _error(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
+        raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
 
 
 # What a view or an index says hangs on its text; of tables the columns are compared.
@@ -137,12 +130,12 @@ def explained(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        text = str(error)
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+        text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
+        if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
             raise OutputError.of(path, OSError(f"{text}; what was committed before is safe")) from error
-        if getattr(error, "sqlite_errorcode", 0) & 0xFF in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-            raise _error(path, "a ledger that nobody else keeps locked", text) from error
-        raise _error(path, "a ledger, whole and readable", text) from error
+        if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise unusable(path, "a ledger that nobody else keeps locked", text) from error
+        raise unusable(path, "a ledger, whole and readable", text) from error
 
 
 @contextmanager
@@ -152,33 +145,38 @@ def only_runner(path: Path) -> Iterator[None]:
     The operating system lets go of the lock when the process ends, however it ends.
     """
     file = path.with_name(path.name + ".lock")
-    try:
+    with writing(file):
         path.parent.mkdir(parents=True, exist_ok=True)
         stream = file.open("a+")
-    except OSError as error:
-        raise OutputError.of(file, error) from error
     with stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             stream.seek(0)
-            raise _error(
-                path, "a ledger that no other runner is at work on", f"the process {stream.read().strip()}"
-            ) from error
+            got = f"the process {stream.read().strip()}"
+            raise unusable(path, "a ledger that no other runner is at work on", got) from error
         stream.truncate(0)
         stream.write(f"{os.getpid()}\n")
         stream.flush()
         yield
 
 
-def _error(path: Path, expected: str, got: str) -> InputError:
+def unusable(path: Path, expected: str, got: str) -> LedgerError:
+    """The error of a ledger that cannot be used as it stands."""
     return LedgerError(place=Place(file=path), expected=expected, got=got)
+
+
+def refuse_any_file(path: Path) -> None:
+    """LedgerError where a ledger is to be made and something is already."""
+    if path.exists():
+        raise unusable(path, "no file there yet", "one")
 
 
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
 VERSION = 1
 
-_OUTCOME = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
+_WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
+OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
 
 _TABLES = f"""
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -220,40 +218,15 @@ CREATE VIEW episodes AS
         e.faults, e.late, c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
     FROM episode e JOIN stratum s ON s.id = e.stratum LEFT JOIN cell c ON c.id = e.cell;
 CREATE VIEW results AS
-    SELECT s.name AS stratum, j.episode, c.sentence AS claim, CASE j.outcome {_OUTCOME} END AS outcome,
+    SELECT s.name AS stratum, j.episode, c.sentence AS claim, {OUTCOME} AS outcome,
         j.margin, j.worst_time_s, j.exercised
     FROM judgement j JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim;
 """
 
-# From the version that is the key to the next one; each in one transaction with the change of the version.
-MIGRATIONS: dict[int, str] = {}
-
 
 def create(connection: sqlite3.Connection) -> None:
     """Make the tables, within the transaction that is open."""
-    for statement in _statements(_TABLES):
+    for statement in _TABLES.split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {VERSION}")
-
-
-def migrate(
-    connection: sqlite3.Connection, migrations: dict[int, str] = MIGRATIONS, to: int = VERSION
-) -> None:
-    """Bring a ledger of an earlier version to this one, step by step, each of them whole or not at all."""
-    version = connection.execute("PRAGMA user_version").fetchone()[0]
-    while version < to:
-        connection.execute("BEGIN IMMEDIATE")
-        try:
-            for statement in _statements(migrations[version]):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA user_version = {version + 1}")
-            connection.execute("COMMIT")
-        except BaseException:
-            connection.execute("ROLLBACK")
-            raise
-        version += 1
-
-
-def _statements(script: str) -> list[str]:
-    return [statement for statement in script.split(";\n") if statement.strip()]

@@ -6,20 +6,15 @@ docs/campaigns.md is the reference of the file.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
-from safety_harness.campaign.identity import (
-    Identity,
-    PlanFile,
-    files_of_plan,
-    identity_of,
-    references_in,
-    stratum_number,
-)
+from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
 from safety_harness.exceptions import Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
@@ -30,6 +25,8 @@ from safety_harness.scenario.units import FRACTION
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
+
+V = TypeVar("V")
 
 KEYS = (
     "plan",
@@ -110,11 +107,6 @@ class Plan:
         return self.file.stem
 
     @property
-    def sha256(self) -> str:
-        """Stands for everything that its results depend on."""
-        return self.identity.sha256
-
-    @property
     def runs(self) -> int:
         """Of all strata together."""
         return sum(stratum.runs for stratum in self.strata)
@@ -147,38 +139,39 @@ def read_plan(path: Path) -> Plan:
         for stratum in strata:
             with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
     claims = _claims(given.required("claims"), strata)
-    keep = _optional(given, "keep", ("random traces", "violations"))
-    search = _optional(given, "search", ("runs",))
-    confidence = given.optional("confidence")
-    seed = given.optional("seed")
-    world = given.optional("world")
+    keep = _read(given, "keep", lambda field: field.fields(("random traces", "violations")), None)
+    search = _read(given, "search", lambda field: field.fields(("runs",)), None)
     stop = given.optional("stop early")
-    about = given.optional("about")
     stop_early = stop is not None and stop.one_of({"yes": True, "no": False})
     if stop and stop_early and any(claim.target is None for claim in claims):
         raise stop.error(
             "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
         )
-    planned_world = world.one_of(worlds_by_label()) if world else REFERENCE
+    world = _read(given, "world", lambda field: field.one_of(worlds_by_label()), REFERENCE)
     files = files_of_plan(path, library, [stratum.space for stratum in strata], reference)
     return Plan(
         title=title,
-        about=about.prose("why, intended use, assumptions", lines=True) if about else "",
+        about=_read(given, "about", lambda f: f.prose("why, intended use, assumptions", lines=True), ""),
         avoider=reference,
-        world=planned_world,
-        confidence=confidence.quantity(FRACTION, least=0.5, most=0.999999) if confidence else 0.95,
-        seed=seed.integer(least=0, most=LARGEST_SEED) if seed else 0,
+        world=world,
+        confidence=_read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95),
+        seed=_read(given, "seed", lambda f: f.integer(least=0, most=LARGEST_SEED), 0),
         strata=strata,
         claims=claims,
-        search_runs=_count(search, "runs", 0),
-        random_traces=_count(keep, "random traces", 20),
-        violations_kept=_count(keep, "violations", 200),
+        search_runs=_read(search, "runs", lambda f: f.integer(least=0, most=MOST_RUNS), 0),
+        random_traces=_read(keep, "random traces", lambda f: f.integer(least=0, most=MOST_TRACES), 20),
+        violations_kept=_read(keep, "violations", lambda f: f.integer(least=0, most=MOST_TRACES), 200),
         stop_early=stop_early,
         file=path,
         files=files,
-        identity=identity_of(files, [s.space for s in strata], reference, planned_world.label),
+        identity=identity_of(files, [s.space for s in strata], reference, world.label),
         avoider_place=place,
     )
+
+
+def stratum_number(name: str) -> int:
+    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
 def scenarios_by_avoider(plan: Plan) -> Iterator[Scenario]:
@@ -202,14 +195,10 @@ def _from(folder: Path, reference: str) -> str:
     return str(folder / Path(file).expanduser()) + (f":{name}" if name else "")
 
 
-def _optional(given: Fields, key: str, allowed: tuple[str, ...]) -> Fields | None:
-    field = given.optional(key)
-    return field.fields(allowed) if field else None
-
-
-def _count(fields: Fields | None, key: str, default: int) -> int:
-    field = fields.optional(key) if fields else None
-    return field.integer(least=0, most=MOST_RUNS if key == "runs" else MOST_TRACES) if field else default
+def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
+    """What a key says, if it is there."""
+    field = given.optional(key) if given else None
+    return read(field) if field else default
 
 
 def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
@@ -217,15 +206,14 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     for item in at.items("a list of strata", least=1, most=MOST_STRATA):
         given = item.fields(("stratum", "space", "runs"))
         name = given.required("stratum").sentence("a name")
-        if any(name == other.name or stratum_number(name) == other.number for other in strata):
+        if any(stratum_number(name) == other.number for other in strata):
             raise given.required("stratum").error("a name that no other stratum has")
         runs = given.required("runs").integer(least=1, most=MOST_RUNS)
         space = given.required("space")
-        file = folder / space.sentence("the file of a scenario space, relative to the plan")
+        expected = "the file of a scenario space, relative to the plan"
+        file = folder / space.sentence(expected)
         if not file.is_file():
-            raise space.error(
-                "the file of a scenario space, relative to the plan", got=f"no such file: {file}"
-            )
+            raise space.error(expected, got=f"no such file: {file}")
         strata.append(Stratum(name, read_space(file, library), runs))
     return tuple(strata)
 
@@ -242,13 +230,13 @@ def _claims(at: Field, strata: tuple[Stratum, ...]) -> tuple[PlannedClaim, ...]:
         if properties[0].sentence in meant:
             raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")
         meant.add(properties[0].sentence)
-        target, hazard = given.optional("violated in at most"), given.optional("hazard")
+        target = given.optional("violated in at most")
         claims.append(
             PlannedClaim(
                 claim,
                 properties[0].unit,
                 target.quantity(FRACTION, above=0.0, most=0.5) if target else None,
-                hazard.prose("what may happen to whom", lines=True) if hazard else "",
+                _read(given, "hazard", lambda f: f.prose("what may happen to whom", lines=True), ""),
             )
         )
     return tuple(claims)

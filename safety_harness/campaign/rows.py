@@ -50,13 +50,3 @@ class Row:
     def violates(self) -> bool:
         """Any of the claims?"""
         return any(judgement.outcome is EpisodeOutcome.VIOLATED for judgement in self.judgements)
-
-    @classmethod
-    def failed(
-        cls, stratum: int, episode: int, seed: int, claims: int, failure: str, *, draws: int = 0
-    ) -> Row:
-        """An episode that could not be run, which counts for none of the claims."""
-        judgements = (ClaimJudgement(EpisodeOutcome.FAILED),) * claims
-        return cls(
-            stratum=stratum, episode=episode, seed=seed, judgements=judgements, draws=draws, failure=failure
-        )

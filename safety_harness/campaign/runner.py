@@ -9,17 +9,17 @@ from __future__ import annotations
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from itertools import islice
 
 import numpy as np
 
-from safety_harness.campaign.episodes import random_episodes, root_seed
+from safety_harness.campaign.episodes import failed_row, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.processes import Arrived, Chunk, Lost, WorkerPool
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.summary import CampaignTally, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Lost, WorkerPool
+from safety_harness.campaign.summary import tally_of
 from safety_harness.statistics.binomial import chance_of_each, ends_of
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.statistics.sequential import anytime_lower, anytime_upper
@@ -32,68 +32,31 @@ _WAIT_S = 0.5
 _COMMIT_S = 0.2  # rows that come one by one are committed together
 
 
-@dataclass(frozen=True)
-class RunnerProgress:
-    """What one watches: the tally, episodes a second in this session, and what went wrong."""
-
-    tally: CampaignTally
-    done_now: int
-    seconds: float
-    retried: int
-    replaced: int
-    workers: int
-
-    @property
-    def rate(self) -> float:
-        """Episodes a second."""
-        return self.done_now / self.seconds if self.seconds > 0.0 else 0.0
-
-    @property
-    def left_s(self) -> float:
-        """Seconds that the rest will take at this rate; infinite while nothing is known."""
-        left = sum(s.planned - s.done for s in self.tally.strata if not s.complete)
-        return left / self.rate if self.rate > 0.0 else float("inf")
-
-
-def run_campaign(
-    plan: Plan,
-    ledger: Ledger,
-    crew: WorkerPool,
-    *,
-    on_progress: Callable[[RunnerProgress], None] = lambda progress: None,
-    enough: Callable[[], bool] = lambda: False,
-    part: tuple[int, int] = (0, 1),
-) -> bool:
-    """Run what is missing; whether the campaign is complete.
-
-    ``enough`` is asked in between: once it is true, chunks under way are finished and no more begun.
-    ``part`` (k, n) takes every n-th episode only, from k on: for machines that share nothing but the plan.
-    InputError and CampaignError as for ``WorkerPool.take``, OutputError for a ledger that takes no more; it
-    has every episode that was finished before.
-    """
-    runner = _Runner(plan, ledger, crew, on_progress, part)
-    try:
-        runner.run(enough)
-    finally:
-        runner.commit()
-    return runner.tally.complete
-
-
 @dataclass(eq=False)
-class _Runner:
+class CampaignRunner:
+    """Runs what is missing in a ledger; what one watches is the runner itself.
+
+    ``tally`` is of what is committed, ``done_now`` counts the episodes of this session, ``retried`` those
+    that were lost and tried again.  ``enough`` is asked in between: once it is true, chunks under way are
+    finished and no more begun.  ``part`` (k, n) takes every n-th episode only, from k on: for machines that
+    share nothing but the plan.
+    """
+
     plan: Plan
     ledger: Ledger
     crew: WorkerPool
-    on_progress: Callable[[RunnerProgress], None]
-    part: tuple[int, int]
+    _: KW_ONLY
+    on_progress: Callable[[CampaignRunner], None] = lambda runner: None
+    enough: Callable[[], bool] = lambda: False
+    part: tuple[int, int] = (0, 1)
+    done_now: int = 0
+    retried: int = 0
     _out: dict[Chunk, set[int]] = field(default_factory=dict)  # episodes of which nothing has come yet
     _again: deque[Chunk] = field(default_factory=deque)
     _tried: Counter[tuple[int, int]] = field(default_factory=Counter)
     _rows: list[Row] = field(default_factory=list)
     _committed_s: float = 0.0
     _spent_s: float = 0.0
-    _done: int = 0
-    _retried: int = 0
 
     def __post_init__(self) -> None:
         self.tally = tally_of(self.ledger)
@@ -103,17 +66,37 @@ class _Runner:
         self._episodes = [self._missing(s) for s in range(len(self.plan.strata))]
         self._stratum = 0
 
-    def run(self, enough: Callable[[], bool]) -> None:
-        """Until nothing is left, or ``enough``."""
-        more = True
-        while more or self._out:
-            stopped = enough()
+    @property
+    def rate(self) -> float:
+        """Episodes a second in this session."""
+        return self.done_now / max(time.monotonic() - self._begun_s, 1e-9)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that the rest will take at this rate; infinite while nothing is known."""
+        left = sum(s.planned - s.done for s in self.tally.strata if not s.complete)
+        return left / self.rate if self.done_now else float("inf")
+
+    def run(self) -> bool:
+        """Until nothing is left, or ``enough``; whether the campaign is complete.
+
+        InputError and CampaignError as for ``WorkerPool.take``, OutputError for a ledger that takes no more;
+        it has every episode that was finished before.
+        """
+        try:
+            self._run()
+        finally:
+            self.commit()
+        return self.tally.complete
+
+    def _run(self) -> None:
+        while True:
+            stopped = self.enough()
             while not stopped and self.crew.free and (chunk := self._next_chunk()) is not None:
                 self._out[chunk] = set(chunk.episodes)
                 self.crew.give(chunk)
             if not self._out:
-                more = False
-                continue
+                break
             for event in self.crew.take(_WAIT_S):
                 if isinstance(event, Arrived):
                     self._arrived(event)
@@ -123,14 +106,14 @@ class _Runner:
             if now_s - self._committed_s > _COMMIT_S or not self._out:
                 self.commit()
                 self._committed_s = now_s
-                self.on_progress(self._progress())
-            more = not stopped
+                self.on_progress(self)
         self._drop_surplus()
-        self.on_progress(self._progress())
+        self.on_progress(self)
 
     def commit(self) -> None:
         """Note down what has come; kept for the next time if it cannot be written."""
-        rows = [row for row in self._rows if not self._is_beyond(row)]
+        ends = [stratum.stopped_after for stratum in self.tally.strata]  # what lies beyond is no part of it
+        rows = [row for row in self._rows if (end := ends[row.stratum]) is None or row.episode < end]
         if rows:
             self.ledger.record(rows)
         self._rows = []
@@ -144,17 +127,12 @@ class _Runner:
                 self.ledger.stop(stratum, after)
                 self.tally = tally_of(self.ledger)
 
-    def _is_beyond(self, row: Row) -> bool:
-        """Did its stratum end before it?"""
-        after = self.tally.strata[row.stratum].stopped_after
-        return after is not None and row.episode >= after
-
     def _arrived(self, event: Arrived) -> None:
         waiting = self._out[event.chunk]
         for row in event.rows:
             waiting.discard(row.episode)
             self._rows.append(row)
-            self._done += 1
+            self.done_now += 1
             self._spent_s += row.seconds
         if event.last:
             del self._out[event.chunk]
@@ -163,15 +141,14 @@ class _Runner:
         """One at a time again; an episode that is lost alone too often has failed to run."""
         waiting = sorted(self._out.pop(event.chunk))
         blamed = event.times if len(event.chunk.episodes) == 1 else 0
-        self._retried += len(waiting)
+        self.retried += len(waiting)
         for episode in waiting:
             key = (event.chunk.stratum, episode)
             self._tried[key] += blamed
             if self._tried[key] >= ATTEMPTS:
-                seed = root_seed(self.plan, *key)
                 why = f"failed to run, {self._tried[key]} times: {event.why}"
-                self._rows.append(Row.failed(*key, seed, len(self.plan.claims), why))
-                self._done += 1
+                self._rows.append(failed_row(self.plan, *key, why))
+                self.done_now += 1
             else:
                 self._again.append(Chunk(event.chunk.stratum, (episode,), event.chunk.keep_violations))
 
@@ -190,9 +167,9 @@ class _Runner:
     @property
     def _length(self) -> int:
         """Episodes of the next chunk: one until it is known how long they take."""
-        if not self._done:
+        if not self.done_now:
             return 1
-        each_s = self._spent_s / self._done
+        each_s = self._spent_s / self.done_now
         most = MOST_TOGETHER if self.plan.world.batch else MOST_IN_CHUNK
         return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), most))
 
@@ -212,11 +189,6 @@ class _Runner:
             if tally.complete and surplus:
                 random = random_episodes(self.plan, stratum)
                 self.ledger.drop_traces(stratum, [one for one in surplus if one not in random])
-
-    def _progress(self) -> RunnerProgress:
-        seconds = time.monotonic() - self._begun_s
-        crew = self.crew
-        return RunnerProgress(self.tally, self._done, seconds, self._retried, crew.replaced, crew.size)
 
 
 EVERY = 50  # episodes between looks
@@ -239,7 +211,7 @@ class Stopping:
         self._counts = np.zeros((count, len(plan.claims), len(EpisodeOutcome)), np.int64)
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
-        self._decided: dict[int, int] = {}
+        self.decided: dict[int, int] = {}  # strata, and after how many episodes
         if self._active:
             for stratum in range(count):
                 self._read(ledger, stratum)
@@ -253,11 +225,6 @@ class Stopping:
             for stratum in range(len(self._ahead)):
                 self._advance(stratum)
 
-    @property
-    def decided(self) -> dict[int, int]:
-        """Strata that are decided, and after how many episodes."""
-        return self._decided
-
     def _read(self, ledger: Ledger, stratum: int) -> None:
         columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
         for k, episode in enumerate(columns[0][0].tolist()):
@@ -266,12 +233,12 @@ class Stopping:
 
     def _advance(self, stratum: int) -> None:
         ahead = self._ahead[stratum]
-        while stratum not in self._decided and self._reached[stratum] in ahead:
+        while stratum not in self.decided and self._reached[stratum] in ahead:
             for claim, outcome in enumerate(ahead.pop(self._reached[stratum])):
                 self._counts[stratum, claim, outcome] += 1
             self._reached[stratum] += 1
             if self._reached[stratum] % EVERY == 0 and self._is_decided(stratum):
-                self._decided[stratum] = self._reached[stratum]
+                self.decided[stratum] = self._reached[stratum]
 
     def _is_decided(self, stratum: int) -> bool:
         for target, counts in zip(self._targets, self._counts[stratum], strict=True):

@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
@@ -15,9 +16,8 @@ from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
-from safety_harness.campaign.processes import LIMITS, Limits, Processes
-from safety_harness.campaign.runner import RunnerProgress, run_campaign
-from safety_harness.campaign.worker import PlanFromFile, WorkerPool
+from safety_harness.campaign.processes import LIMITS, Limits, Processes, WorkerPool, bench_of_file
+from safety_harness.campaign.runner import CampaignRunner
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]
@@ -26,7 +26,7 @@ MakesCrew = Callable[[Plan], WorkerPool]
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
     """A crew on this machine: as many processes as cores, if not said otherwise."""
     size = workers or len(os.sched_getaffinity(0))
-    return lambda plan: Processes(PlanFromFile(plan.file.resolve(), plan.identity), size, limits)
+    return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
 
 def carry_on(
@@ -34,7 +34,7 @@ def carry_on(
     path: Path,
     make_crew: MakesCrew,
     *,
-    on_progress: Callable[[RunnerProgress], None] = lambda progress: None,
+    on_progress: Callable[[CampaignRunner], None] = lambda runner: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
 ) -> bool:
@@ -42,7 +42,7 @@ def carry_on(
 
     A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
     is one for an avoider that cannot be made.  LedgerError if it is another plan's, or if another runner is
-    at work on it; otherwise as ``run_campaign``.
+    at work on it; otherwise as ``CampaignRunner.run``.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
@@ -59,7 +59,7 @@ def carry_on(
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
-        return run_campaign(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
+        return CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part).run()
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:
@@ -82,13 +82,11 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
     LedgerError that names what has changed since.
     """
     file = ledger.declared.plan_file
-    if file.is_file():
+    with ExitStack() as stack:
+        if not file.is_file():
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-"))
+            file = unpacked(ledger.files, Path(folder))
         plan = read_plan(file)
-        ledger.refuse_other(plan.identity)
-        yield plan
-        return
-    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
-        plan = read_plan(unpacked(ledger.files, Path(folder)))
         ledger.refuse_other(plan.identity)
         yield plan
 

@@ -27,13 +27,16 @@ _FAILED = (
     "SELECT stratum, count(DISTINCT episode) FROM judgement "
     f"WHERE outcome = {int(EpisodeOutcome.FAILED)} GROUP BY 1"
 )
+_OF_EPISODE = (
+    "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, c.words, "
+    "e.mishap, e.failure"
+)
+_JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ?"
 # Everything that is the same wherever an episode runs, in an order that is.
 _SAME = (
-    "SELECT e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
-    "c.words, e.mishap, e.failure FROM episode e LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? "
+    f"SELECT {_OF_EPISODE} FROM episode e LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? "
     "ORDER BY e.episode",
-    "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ? "
-    "ORDER BY claim, episode",
+    f"{_JUDGED} ORDER BY claim, episode",
     "SELECT episode FROM trace WHERE stratum = ? ORDER BY episode",
 )
 
@@ -101,11 +104,9 @@ class ClaimCounts:
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int, times: int = 1) -> None:
         """Count; of equal margins the first episode's is kept."""
         self.counts[outcome] += times
-        tested = outcome in (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
-        if tested and not math.isnan(margin):
-            known = not math.isnan(self.worst)
-            if not known or (margin, episode) < (self.worst, self.worst_episode):
-                self.worst, self.worst_episode = margin, episode
+        tested = outcome in (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED) and not math.isnan(margin)
+        if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
+            self.worst, self.worst_episode = margin, episode
 
 
 @dataclass
@@ -171,14 +172,9 @@ class CampaignTally:
 
 _LEAF, _NODE = b"\x00", b"\x01"
 _EPISODE = (
-    "SELECT e.stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, "
-    "e.late, c.words, e.mishap, e.failure, t.violation, t.data FROM episode e "
+    f"SELECT e.stratum, {_OF_EPISODE}, t.violation, t.data FROM episode e "
     "LEFT JOIN cell c ON c.id = e.cell LEFT JOIN trace t ON t.stratum = e.stratum AND t.episode = e.episode "
     "WHERE e.stratum = ? ORDER BY e.episode"
-)
-_JUDGEMENT = (
-    "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement "
-    "WHERE stratum = ? AND claim = ? ORDER BY episode"
 )
 
 
@@ -190,7 +186,8 @@ def root_of(ledger: Ledger) -> str:
 def _rows(ledger: Ledger) -> Iterator[bytes]:
     declared = ledger.declared
     for stratum in range(len(declared.strata)):
-        claims = [ledger.all(_JUDGEMENT, stratum, claim) for claim in range(len(declared.claims))]
+        question = f"{_JUDGED} AND claim = ? ORDER BY episode"
+        claims = [ledger.all(question, stratum, claim) for claim in range(len(declared.claims))]
         for (*row, data), *judged in zip(ledger.all(_EPISODE, stratum), *claims, strict=True):
             trace = None if data is None else hashlib.sha256(data).hexdigest()
             yield json.dumps([*row, trace, judged], separators=(",", ":")).encode()

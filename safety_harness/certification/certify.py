@@ -10,7 +10,7 @@ from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import LEDGER, carry_on, processes
 from safety_harness.certification.declaration import declared_sha256
 from safety_harness.certification.evidence import Evidence
@@ -29,7 +29,7 @@ from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
 from safety_harness.trace.provenance import refuse_shared_modules
 
-WatchCampaign = Callable[[Plan], AbstractContextManager[Callable[[RunnerProgress], None]]]
+WatchCampaign = Callable[[Plan], AbstractContextManager[Callable[[CampaignRunner], None]]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import margin_words
 from safety_harness.scenario.files import decode, read_bytes
-from safety_harness.search.explain import circumstances
+from safety_harness.search.counterexample import circumstances
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
 

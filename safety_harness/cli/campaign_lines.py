@@ -6,8 +6,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 
-from safety_harness.campaign.declared import Declared
-from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.summary import CampaignTally, fallback_of, fingerprint_of, tally_of
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import Unit

@@ -12,7 +12,7 @@ from rich.live import Live
 from rich.text import Text
 
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.cli.campaign_lines import worst_lines
 from safety_harness.cli.console import say
 from safety_harness.search.findings import Findings
@@ -48,14 +48,14 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
 
 
 @contextmanager
-def watching_campaign(plan: Plan) -> Iterator[Callable[[RunnerProgress], None]]:
+def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yields what is told of the progress: rate, time left, worst margins, violations."""
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)
     said_s = -math.inf
     with _lines() as show:
 
-        def told(progress: RunnerProgress) -> None:
+        def told(progress: CampaignRunner) -> None:
             nonlocal said_s
             due = time.monotonic() - said_s > _EVERY_S
             show([_head(progress), *worst_lines(claims, units, progress.tally)], due)
@@ -64,14 +64,14 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[RunnerProgress], None]]:
         yield told
 
 
-def _head(progress: RunnerProgress) -> str:
+def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
     head = f"{tally.done}/{tally.planned} episodes, {progress.rate:.1f} a second, "
     head += _time_left(progress.left_s)
-    if not progress.workers:
+    if not progress.crew.size:
         head += "; NO WORKER IS THERE"
-    if progress.retried or progress.replaced:
-        head += f"; {progress.replaced} workers replaced, {progress.retried} episodes tried again"
+    if progress.retried or progress.crew.replaced:
+        head += f"; {progress.crew.replaced} workers replaced, {progress.retried} episodes tried again"
     return head + (f"; {tally.failed} FAILED TO RUN" if tally.failed else "")
 
 

@@ -16,10 +16,9 @@ from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_progress import progress_figure
 from safety_harness.report.words import margin_words, share_words, with_minus
-from safety_harness.search.confirm import Complaint
+from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS, Counterexample
 from safety_harness.search.coverage import Coverage
-from safety_harness.search.disagreement import Disagreement, InOneWorld
 from safety_harness.search.findings import Findings, Group
 from safety_harness.trace.trace import Trace
 

@@ -22,15 +22,12 @@ class Searcher(Protocol):
     @property
     def name(self) -> str:
         """How the command line and reports call it."""
-        ...
 
     def propose(self, count: int) -> Points:
         """(m, d) points of the unit cube, at least one and at most ``count``."""
-        ...
 
     def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
         """(m, d) points, (m, k) scores, and in which cell of the coverage each run was (None: in none)."""
-        ...
 
 
 class AskTell:
@@ -41,14 +38,9 @@ class AskTell:
     """
 
     def __init__(self, searcher: Searcher, dimension: int, claims: int) -> None:
-        self._searcher = searcher
+        self._searcher, self.name = searcher, searcher.name
         self._dimension, self._claims = dimension, claims
         self._asked: Points | None = None
-
-    @property
-    def name(self) -> str:
-        """The searcher's own."""
-        return self._searcher.name
 
     def ask(self, count: int) -> Points:
         """(m, d) points to try, 1 <= m <= ``count``; read-only."""
@@ -77,8 +69,7 @@ class AskTell:
                 f"{self.name}: tell() expects scores of shape {wanted}; got {scores.shape}"
             )
         told = scores.astype(np.float64)
-        told[np.isposinf(told)] = np.nan  # an infinite margin comes from nothing that can have happened
-        told[np.isneginf(told)] = np.nan
+        told[np.isinf(told)] = np.nan  # an infinite margin comes from nothing that can have happened
         points, self._asked = self._asked, None
         self._searcher.learn(points, told, cells)
 

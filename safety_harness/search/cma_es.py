@@ -45,9 +45,8 @@ class Descent:
         if population is not None:
             options["popsize"] = population
         self.size = len(self._free)
-        self._alone = self.size < 2  # which cma cannot
         mean = (start - low)[self._free] / self._size[self._free]
-        if self._alone:
+        if self.size < 2:  # which cma cannot
             mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
         self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
         self._population: list[Points] = []
@@ -56,16 +55,6 @@ class Descent:
         self.best = np.inf
         self.since_better = 0  # generations
         self.flat = False
-
-    @property
-    def population(self) -> int:
-        """Points in a generation."""
-        return int(self._cma.popsize)
-
-    @property
-    def step(self) -> float:
-        """The deviation now."""
-        return float(self._cma.sigma)
 
     def propose(self, count: int) -> Points:
         """(m, d) the next points of this generation, 0 <= m <= ``count``."""
@@ -97,9 +86,8 @@ class Descent:
     @property
     def over(self) -> bool:
         """Whether another generation is worth asking for; only true between generations."""
-        if self._population:
-            return False
-        return self.flat or self.since_better >= _PATIENCE or self.step < 1e-3 or bool(self._cma.stop())
+        stuck = self.flat or self.since_better >= _PATIENCE or float(self._cma.sigma) < 1e-3
+        return not self._population and (stuck or bool(self._cma.stop()))
 
 
 class CmaEs:

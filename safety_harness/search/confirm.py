@@ -1,16 +1,20 @@
-"""Whether one scenario shows what a search found, in a world; and for how many draws of the avoider's own."""
+"""Whether one scenario shows what a search found, in a world, and for how many draws of the avoider's own.
+
+What one world shows and the other does not is a finding of its own, with the run of either.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector, described
 from safety_harness.exceptions import InputError
 from safety_harness.properties.answered import fault_of
+from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.search.outcomes import RUN_FAILED
+from safety_harness.search.findings import RUN_FAILED, Group
 from safety_harness.search.trials import ScenarioRunner
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
@@ -96,3 +100,43 @@ class OtherDraws(AvoiderAround):
             tcp_position_in_base_m=tcp_position_in_base_m,
             seed=leaf(seed, Branch.SEARCH, 5, self.stream),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class InOneWorld:
+    """A run, judged by its scenario's claims; an exception where there is none."""
+
+    run: Trace | Exception
+    evaluations: tuple[Evaluation, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement:
+    """A finding that PyBullet does not show, in the world that was searched and there; None where not run."""
+
+    group: Group
+    complaint: Complaint
+    searched: InOneWorld | None = None
+    confirming: InOneWorld | None = None
+
+
+def disagreement_of(
+    group: Group, complaint: Complaint, found: Scenario, searched: ScenarioRunner, confirming: ScenarioRunner
+) -> Disagreement:
+    """Run ``found`` in both worlds, judged by what is complained about alone, if that is a claim."""
+    claims = found.claims if complaint.claim is None else (complaint.claim,)
+    try:
+        admitted = admit(replace(found, claims=claims))
+    except InputError as error:
+        return Disagreement(group, complaint, InOneWorld(error), InOneWorld(error))
+    return Disagreement(
+        group, complaint, in_one_world(searched, admitted), in_one_world(confirming, admitted)
+    )
+
+
+def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
+    """Run and judge a scenario."""
+    run = world([admitted])[0]
+    if isinstance(run, Exception):
+        return InOneWorld(run)
+    return InOneWorld(run, tuple(prop.evaluate(run) for prop in admitted.properties))

@@ -1,4 +1,7 @@
-"""A counterexample: shrunk, confirmed, explained, and as a scenario file with its evidence in comments."""
+"""A counterexample: shrunk, confirmed, explained, and as a scenario file with its evidence in comments.
+
+Why it violates is known as far as other runs tell: what takes the violation away, what was decided.
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,86 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import folder_of
 from safety_harness.admission.claims import property_of
+from safety_harness.exceptions import InputError
 from safety_harness.properties.base import Evaluation
 from safety_harness.robot.description import urdf_file
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint, Confirm
-from safety_harness.search.cube import Points
-from safety_harness.search.explain import Ingredient, circumstances, ingredients
-from safety_harness.search.shrink import Shrunk, shrink
-from safety_harness.search.trials import ScenarioRunner
-from safety_harness.space.space import ScenarioSpace
+from safety_harness.search.confirm import Complaint, Confirm, failure_of, in_one_world
+from safety_harness.search.coverage import cell_of
+from safety_harness.search.findings import TriedPoint
+from safety_harness.search.shrink import Shrunk, shrink, simpler
+from safety_harness.search.trials import ScenarioRunner, Trials
+from safety_harness.space.regions import Seen, seen_by
+from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
+
+_MOST_REMOVED = 12  # ingredients that are taken away, one at a time
+
+
+@dataclass(frozen=True)
+class Ingredient:
+    """What becomes of the complaint without one thing; ``matters`` if it is gone then."""
+
+    step: str
+    outcome: str
+    matters: bool
+
+    def __str__(self) -> str:
+        return f"{self.step}: {self.outcome}"
+
+
+def ingredients(scenario: Scenario, complaint: Complaint, world: ScenarioRunner) -> list[Ingredient]:
+    """What becomes of the complaint when one thing is removed or neutralised."""
+    found = []
+    for step, other in list(simpler(scenario))[:_MOST_REMOVED]:
+        try:
+            run = world([admit(other)])[0]
+            found.append(Ingredient(step, _outcome(complaint, run), not complaint.is_in(run)))
+        except InputError as error:
+            found.append(Ingredient(step, f"cannot be tried, expected {error.expected}", False))
+    return found
+
+
+def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
+    if complaint.claim is None or isinstance(run, Exception):
+        return failure_of(run) or "nothing goes wrong"
+    evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
+    margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
+    return evaluation.verdict.value + margin
+
+
+def seen_of(scenario: Scenario) -> Seen:
+    """What the scenario's avoider was trained on."""
+    return seen_by(scenario.avoider, folder=folder_of(scenario), settings=scenario.settings)
+
+
+def circumstances(trace: Trace) -> list[str]:
+    """Where the run lies relative to the seen space, and what was decided in it."""
+    seen = seen_of(trace.scenario)
+    cell = cell_of(trace, seen)
+    lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
+    for k, decision in enumerate(trace.decisions):
+        spread_m = decision["proposed_spread_m"]
+        words = [f"decision {k + 1} at {decision['time_s']:.3f} s"]
+        words.append(DecisionOutcome(int(decision["outcome"])).name.lower())
+        if decision["fault"]:
+            words.append(f"the avoider: {decision['fault']}")
+        elif np.any(spread_m > 0.0):
+            words.append(f"largest spread {spread_m.max() * 1e3:.3g} mm")
+            if np.isfinite(decision["spread_threshold_m"]):
+                words[-1] += f" (threshold {decision['spread_threshold_m'] * 1e3:.3g} mm)"
+        failed = Check(int(decision["proposed_failed"]))
+        if failed:
+            names = (str(check.name).lower().replace("_", " ") for check in failed)
+            words.append("the proposal failed: " + ", ".join(names))
+        inside = seen.hand.contains(decision["hand_position_in_base_m"])
+        words.append("hand seen in training" if inside else "hand where none was in training")
+        lines.append("; ".join(words))
+    return lines
+
 
 KEPT = 0.1  # of the margin, when shrinking
 DRAWS = 10  # of the avoider's own randomness
@@ -41,7 +112,6 @@ class Counterexample:
     """
 
     complaint: Complaint
-    found: Scenario
     shrunk: Shrunk
     run: Trace | Exception
     evaluations: tuple[Evaluation, ...]
@@ -54,12 +124,10 @@ class Counterexample:
     def explanation(self) -> list[str]:
         """Lines for people."""
         lines = [*self.circumstances, *map(str, self.ingredients)]
-        return lines if self.draws is None else [*lines, self.draws_words]
-
-    @property
-    def draws_words(self) -> str:
-        """In how many draws it happens."""
-        return f"the avoider's own randomness: it happens in {self.draws} of {DRAWS} draws of it"
+        if self.draws is not None:
+            often = f"it happens in {self.draws} of {DRAWS} draws of it"
+            lines.append(f"the avoider's own randomness: {often}")
+        return lines
 
     @property
     def evaluation(self) -> Evaluation | None:
@@ -71,17 +139,13 @@ class Counterexample:
     @property
     def scenario(self) -> Scenario:
         """What is written."""
-        claims = self.shrunk.scenario.claims
+        shrunk = self.shrunk.scenario
+        claims = shrunk.claims
         if self.evaluations:
             pairs = zip(claims, self.evaluations, strict=True)
             claims = tuple(replace(claim, expected=evaluation.verdict) for claim, evaluation in pairs)
         title = "the run fails" if self.complaint.claim is None else self.complaint.sentence
-        return replace(
-            self.shrunk.scenario,
-            title=f"counterexample: {title}",
-            about="",
-            claims=claims,
-        )
+        return replace(shrunk, title=f"counterexample: {title}", about="", claims=claims)
 
     @cached_property
     def structure(self) -> str:
@@ -111,20 +175,15 @@ def counterexample_of(
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
     shrunk = shrink(found, confirm, budget=budget)
-    run = world([admit(shrunk.scenario)])[0]
-    evaluations: tuple[Evaluation, ...] = ()
-    if isinstance(run, Trace):
-        properties = [property_of(claim, run.scenario) for claim in run.scenario.claims]
-        evaluations = tuple(prop.evaluate(run) for prop in properties)
+    last = in_one_world(world, admit(shrunk.scenario))
     whole = not shrunk.interrupted
     return Counterexample(
         complaint,
-        found,
         shrunk,
-        run,
-        evaluations,
+        last.run,
+        last.evaluations,
         margin,
-        tuple(circumstances(run)) if isinstance(run, Trace) else (),
+        tuple(circumstances(last.run)) if isinstance(last.run, Trace) else (),
         tuple(ingredients(shrunk.scenario, complaint, world)) if whole else (),
         confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
     )
@@ -135,9 +194,7 @@ def text_of(one: Counterexample, origin: Sequence[str], trace_file: Path | None)
     head = [f"A counterexample to: {one.complaint.sentence}", *origin]
     if one.complaint.words != one.complaint.sentence:
         head.insert(1, one.complaint.kind)
-    head.append(
-        f"Shrunk in {one.shrunk.used} runs" + ("" if one.shrunk.settled else ", not to the end") + "."
-    )
+    head.append(f"Shrunk in {one.shrunk.used} runs{'' if one.shrunk.settled else ', not to the end'}.")
     for evaluation in one.evaluations:
         head += _margins(evaluation, "")
     if isinstance(one.run, Trace):
@@ -175,12 +232,12 @@ def _evidence(trace: Trace) -> list[str]:
     ]
 
 
-def origin_of(space: ScenarioSpace, point: Points, number: int, seed: int, searcher: str) -> list[str]:
+def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
     """How it was found: the search, and every value of the space, exactly."""
-    lines = [
-        f"Found in the space {space.name}: point {number} of searcher {searcher}, seed {seed}; as found:"
-    ]
-    values = space.values_at(np.asarray(point, float)[None])[0]
+    space = trials.space
+    search = f"point {tried.number} of searcher {searcher}, seed {trials.seed}"
+    lines = [f"Found in the space {space.name}: {search}; as found:"]
+    values = space.values_at(tried.point[None])[0]
     for parameter in space.parameters:
         own = values[parameter.columns]
         if np.any(np.isnan(own)):

@@ -19,14 +19,8 @@ from safety_harness.space.regions import Seen
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
-DIRECTIONS = (
-    "front",
-    "back",
-    "left",
-    "right",
-    "above",
-    "below",
-)  # +x -x +y -y +z -z of the base, from the TCP
+# From the TCP, in the base: +x -x +y -y +z -z.
+DIRECTIONS = ("front", "back", "left", "right", "above", "below")
 SPEEDS = ("at rest", "to 0.5 m/s", "to 1 m/s", "above 1 m/s")
 DISTANCES = ("touching", "to 50 mm", "to 200 mm", "farther")
 SEEN = ("seen", "hand unseen", "TCP unseen", "both unseen")
@@ -101,25 +95,21 @@ def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
     distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
     if not np.any(np.isfinite(distances)):
         return None
-    nearest_m = float(np.nanmin(distances))
     gravity = [_GRAVITY[DecisionOutcome(int(outcome))] for outcome in trace.decisions["outcome"]]
     gravest = int(np.argmax(gravity)) if gravity else -1
     tick = int(trace.decisions["tick"][gravest]) if gravity else int(np.nanargmin(distances.min(axis=1)))
     hand = int(np.nanargmin(distances[tick]))
     hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
     tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
+    way_m = hand_m[tick] - tcp_m
+    axis = int(np.argmax(np.abs(way_m)))
     return CoverageCell(
-        direction=_direction(hand_m[tick] - tcp_m),
+        direction=DIRECTIONS[2 * axis + int(way_m[axis] < 0.0)],
         speed=_speed(trace, hand_m, tick),
-        distance=_distance(nearest_m),
+        distance=DISTANCES[int(np.searchsorted([0.0, 0.05, 0.2], float(np.nanmin(distances))))],
         seen=SEEN[int(not seen.hand.contains(hand_m[tick])) + 2 * int(not seen.tcp.contains(tcp_m))],
         outcome=OUTCOMES[gravity[gravest] if gravity else 0],
     )
-
-
-def _direction(way_m: NDArray[np.float64]) -> str:
-    axis = int(np.argmax(np.abs(way_m)))
-    return DIRECTIONS[2 * axis + int(way_m[axis] < 0.0)]
 
 
 def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
@@ -130,7 +120,3 @@ def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:
     way_m = float(np.linalg.norm(hand_m[after] - hand_m[before]))
     speed_mps = way_m / trace.scenario.settings.clock.control_period_s
     return SPEEDS[int(np.searchsorted([_AT_REST_MPS, 0.5, 1.0], speed_mps))]
-
-
-def _distance(distance_m: float) -> str:
-    return DISTANCES[int(np.searchsorted([0.0, 0.05, 0.2], distance_m))]

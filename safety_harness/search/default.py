@@ -1,6 +1,6 @@
 """The default search: explore, and go down from the worst places that are not one another's neighbours.
 
-A third of the points explore (``exploring``); the others are shared among the claims, whose descents
+A third of the points explore (``Explorer``); the others are shared among the claims, whose descents
 (CMA-ES) begin at the worst point known of a claim, keep its alternatives, and end when they find a
 violation or nothing better.  The next begins elsewhere.  Where all scores of a claim are the same there is
 nowhere to go: its share explores, and that of the other claims too, the more of their last descents found
@@ -14,11 +14,59 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.search.archive import Archive
 from safety_harness.search.cma_es import Descent
 from safety_harness.search.cube import Cube, Points
-from safety_harness.search.exploring import Explorer
+from safety_harness.search.sampling import Explorer
 from safety_harness.seeds import Branch, generator
+
+_KEPT = 256  # a claim
+
+
+class Archive:
+    """The points with the least scores of one claim, and which of them are far from every place taken.
+
+    Of each claim so many are remembered, however long the search.
+    Places are taken by descents that began or ended there; ``apart`` is how far others have to be.
+    """
+
+    def __init__(self, cube: Cube, apart: float) -> None:
+        self._cube, self._apart = cube, apart
+        self.points = np.empty((0, cube.dimension))  # canonical, by their scores
+        self.scores = np.empty(0)
+        self.greatest = -np.inf
+        self._free = np.empty(0, bool)
+        self._taken = np.empty((0, cube.dimension))
+
+    def add(self, points: Points, scores: Points) -> None:
+        """(n, d) canonical points and (n,) scores, of which those that are NaN are left out."""
+        known = np.isfinite(scores)
+        if not known.any():
+            return
+        self.greatest = max(self.greatest, float(scores[known].max()))
+        before = len(self.scores)
+        scores = np.concatenate([self.scores, scores[known]])
+        points = np.concatenate([self.points, points[known]])
+        free = np.concatenate([self._free, np.ones(len(scores) - before, bool)])
+        order = np.argsort(scores, kind="stable")[:_KEPT]
+        self.points, self.scores, self._free = points[order], scores[order], free[order]
+        for new in np.flatnonzero(order >= before):
+            self._free[new] = np.all(self._cube.distances(self._taken, self.points[new]) > self._apart)
+
+    def take(self, place: Points) -> None:
+        """A descent began or ended at this canonical point (d,)."""
+        self._taken = np.vstack([self._taken, place])
+        self._free &= self._cube.distances(self.points, place) > self._apart
+
+    @property
+    def worst_free(self) -> Points | None:
+        """(d,) the point with the least score that is far from every place taken."""
+        return self.points[int(np.argmax(self._free))].copy() if self._free.any() else None
+
+    @property
+    def flat(self) -> bool:
+        """Whether no score differs from another, so that none leads anywhere."""
+        return len(self.scores) == 0 or bool(self.greatest - self.scores[0] < 1e-9)
+
 
 _EXPLORING = 1.0 / 3.0
 _APART = 0.15  # root mean square: beginnings and ends of descents on the same claim are farther apart

@@ -54,12 +54,9 @@ class HypothesisSearch:
         """Let the engine go on."""
         self._scores.put(scores[0])
 
-    def close(self) -> None:
+    def __del__(self) -> None:
         """End the engine's thread."""
         self._scores.put(None)
-
-    def __del__(self) -> None:
-        self.close()
 
 
 def _engine(

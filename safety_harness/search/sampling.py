@@ -1,10 +1,12 @@
-"""Searchers that do not learn: the baseline, and quasi-random sequences."""
+"""Points that do not hang on scores: the baseline, quasi-random sequences, and exploration."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Hashable, Sequence
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from safety_harness.search.cube import Cube, Points
@@ -46,3 +48,67 @@ class QuasiRandom:
 
     def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
         """Nothing."""
+
+
+_AT_ENDS, _UNTIL = 1.0 / 3.0, 400.0  # this part of so many points, then as one over how many there were
+
+
+class Explorer:
+    """An endless sequence of points that assume little: where a mistake sits that margins do not lead to.
+
+    Three kinds.  As the space has them.  *Even*: alternatives all alike, however improbable, and repetitions
+    too.  *At the ends*: even, and any number of coordinates, from none to all, at the end of their interval,
+    where ranges, masks and comparisons go wrong.
+
+    There are not many ends: what sits at one is found soon.  So a third of the first points are at the ends,
+    and ever fewer of the later ones; the others are of the first two kinds in turn.
+    """
+
+    def __init__(self, cube: Cube, *, seed: int) -> None:
+        self._cube = cube
+        self._rng = generator(seed, Branch.SEARCH, 1)
+        self._made = 0
+
+    def points(self, count: int) -> Points:
+        """(count, d)."""
+        # Not from a Sobol sequence: of three of many coordinates it may leave a place out for long.
+        points = self._rng.random((count, self._cube.dimension))
+        number = self._made + np.arange(count + 1)
+        self._made += count
+        at_ends = np.flatnonzero(np.diff(np.floor(_points_at_ends(number))) > 0)
+        even = np.union1d(np.flatnonzero(number[:-1] % 2), at_ends)
+        points[even] = self._evened(points[even])
+        points[at_ends] = self._at_ends(points[at_ends])
+        return points
+
+    def _evened(self, points: Points) -> Points:
+        """A coordinate with k intervals is cut into k equal ones, whatever their chances are."""
+        for number, column in enumerate(self._cube.columns):
+            edges = np.array(column.edges)
+            count = len(edges) - 1
+            if count > 1:
+                place = points[:, number] * count
+                interval = np.minimum(place.astype(int), count - 1)
+                points[:, number] = edges[interval] + (place - interval) * np.diff(edges)[interval]
+        return np.clip(points, 0.0, 1.0)
+
+    def _at_ends(self, points: Points) -> Points:
+        share = self._rng.random(len(points))  # of the coordinates, another for each point
+        for number, column in enumerate(self._cube.columns):
+            if column.flat:
+                continue
+            chosen = self._rng.random(len(points)) < share
+            upper = self._rng.random(len(points)) < 0.5
+            edges = np.array(column.edges)
+            interval = column.interval_of(points[:, number])
+            end = np.where(upper, np.nextafter(edges[interval + 1], 0.0), edges[interval])
+            end[upper & (interval == len(edges) - 2)] = 1.0
+            points[:, number] = np.where(chosen, end, points[:, number])
+        return points
+
+
+def _points_at_ends(number: NDArray[np.int64]) -> Points:
+    """(n,) how many of so many points are at the ends."""
+    first = np.minimum(number, _UNTIL)
+    found: Points = _AT_ENDS * (first + _UNTIL * np.log(np.maximum(number, _UNTIL) / _UNTIL))
+    return found

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.search.ask_tell import AskTell, Searcher
 from safety_harness.search.cube import Cube
-from safety_harness.search.findings import Findings, scores_of
-from safety_harness.search.outcomes import Evaluate, Goal
+from safety_harness.search.findings import Evaluate, Findings, Goal
 
-MAX_REJECTION_RATIO = (
-    200  # points of which not one could be tried; later, of which less than one in as many could
-)
+# Points of which not one could be tried; later, of which less than one in as many could.
+MAX_REJECTION_RATIO = 200
 
 
 def find_violations(
@@ -36,11 +36,12 @@ def find_violations(
         raise ValueError("expected at least one goal, and a budget and a batch of at least 1")
     asking = AskTell(searcher, cube.dimension, len(goals))
     findings = Findings(tuple(goals), cube, searcher.name)
+    scales = np.array([goal.scale for goal in goals])
     try:
         while findings.tried < budget and not (enough is not None and enough(findings)):
             points = asking.ask(min(batch, budget - findings.tried))
             outcomes = evaluate(points, findings.asked)
-            asking.tell(scores_of(goals, outcomes), outcomes.cells)
+            asking.tell(outcomes.margins / scales, outcomes.cells)
             findings.add(points, outcomes)
             if on_progress is not None:
                 on_progress(findings)

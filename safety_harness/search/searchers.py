@@ -21,7 +21,6 @@ class MakesSearcher(Protocol):
 
     def __call__(self, cube: Cube, *, claims: int, seed: int) -> Searcher:
         """A searcher that has not begun."""
-        ...
 
 
 SEARCHERS: tuple[MakesSearcher, ...] = (

@@ -18,13 +18,11 @@ from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint
+from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
 from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
-from safety_harness.search.disagreement import Disagreement, disagreement_of
-from safety_harness.search.findings import Findings, Group, TriedPoint
-from safety_harness.search.outcomes import RUN_FAILED
+from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
@@ -87,6 +85,7 @@ class SearchSession:
     budget: int
     output: SearchOutput
     confirming: ScenarioRunner = in_pybullet
+    findings: Findings = field(init=False)
     baseline: Findings | None = None
     written: list[WrittenCounterexample] = field(default_factory=list)
     confirmed: int = 0
@@ -98,19 +97,8 @@ class SearchSession:
         """Was it ended by Ctrl-C?"""
         return self.findings.interrupted
 
-    def search(self, make: MakesSearcher) -> None:
+    def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
-        self.findings = self._search(make, self.trials)
-
-    def sample(self) -> None:
-        """The baseline, with counts of its own; unless the search was interrupted."""
-        if not self.findings.interrupted and self.unwritable is None:
-            self.output.say("the baseline: uniform sampling with the same budget")
-            anew = replace(self.trials, coverage=Coverage(), violations=Coverage())
-            self.baseline = self._search(UniformSampling, anew, folder="baseline")
-            self.findings.interrupted = self.baseline.interrupted
-
-    def _search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         cube = Cube.of(trials.space)
         saved = 0
 
@@ -173,13 +161,15 @@ class SearchSession:
             tried, shrunk = tried + 1, shrunk + (one is not None)
             if one is None:
                 continue
-            same = next((other for other in told if one.is_same_as(other.one)), None)
-            if same is None:
-                told.append(self._save(one, group, findings))
+            for same in told:
+                if one.is_same_as(same.one):
+                    same.groups.append(group)
+                    break
             else:
-                same.groups.append(group)
-        for line in (line for written in told for line in written.lines):
-            self.output.result(line)
+                told.append(self._save(one, group, findings))
+        for written in told:
+            for line in written.lines:
+                self.output.result(line)
         left = groups[tried:]
         if left and not self.findings.interrupted:
             runs = sum(group.count for group in left)
@@ -216,15 +206,11 @@ class SearchSession:
     def _found(self, folder: Path, episode: TriedPoint) -> Scenario:
         return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
 
-    def _origin(self, episode: TriedPoint, findings: Findings) -> list[str]:
-        trials = self.trials
-        return origin_of(trials.space, episode.point, episode.number, trials.seed, findings.searcher)
-
     def _save(self, one: Counterexample, group: Group, findings: Findings) -> WrittenCounterexample:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, self._origin(group.worst, findings), trace_file)
+        text = text_of(one, origin_of(self.trials, group.worst, findings.searcher), trace_file)
         if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
             try:
                 with writing(trace_file):
@@ -242,7 +228,8 @@ class SearchSession:
             replace(claim, expected=Verdict.VIOLATED) if claim == complaint.claim else claim
             for claim in found.claims
         )
-        head = [f"As found, not shrunk: {complaint.sentence}", *self._origin(group.first, findings)]
+        origin = origin_of(self.trials, group.first, findings.searcher)
+        head = [f"As found, not shrunk: {complaint.sentence}", *origin]
         comments = "".join(f"# {line}\n" for line in head)
         text = comments + "\n" + write_scenario(replace(found, claims=tuple(claims)))
         self._write(self._file(folder, complaint, number + 1), text)
@@ -274,9 +261,12 @@ def search_space(
     InadmissibleError for a space of which next to no point can be tried.
     """
     session = SearchSession(trials, out, budget, output)
-    session.search(make)
-    if baseline:
-        session.sample()
+    session.findings = session.search(make, trials)
+    if baseline and not session.findings.interrupted and session.unwritable is None:
+        output.say("the baseline: uniform sampling with the same budget")
+        anew = replace(trials, coverage=Coverage(), violations=Coverage())
+        session.baseline = session.search(UniformSampling, anew, folder="baseline")
+        session.findings.interrupted = session.baseline.interrupted
     session.conclude(write_page)
     return session
 

@@ -1,21 +1,203 @@
 """From a scenario that violates a claim to a simple one that still does.
 
-Things are taken away first, then numbers made simpler, and round again until a whole round changes
-nothing: shrinking what came out gives it again.  Nothing is random, and ``budget`` bounds the runs.
+What can be simpler about a scenario: one thing less; slower, shorter, nearer or rounder numbers.  Things are
+taken away first, then numbers made simpler, and round again until a whole round changes nothing: shrinking
+what came out gives it again.  Nothing is random, and ``budget`` bounds the runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from math import ceil, floor
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar
 
 from safety_harness.exceptions import InputError
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import MovingHand, OffsetStart, PoseStart, RecordedHand, Scenario
+from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.simpler import FINER, ShrinkTarget, shrink_targets, simpler
-from safety_harness.space.paths import value_at, with_value, words
+from safety_harness.settings import DEFAULTS
+from safety_harness.space.paths import Path, leaves, value_at, with_value, words
+
+FINER = 3  # how many times a step is divided by ten before a number is left as it is
+LEAST_S, LEAST_MPS = 0.1, 0.1
+
+_NOWHERE = (0.0, 0.0, 0.0)
+_DEGREE = math.radians(1.0)
+_STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
+# What a scenario need not have, and what stands there without it.
+_PLAIN: Mapping[type[Any], Mapping[str, object]] = {
+    MovingHand: {
+        "shift_in_base_m": _NOWHERE,
+        "delay_s": 0.0,
+        "tremor": None,
+        "max_speed_mps": REACHING_MPS,
+        "max_acceleration_mps2": REACHING_MPS2,
+    },
+    RecordedHand: {
+        "shift_in_base_m": _NOWHERE,
+        "delay_s": 0.0,
+        "turn_rad": 0.0,
+        "speed_factor": 1.0,
+        "max_speed_mps": None,
+    },
+    ReachForTcp: {"hesitation": None},
+    ReachForObject: {"hesitation": None},
+    OffsetStart: {"offset_in_base_m": _NOWHERE, "tilt_in_tcp_rad": _NOWHERE},
+    PoseStart: {"tilt_in_tcp_rad": _NOWHERE},
+}
+T = TypeVar("T")
+
+
+def simpler(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
+    """(what is gone, the scenario without it), the greatest simplifications first."""
+    for k in range(len(scenario.faults)):
+        yield f"without fault {k + 1}", replace(scenario, faults=_without(scenario.faults, k))
+    if len(scenario.hands) > 0:
+        yield "without any hand", replace(scenario, hands=())
+    for hand in scenario.hands:
+        name = hand.name
+        others = tuple(o for o in scenario.hands if o is not hand and getattr(o, "joined_to", "") != name)
+        yield f"without the {name}", replace(scenario, hands=others)
+    yield from _of_settings(scenario)
+    for k, hand in enumerate(scenario.hands):
+        if isinstance(hand, MovingHand):
+            yield from _fewer_moves(scenario, k, hand)
+    for at in (*_hands_and_moves(scenario), ("start",)):
+        part = value_at(scenario, at)
+        for name, plain in _PLAIN.get(type(part), {}).items():
+            if getattr(part, name) != plain:
+                path = (*at, name)
+                yield f"without {_words(scenario, path)}", with_value(scenario, path, plain)
+    if scenario.seed != 0:
+        yield "with seed 0", replace(scenario, seed=0)
+
+
+def _fewer_moves(scenario: Scenario, k: int, hand: MovingHand) -> Iterator[tuple[str, Scenario]]:
+    """The later half gone, then single moves from the last to the first."""
+    path, count = ("hands", k, "moves"), len(hand.moves)
+    if count > 2:
+        half = hand.moves[: count // 2]
+        yield f"the {hand.name} without its later moves", with_value(scenario, path, half)
+    for j in reversed(range(count)):
+        moves = _without(hand.moves, j)
+        yield f"the {hand.name} without its move {j + 1}", with_value(scenario, path, moves)
+
+
+def _of_settings(scenario: Scenario) -> Iterator[tuple[str, Scenario]]:
+    """All settings as by default, then group by group, then one by one."""
+    if scenario.settings == DEFAULTS:
+        return
+    yield "with default settings", replace(scenario, settings=DEFAULTS)
+    for group in fields(DEFAULTS):
+        default, own = getattr(DEFAULTS, group.name), getattr(scenario.settings, group.name)
+        if own == default:
+            continue
+        path = ("settings", group.name)
+        name = group.name.replace("_", " ")
+        yield f"with the default {name}", with_value(scenario, path, default)
+        for one in fields(default):
+            value = getattr(default, one.name)
+            if getattr(own, one.name) != value:
+                without = with_value(scenario, (*path, one.name), value)
+                yield f"with the default {name}, {one.name}", without
+
+
+def _hands_and_moves(scenario: Scenario) -> Iterator[Path]:
+    for k, hand in enumerate(scenario.hands):
+        yield "hands", k
+        yield from (("hands", k, "moves", j) for j in range(len(getattr(hand, "moves", ()))))
+
+
+def _words(scenario: Scenario, path: Path) -> str:
+    what = str(path[-1]).rsplit("_in_", 1)[0]
+    for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
+        what = what.removesuffix(suffix)
+    whose = (
+        f"the {scenario.hands[path[1]].name}'s " if path[0] == "hands" and isinstance(path[1], int) else ""
+    )
+    return whose + ("the start's " if path[0] == "start" else "") + what.replace("_", " ")
+
+
+def _without(members: tuple[T, ...], k: int) -> tuple[T, ...]:
+    return members[:k] + members[k + 1 :]
+
+
+@dataclass(frozen=True)
+class ShrinkTarget:
+    """One number: where it is, what is simplest, and the distance of round numbers.
+
+    Without a ``target`` the number is only rounded.
+    """
+
+    path: Path
+    target: float | None
+    step: float
+
+    def on(self, level: int) -> Callable[[int], float]:
+        """The round numbers of a level: k steps, each a tenth of the level's before."""
+        parts = 10**level
+        if self.step == _DEGREE:
+            return lambda k: math.radians(k / parts)
+        whole = round(1.0 / self.step) * parts
+        return lambda k: k / whole
+
+    def place_of(self, value: float, level: int) -> float:
+        """Where among the round numbers of a level ``value`` lies."""
+        return value / self.step * int(10**level)
+
+    def level_of(self, value: float) -> int:
+        """The coarsest level on which ``value`` is a round number; FINER for none."""
+        for level in range(FINER):
+            if self.on(level)(round(self.place_of(value, level))) == value:
+                return level
+        return FINER
+
+
+def shrink_targets(scenario: Scenario) -> Iterator[ShrinkTarget]:
+    """Every number that is made simpler, those that shorten a run first."""
+    cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
+    yield from _below(scenario, (), {"duration_s": LEAST_S})
+    start = {
+        "offset_in_base_m": _NOWHERE,
+        "position_in_base_m": cell.desired_tcp_position_in_base_m,
+        "tilt_in_tcp_rad": _NOWHERE,
+    }
+    yield from _below(scenario, ("start",), start)
+    move = {
+        "position_in_base_m": avoidance.nominal_hand_position_in_base_m,
+        "speed_mps": LEAST_MPS,
+        "until_distance_m": None,
+        "at_most_s": LEAST_S,
+        "hesitation": None,
+        "distance_m": None,
+        "from_in_base_m": None,
+        "to_in_base_m": None,
+        "duration_s": LEAST_S,
+    }
+    for k, hand in enumerate(scenario.hands):
+        if isinstance(hand, MovingHand | RecordedHand):
+            at = ("hands", k)
+            yield from _below(scenario, at, {"delay_s": 0.0, "speed_factor": 1.0, "turn_rad": 0.0})
+            for j in range(len(getattr(hand, "moves", ()))):
+                yield from _below(scenario, (*at, "moves", j), move)
+            yield from _below(scenario, at, {"starts_at_in_base_m": None})
+    for k in range(len(scenario.faults)):
+        times = {"from_s": 0.0, "for_s": None, "until_s": None, "delay_s": 0.0}
+        yield from _below(scenario, ("faults", k), times)
+
+
+def _below(scenario: Scenario, at: Path, targets: Mapping[str, Any]) -> Iterator[ShrinkTarget]:
+    """The numbers of what stands at a path, by their names and with their targets."""
+    for name, target in targets.items():
+        for path, value in leaves(getattr(value_at(scenario, at), name, None), (*at, name)):
+            if isinstance(value, float):
+                axis = path[-1]
+                own = target[axis] if isinstance(target, tuple) and isinstance(axis, int) else target
+                last = next(step for step in reversed(path) if isinstance(step, str))
+                yield ShrinkTarget(path, own, next(_STEPS[end] for end in _STEPS if last.endswith(end)))
+
 
 Violates = Callable[[Scenario], bool]
 
@@ -91,7 +273,7 @@ class _Shrinking:
         falls = knob.target is not None and knob.target < value
         for level in range(own):
             place = knob.place_of(value, level)
-            sides = (floor(place), ceil(place)) if falls else (ceil(place), floor(place))
+            sides = (math.floor(place), math.ceil(place)) if falls else (math.ceil(place), math.floor(place))
             if any(self._set(knob, knob.on(level)(side)) for side in sides):
                 return level
         return own

@@ -30,7 +30,7 @@ from safety_harness.properties.base import Property
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
 from safety_harness.search.cube import Points
-from safety_harness.search.outcomes import RUN_FAILED, Goal, Outcomes
+from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
@@ -44,7 +44,6 @@ class ScenarioRunner(Protocol):
 
     def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
         """One for each, in their order."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,9 @@ class Trials:
             if isinstance(trace, Exception):
                 mishaps[k] = f"{RUN_FAILED}{described(trace)}"
                 continue
-            margins[k], conclusive[k] = judged_by(self.properties, trace)
+            evaluations = [prop.evaluate(trace) for prop in self.properties]
+            margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
+            conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             self.decisions += len(trace.decisions)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             mishaps[k] = fault_of(trace) if self.answered else ""
@@ -156,10 +157,3 @@ class Trials:
         self.coverage.add(cells[k] for k in admitted)
         self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
-
-
-def judged_by(properties: Sequence[Property], trace: Trace) -> tuple[Points, Points]:
-    """(k,) margins in SI, NaN for none, and (k,) whether there is a verdict."""
-    evaluations = [prop.evaluate(trace) for prop in properties]
-    margins = [np.nan if e.margin is None else e.margin for e in evaluations]
-    return np.array(margins), np.array([e.verdict is not Verdict.INCONCLUSIVE for e in evaluations])

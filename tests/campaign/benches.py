@@ -8,8 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from safety_harness.campaign.processes import Chunk
 from safety_harness.campaign.rows import ClaimJudgement, Row
-from safety_harness.campaign.worker import Chunk
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -49,7 +49,7 @@ class Plain:
         """What happens at an episode."""
 
 
-def done_by(bench: Plain, shipment: object, chunk: Chunk) -> list[Row]:
+def done_by(bench: Plain, files: object, identity: object, chunk: Chunk) -> list[Row]:
     """What such a bench does on a cluster."""
     return list(bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations))
 

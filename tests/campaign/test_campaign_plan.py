@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.identity import Identity, PlanFile, stratum_number, unpacked
-from safety_harness.campaign.plan import read_plan
+from safety_harness.campaign.identity import Identity, PlanFile, unpacked
+from safety_harness.campaign.plan import read_plan, stratum_number
 from safety_harness.exceptions import InputError, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.simulation.worlds import KINEMATIC

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 from collections.abc import Iterator
 from contextlib import closing
@@ -15,18 +16,17 @@ from threading import Thread
 import pytest
 
 from safety_harness.campaign import cluster
-from safety_harness.campaign.cluster import DaskCrew, Shipment, run_chunk
+from safety_harness.campaign.cluster import DaskCrew, run_chunk
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import Limits
-from safety_harness.campaign.runner import RunnerProgress
+from safety_harness.campaign.processes import Chunk, Limits
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import carry_on, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Chunk, Mistake
 from safety_harness.cli.campaign import run
 from safety_harness.cli.console import DIFFERS
-from safety_harness.exceptions import CampaignError, ScenarioError
+from safety_harness.exceptions import CampaignError, InputError, ScenarioError
 from tests.campaign.benches import CrashesAndHangs, done_by
 from tests.campaign.clusters import scheduler, workers
 from tests.campaign.plans import PLAN, plan_in
@@ -102,7 +102,7 @@ def test_workers_of_a_cluster_that_crash_hang_and_are_killed_cost_nothing(
     path, killed = tmp_path / "ledger.sqlite", []
     crew = DaskCrew(plan, shared, Limits(silence_s=2.0, first_s=1.0))
 
-    def watch(progress: RunnerProgress) -> None:
+    def watch(progress: CampaignRunner) -> None:
         if progress.done_now >= 6 and not killed:
             killed.extend(crew._client.run(os.getpid).values())
             os.kill(killed[0], signal.SIGKILL)
@@ -148,9 +148,11 @@ def test_a_user_s_avoider_that_hangs_does_the_same_by_the_command_line_on_a_clus
 
 def test_a_worker_with_another_version_refuses(plan: Plan) -> None:
     parts = tuple((name, "1.0" if name == "Python" else value) for name, value in plan.identity.parts)
-    found = run_chunk(Shipment(plan.files, Identity(parts)), Chunk(0, (0,), False))
-    assert isinstance(found, Mistake)
-    assert f"Python changed (the worker {os.uname().nodename}:{os.getpid()})" in str(found.error)
+    found = run_chunk(plan.files, Identity(parts), Chunk(0, (0,), False))
+    assert isinstance(found, InputError)
+    assert f"Python changed (the worker {os.uname().nodename}:{os.getpid()})" in str(
+        pickle.loads(pickle.dumps(found))
+    )
 
 
 class Web(BaseRequestHandler):

@@ -12,12 +12,11 @@ import pytest
 from distributed import KilledWorker
 
 from safety_harness.campaign import cluster
-from safety_harness.campaign.cluster import DaskCrew, Shipment, Unable, run_chunk
+from safety_harness.campaign.cluster import DaskCrew, run_chunk
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import Limits
-from safety_harness.campaign.runner import run_campaign
+from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Lost
+from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.summary import tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Event, Lost, Mistake
 from safety_harness.exceptions import CampaignError, LedgerError, Place
 from tests.campaign.benches import row_of
 from tests.campaign.plans import ledger_in, plan_in
@@ -62,7 +61,9 @@ class Client:
     def processing(self) -> dict[str, list[str]]:
         return self.on
 
-    def submit(self, function: object, shipment: object, chunk: Chunk, *, pure: bool) -> Future:
+    def submit(
+        self, function: object, files: object, identity: object, chunk: Chunk, *, pure: bool
+    ) -> Future:
         self.futures.append(Future(f"task {len(self.futures)}", chunk))
         return self.futures[-1]
 
@@ -168,15 +169,15 @@ class Raises:
 @pytest.mark.parametrize(
     ("error", "expected"),
     [
-        (RecursionError("too deep"), Unable("RecursionError: too deep")),
-        (MemoryError(), Unable("its worker had no memory left", times=1)),
+        (RecursionError("too deep"), Lost(chunk(0), "RecursionError: too deep", times=0)),
+        (MemoryError(), Lost(chunk(0), "its worker had no memory left", times=1)),
     ],
 )
 def test_a_worker_raises_nothing_that_might_not_be_heard(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, expected: Unable
+    plan: Plan, monkeypatch: pytest.MonkeyPatch, error: Exception, expected: Lost
 ) -> None:
-    monkeypatch.setattr(cluster, "_bench", lambda _: Raises(error))
-    assert run_chunk(Shipment(plan.files, plan.identity), chunk(0)) == expected
+    monkeypatch.setattr(cluster, "_bench", lambda *_: Raises(error))
+    assert run_chunk(plan.files, plan.identity, chunk(0)) == expected
 
 
 def test_an_episode_that_kills_every_worker_fails_alone_whatever_was_beside_it(
@@ -196,7 +197,7 @@ def test_an_episode_that_kills_every_worker_fails_alone_whatever_was_beside_it(
 
     monkeypatch.setattr(crew, "take", next_events)
     with ledger_in(tmp_path, plan) as ledger:
-        assert run_campaign(plan, ledger, crew)
+        assert CampaignRunner(plan, ledger, crew).run()
         assert [one.failed for one in tally_of(ledger).strata] == [1, 0]
         failed = list(ledger.all("SELECT stratum, episode, failure FROM episode WHERE failure IS NOT NULL"))
     assert failed == [(0, 5, "failed to run, 4 times: its worker died")]
@@ -221,7 +222,7 @@ def test_workers_that_cannot_begin_a_task_fail_no_episode_but_the_campaign(
     monkeypatch.setattr(client, "submit", refused)
     with ledger_in(tmp_path, plan) as ledger:
         with pytest.raises(CampaignError, match=r"10 tasks in a row: .* No module named 'safety_harness'"):
-            run_campaign(plan, ledger, crew)
+            CampaignRunner(plan, ledger, crew).run()
         assert tally_of(ledger).done == 0
 
 
@@ -232,8 +233,8 @@ def test_a_mistake_in_the_plan_ends_the_campaign_once_all_before_it_was_told(
     for k in range(2):
         crew.give(chunk(k))
     client.futures[0].succeeds()
-    place = Place(file=plan.file)
-    client.futures[1].ends("finished", Mistake(LedgerError, place, "the plan", "Python changed", ""))
+    error = LedgerError(place=Place(file=plan.file), expected="the plan", got="Python changed")
+    client.futures[1].ends("finished", error)
     (event,) = crew.take(0.0)
     assert isinstance(event, Arrived)
     with pytest.raises(LedgerError, match="Python changed"):
@@ -245,7 +246,7 @@ def test_one_worker_that_cannot_begin_a_task_does_not_end_a_campaign(plan: Plan,
     for k in range(40):
         crew.give(chunk(k))
         future = client.futures[-1]
-        future.ends("finished", Unable("OSError: disk full")) if k % 2 else future.succeeds()
+        future.ends("finished", Lost(chunk(k), "OSError: disk full", times=0)) if k % 2 else future.succeeds()
         (event,) = crew.take(0.0)
         assert isinstance(event, Lost if k % 2 else Arrived)
         assert getattr(event, "times", 0) == 0

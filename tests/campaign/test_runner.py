@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -16,11 +14,10 @@ import pytest
 from safety_harness.campaign.episodes import EpisodeRunner, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import Limits, Processes
-from safety_harness.campaign.runner import ATTEMPTS, RunnerProgress, run_campaign
+from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Lost, Processes
+from safety_harness.campaign.runner import ATTEMPTS, CampaignRunner
 from safety_harness.campaign.session import carry_on, plan_of, processes
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.campaign.worker import Arrived, Chunk, Event, Lost
 from safety_harness.exceptions import CampaignError, InadmissibleError, LedgerError, OutputError
 from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
@@ -67,7 +64,7 @@ class Here:
 
 def fingerprint_after(folder: Path, plan: Plan, crew: Here) -> str:
     with ledger_in(folder, plan) as ledger:
-        assert run_campaign(plan, ledger, crew)
+        assert CampaignRunner(plan, ledger, crew).run()
         assert [list(ledger.missing(k)) for k in (0, 1)] == [[], []]
         return fingerprint_of(ledger)
 
@@ -82,7 +79,7 @@ def test_an_episode_that_is_always_lost_has_failed_to_run_and_costs_no_other(
 ) -> None:
     crew = Here(2, lose=[(0, 5), (1, 0)])
     with ledger_in(tmp_path, plan) as ledger:
-        assert run_campaign(plan, ledger, crew)
+        assert CampaignRunner(plan, ledger, crew).run()
         tally = tally_of(ledger)
         assert [one.failed for one in tally.strata] == [1, 1]
         assert ledger.outcomes(0, 0)[1][5] == EpisodeOutcome.FAILED
@@ -108,7 +105,7 @@ def test_an_episode_that_no_worker_came_to_is_not_to_blame(tmp_path: Path, plan:
         return looks > 200
 
     with ledger_in(tmp_path, plan) as ledger:
-        assert not run_campaign(plan, ledger, crew, enough=enough)
+        assert not CampaignRunner(plan, ledger, crew, enough=enough).run()
         assert tally_of(ledger).done == 49
     assert sum(chunk.episodes == (5,) for chunk in crew.given) > ATTEMPTS
 
@@ -116,7 +113,7 @@ def test_an_episode_that_no_worker_came_to_is_not_to_blame(tmp_path: Path, plan:
 def test_the_first_violations_are_kept_by_their_numbers(tmp_path: Path, plan: Plan) -> None:
     for name, crew in (("a", Here(1)), ("b", Here(4, backwards=True))):
         with ledger_in(tmp_path / name, plan) as ledger:
-            run_campaign(plan, ledger, crew)
+            CampaignRunner(plan, ledger, crew).run()
             for stratum, expected in ((0, [0, 7, 14]), (1, [0, 7, 14])):
                 kept = set(ledger.violations_kept(stratum)) - random_episodes(plan, stratum)
                 assert kept == set(expected) - random_episodes(plan, stratum)
@@ -133,19 +130,19 @@ def test_what_was_asked_to_end_ends_with_what_was_under_way_and_goes_on_later(
         return calls > 3
 
     with ledger_in(tmp_path / "a", plan) as ledger:
-        assert not run_campaign(plan, ledger, Here(2), enough=enough)
+        assert not CampaignRunner(plan, ledger, Here(2), enough=enough).run()
         assert 0 < tally_of(ledger).done < 50
         again = Here(2)
-        assert run_campaign(plan, ledger, again)
+        assert CampaignRunner(plan, ledger, again).run()
         assert sum(len(chunk.episodes) for chunk in again.given) < 50
         assert fingerprint_of(ledger) == fingerprint_after(tmp_path / "b", plan, Here(1))
 
 
 def test_parts_are_apart_and_together_the_whole(tmp_path: Path, plan: Plan) -> None:
     with ledger_in(tmp_path, plan) as ledger:
-        assert not run_campaign(plan, ledger, Here(2), part=(0, 2))
+        assert not CampaignRunner(plan, ledger, Here(2), part=(0, 2)).run()
         assert ledger.outcomes(0, 0)[0].tolist() == list(range(0, 30, 2))
-        assert run_campaign(plan, ledger, Here(2), part=(1, 2))
+        assert CampaignRunner(plan, ledger, Here(2), part=(1, 2)).run()
 
 
 def test_a_stratum_that_may_stop_early_does_so_at_the_same_episode_whoever_is_quicker(tmp_path: Path) -> None:
@@ -155,7 +152,7 @@ def test_a_stratum_that_may_stop_early_does_so_at_the_same_episode_whoever_is_qu
     ends = []
     for name, crew in (("a", Here(1)), ("b", Here(9, backwards=True))):
         with ledger_in(tmp_path / name, plan) as ledger:
-            assert run_campaign(plan, ledger, crew)
+            assert CampaignRunner(plan, ledger, crew).run()
             ends.append((ledger.stopped_after(0), fingerprint_of(ledger)))
             after = ledger.stopped_after(0)
             assert after is not None
@@ -182,11 +179,11 @@ def test_a_ledger_that_takes_no_more_ends_the_campaign_and_keeps_what_it_has(
         monkeypatch.setattr(Ledger, "record", full)
         monkeypatch.setattr("safety_harness.campaign.runner._COMMIT_S", 0.0)
         with pytest.raises(OutputError):
-            run_campaign(plan, ledger, Here(1))
+            CampaignRunner(plan, ledger, Here(1)).run()
         monkeypatch.undo()
         done = tally_of(ledger).done
         assert 0 < done < 50
-        assert run_campaign(plan, ledger, Here(1))
+        assert CampaignRunner(plan, ledger, Here(1)).run()
 
 
 def test_a_clock_of_the_day_that_goes_backwards_changes_nothing(
@@ -200,9 +197,9 @@ def test_a_clock_of_the_day_that_goes_backwards_changes_nothing(
 
 
 def test_progress_says_how_it_stands(tmp_path: Path, plan: Plan) -> None:
-    shown: list[RunnerProgress] = []
+    shown: list[CampaignRunner] = []
     with ledger_in(tmp_path, plan) as ledger:
-        run_campaign(plan, ledger, Here(2), on_progress=shown.append)
+        CampaignRunner(plan, ledger, Here(2), on_progress=shown.append).run()
     assert shown[-1].tally.complete
     assert shown[-1].done_now == 50
     assert shown[-1].rate > 0.0
@@ -217,7 +214,7 @@ def crew_of(make: Plain, size: int = 2, limits: Limits = QUICK) -> Iterator[Proc
 
 def run_with(folder: Path, plan: Plan, crew: Processes) -> tuple[str, int]:
     with ledger_in(folder, plan) as ledger:
-        assert run_campaign(plan, ledger, crew)
+        assert CampaignRunner(plan, ledger, crew).run()
         tally = tally_of(ledger)
         assert tally.done == 50
         return fingerprint_of(ledger), sum(stratum.failed for stratum in tally.strata)
@@ -266,7 +263,7 @@ def test_workers_killed_at_any_moment_cost_nothing(tmp_path: Path, plan: Plan, u
             for k in range(4):
                 if over.wait(0.15):
                     return
-                os.kill(crew.processes[k % 2], signal.SIGKILL)
+                crew.workers[k % 2].process.kill()
 
         killer = threading.Thread(target=kill)
         killer.start()
@@ -280,21 +277,22 @@ def test_workers_killed_at_any_moment_cost_nothing(tmp_path: Path, plan: Plan, u
 def test_a_mistake_in_the_plan_ends_the_campaign_with_its_place(tmp_path: Path, plan: Plan) -> None:
     with crew_of(IsMistaken(at=5, folder=tmp_path), size=1) as crew, ledger_in(tmp_path, plan) as ledger:
         with pytest.raises(InadmissibleError, match="one that is there"):
-            run_campaign(plan, ledger, crew)
+            CampaignRunner(plan, ledger, crew).run()
         assert tally_of(ledger).done == 5
 
 
 def test_workers_that_cannot_be_started_are_said_to_be(tmp_path: Path, plan: Plan) -> None:
     with crew_of(NeverReady(), size=1) as crew, ledger_in(tmp_path, plan) as ledger:
         with pytest.raises(CampaignError, match="exit code 9"):
-            run_campaign(plan, ledger, crew)
+            CampaignRunner(plan, ledger, crew).run()
         assert tally_of(ledger).done == 0
 
 
 def test_workers_end_when_nobody_is_there_any_more(plan: Plan) -> None:
     with crew_of(Plain(), size=1) as crew:
-        (process,) = crew.processes
-        crew._workers[0].lifeline.close()
+        (worker,) = crew.workers
+        process = worker.process.pid
+        worker.lifeline.close()
         for _ in range(500):
             if not Path(f"/proc/{process}").exists() or "Z" in Path(f"/proc/{process}/stat").read_text():
                 break
@@ -323,7 +321,7 @@ def test_a_plan_whose_file_is_gone_is_taken_from_its_ledger(tmp_path: Path, plan
     with ledger_in(tmp_path / "ledger", plan) as ledger:
         plan.file.unlink()
         with plan_of(ledger) as found:
-            assert found.sha256 == plan.sha256
+            assert found.identity == plan.identity
             assert found.file != plan.file
 
 

@@ -111,12 +111,12 @@ def test_a_ledger_whose_rows_contradict_themselves_has_no_bound_and_says_why(
 ) -> None:
     filled(ledger, inconclusive=1)
     relabelled = f"UPDATE judgement SET outcome = {int(EpisodeOutcome.UNTESTED)} WHERE outcome = "
-    ledger.execute(relabelled + str(int(EpisodeOutcome.INCONCLUSIVE)))
+    ledger.connection.execute(relabelled + str(int(EpisodeOutcome.INCONCLUSIVE)))
     claim = claims_of(plan, ledger)[0]
     assert claim.outcomes[1].standing is ClaimStatus.INCOMPLETE
     assert claim.outcomes[1].bound is None
     assert "no occasion in an untested run" in claim.outcomes[1].why
-    ledger.execute("UPDATE episode SET seed = seed % 10 WHERE stratum = 0")
+    ledger.connection.execute("UPDATE episode SET seed = seed % 10 WHERE stratum = 0")
     assert "a seed of its own" in claims_of(plan, ledger)[0].outcomes[0].why
 
 

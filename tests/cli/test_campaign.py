@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
@@ -64,8 +65,9 @@ def test_why_episodes_failed_is_said_the_most_frequent_reason_first(
     plan = plan_in(tmp_path, SMALL)
     with Ledger.create(tmp_path / "ledger.sqlite", plan) as ledger:
         ledger.record(row_of(0, k) for k in range(1, 10))
-        ledger.record([Row.failed(0, 0, 100, 2, "the avoider is gone")])
-        ledger.record(Row.failed(1, k, k, 2, "an error of the harness itself: \x1b[2J") for k in range(6))
+        ledger.record([failed_row(plan, 0, 0, "the avoider is gone")])
+        odd = "an error of the harness itself: \x1b[2J"
+        ledger.record(failed_row(plan, 1, k, odd) for k in range(6))
     assert status(ledger.path) == AS_EXPECTED
     lines = capsys.readouterr().out.splitlines()
     assert "near 10/10, 1 FAILED TO RUN; nearer 6/6, 6 FAILED TO RUN" in lines[1]

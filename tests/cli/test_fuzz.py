@@ -15,7 +15,7 @@ from safety_harness.cli.run import run
 from safety_harness.exceptions import OutputError
 from safety_harness.scenario.expand import gather
 from safety_harness.search import session as search_session
-from safety_harness.search.outcomes import Outcomes
+from safety_harness.search.findings import Outcomes
 from safety_harness.search.trials import Trials
 from tests.search.short_space import CRASHING, TEXT
 

@@ -19,14 +19,11 @@ from safety_harness.admission.agreement import Agreement, LargestDifference, pre
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
-from safety_harness.search.confirm import Complaint
-from safety_harness.search.counterexample import Counterexample
+from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld, disagreement_of
+from safety_harness.search.counterexample import Counterexample, Ingredient
 from safety_harness.search.coverage import Coverage, CoverageCell
 from safety_harness.search.cube import Column, Cube
-from safety_harness.search.disagreement import Disagreement, InOneWorld, disagreement_of
-from safety_harness.search.explain import Ingredient
-from safety_harness.search.findings import Findings
-from safety_harness.search.outcomes import Goal, Outcomes
+from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
 from tests.search.short_space import SHORT
@@ -65,7 +62,6 @@ def counterexample() -> Counterexample:
     number = next(k for k, one in enumerate(run.evaluations) if one.verdict.value == "violated")
     return Counterexample(
         complaint=Complaint(scenario.claims[number]),
-        found=scenario,
         shrunk=Shrunk(scenario, used=88, steps=(), settled=True, interrupted=False),
         run=run.trace,
         evaluations=run.evaluations,

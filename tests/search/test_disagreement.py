@@ -10,11 +10,9 @@ import pytest
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.scenario.model import OffsetStart, Scenario, Verdict
-from safety_harness.search.confirm import Complaint
+from safety_harness.search.confirm import Complaint, disagreement_of
 from safety_harness.search.cube import Column, Cube
-from safety_harness.search.disagreement import disagreement_of
-from safety_harness.search.findings import Findings, Group
-from safety_harness.search.outcomes import Goal, Outcomes
+from safety_harness.search.findings import Findings, Goal, Group, Outcomes
 from safety_harness.search.trials import in_kinematic
 from safety_harness.space.read import parse_space
 from safety_harness.trace.trace import Trace

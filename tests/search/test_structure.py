@@ -36,7 +36,6 @@ OTHER_NUMBERS = replace(
 def of(shrunk: Scenario, complaint: Complaint | None = None) -> Counterexample:
     return Counterexample(
         complaint=complaint or Complaint(CLAIM),
-        found=shrunk,
         shrunk=Shrunk(shrunk, (), used=1, settled=True),
         run=RuntimeError("not run"),
         evaluations=(),

@@ -15,9 +15,9 @@ from safety_harness.admission.trial import judge, run_many, run_trial
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
+from safety_harness.search.counterexample import circumstances, ingredients, seen_of
 from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
-from safety_harness.search.explain import circumstances, ingredients, seen_of
-from safety_harness.search.outcomes import Outcomes
+from safety_harness.search.findings import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
 from safety_harness.simulation.worlds import WorldEntry
 from safety_harness.space.read import parse_space

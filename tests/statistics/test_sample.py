@@ -15,8 +15,7 @@ from streams import declared, margins_of, sample_of, told, violations
 
 import safety_harness
 from safety_harness.exceptions import InputError, StatisticsError
-from safety_harness.search.findings import TriedPoint
-from safety_harness.search.outcomes import Outcomes
+from safety_harness.search.findings import Outcomes, TriedPoint
 from safety_harness.statistics.binomial import bounds_of, violation_bounds
 from safety_harness.statistics.sample import (
     Declaration,
@@ -185,7 +184,7 @@ def test_what_a_search_chose_is_refused_at_run_time(chosen: Any) -> None:
 
 SNIPPET = """
 from safety_harness.search.findings import Findings, TriedPoint
-from safety_harness.search.outcomes import Outcomes
+from safety_harness.search.findings import Outcomes
 from safety_harness.statistics.binomial import violation_bounds
 from safety_harness.statistics.sample import IndependentSample
 
