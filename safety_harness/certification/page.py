@@ -7,8 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.certification.argument import KIND_WORDS, STATE, argument_of
-from safety_harness.certification.argument_svg import argument_svg
+from safety_harness.certification.argument import STATE, argument_of, argument_svg
 from safety_harness.certification.evidence import ClaimStatus, CounterexampleEvidence, Evidence
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, seconds, start_s
@@ -69,7 +68,6 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         ],
         counterexamples=views,
         top=top,
-        kind_words=KIND_WORDS,
         argument=Markup(argument_svg(top, prefix="argument-")),
         separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
         coverage_map=_coverage_map(evidence),
