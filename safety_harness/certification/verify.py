@@ -17,11 +17,16 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.altered import turns_of
-from safety_harness.certification.declaration import PlanDeclaration, declaration_of, read_declaration
-from safety_harness.certification.document import read_evidence
-from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.evidence import Evidence, read_evidence
 from safety_harness.certification.folder import JSON, read_manifest
-from safety_harness.certification.seal import Seal, read_seal, seal_of
+from safety_harness.certification.lodged import (
+    PlanDeclaration,
+    Seal,
+    declaration_of,
+    read_declaration,
+    read_seal,
+    seal_of,
+)
 from safety_harness.certification.verify_files import (
     Examination,
     check_files,

@@ -20,13 +20,11 @@ from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification import folder, verify_report
 from safety_harness.certification import verify as verify_module
 from safety_harness.certification.altered import Turn, chance_to_miss
-from safety_harness.certification.declaration import declaration_of
-from safety_harness.certification.document import as_text, read_evidence
-from safety_harness.certification.evidence import ClaimStatus
+from safety_harness.certification.evidence import ClaimStatus, as_text, read_evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
+from safety_harness.certification.lodged import declaration_of, write_seal
 from safety_harness.certification.page import render
-from safety_harness.certification.seal import write_seal
 from safety_harness.certification.verify import verify
 from safety_harness.certification.verify_files import Examination
 from safety_harness.certification.verify_runs import MOST_AGAIN, Drawing, drawn, programs_in

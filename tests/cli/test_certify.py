@@ -19,8 +19,7 @@ from safety_harness.certification import certify as certify_module
 from safety_harness.certification import folder as folder_module
 from safety_harness.certification import verify_report
 from safety_harness.certification.counterexamples import declared_counterexamples
-from safety_harness.certification.document import read_evidence, schema
-from safety_harness.certification.evidence import ClaimStatus
+from safety_harness.certification.evidence import ClaimStatus, read_evidence, schema
 from safety_harness.certification.findings import of_examples
 from safety_harness.cli.certify import certify, declare, seal_report, verify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
