@@ -27,13 +27,14 @@ UNANSWERED = "decision faults"  # among a stratum's decisions: those without a u
 class ClaimStatus(Enum):
     """The word on a claim.  Only the first one is ever shown in green."""
 
+    # each is graver than those above it
     SHOWN = "shown"
+    ESTIMATED = "estimated only"  # the plan sets no target
     DOUBTED = "shown with doubt"  # runs without a verdict count against it; model only; by the fallback
     NOT_SHOWN = "not shown"
-    REFUTED = "refuted"
-    ESTIMATED = "estimated only"  # the plan sets no target
-    UNTESTED = "never put to the test"
     INCOMPLETE = "runs missing"
+    UNTESTED = "never put to the test"
+    REFUTED = "refuted"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,7 +237,7 @@ class SearchSummary:
     lines: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class OpenFinding:
     """Something that is open: an assessor has to look at it."""
 
@@ -315,17 +316,6 @@ class Evidence:
         decisions = [pair for stratum in self.strata for pair in stratum.decisions]
         unanswered = sum(count for what, count in decisions if what == UNANSWERED)
         return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
-
-
-SEVERITY_ORDER = (
-    ClaimStatus.REFUTED,
-    ClaimStatus.UNTESTED,
-    ClaimStatus.INCOMPLETE,
-    ClaimStatus.NOT_SHOWN,
-    ClaimStatus.DOUBTED,
-    ClaimStatus.ESTIMATED,
-    ClaimStatus.SHOWN,
-)
 
 
 def as_text(evidence: Evidence) -> str:

@@ -189,7 +189,7 @@ def _of_the_plan(
     if numbers.stands:
         drawing.on_progress("the page")
         yield check_pages(folder, recorded, gathered, same=same)
-    if again and any(one.shown and not one.shown.independent for one in gathered.examples):
+    if again and any(not one.shown.independent for one in gathered.examples):
         drawing.on_progress("counterexamples of the search")
         yield check_searched(gathered, same=same and not programs, programs=execute)
     turns = turns_of(gathered.evidence.claims, early=plan.stop_early)

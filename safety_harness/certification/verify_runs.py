@@ -231,7 +231,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
     unchecked: list[str] = []
     count = 0
     for one in gathered.examples:
-        if one.shown is None or one.run is None or one.shown.independent:
+        if one.shown.independent:
             continue
         trace, count = one.run.trace, count + 1
         if is_executed(trace.scenario.avoider) and not programs:
