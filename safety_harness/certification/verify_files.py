@@ -13,6 +13,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Stopping
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, JUNIT, LOG, MANIFEST, PAGE, PLAN, names_in, sha256_of
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -91,10 +92,21 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     return Examination("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
 
 
-def same_software(known: Plan, ledger: Ledger) -> bool:
-    """Is all but the plan's files what the report was made with: source, libraries, networks, platform?"""
-    changes = ledger.declared.identity.changes(known.identity)
-    return all(change.startswith("the file ") for change in changes)
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What is verified: a folder, the hashes in its manifest, its evidence, its plan and its ledger."""
+
+    folder: Path
+    hashes: dict[str, str]
+    recorded: Evidence
+    plan: Plan
+    ledger: Ledger
+
+    @property
+    def same(self) -> bool:
+        """Is all but the plan's files what it was made with: source, libraries, networks, platform?"""
+        changes = self.ledger.declared.identity.changes(self.plan.identity)
+        return all(change.startswith("the file ") for change in changes)
 
 
 def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
@@ -226,10 +238,10 @@ def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
     violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
     every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"
     failed = set(ledger.all(every, int(EpisodeOutcome.FAILED)))
-    traces = {(stratum, episode): violation for stratum, episode, violation in ledger.traces()}
-    for (stratum, episode), violation in traces.items():
-        if violation != ((stratum, episode) in violating):
-            yield f"{known.strata[stratum].name}, run {episode}: its trace is not marked as its outcomes say"
+    traces = {(where, episode): violation for where, episode, violation in ledger.traces()}
+    for (where, episode), violation in traces.items():
+        if violation != ((where, episode) in violating):
+            yield f"{known.strata[where].name}, run {episode}: its trace is not marked as its outcomes say"
     for place, stratum in enumerate(known.strata):
         made = dict(ledger.all("SELECT episode, seed FROM episode WHERE stratum = ?", place))
         first = sorted(episode for where, episode in violating if where == place)[: known.violations_kept]

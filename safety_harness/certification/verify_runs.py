@@ -39,12 +39,13 @@ COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faul
 class Drawing:
     """How many runs are made again: ``runs``, or as many as miss the weakest verdict with chance ``miss``.
 
-    ``seed`` draws them: nobody who made the report can know it.
+    ``seed`` draws them: nobody who made the report can know it.  ``programs``: may those in it be executed?
     """
 
     runs: int | None
     miss: float
     seed: int
+    programs: bool = False
     on_progress: Callable[[str], None] = lambda words: None
 
     def number(self, there: int, turns: Sequence[Turn]) -> int:
@@ -239,7 +240,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
 
 
 def check_runs(
-    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool, programs: bool
+    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
 ) -> Examination:
     """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
@@ -249,7 +250,7 @@ def check_runs(
             "runs", "no run was made again", unchecked=("whether runs give their outcomes again",)
         )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
-    bench, compared = EpisodeRunner(plan, programs=programs), Compared(plan, ledger, same=same)
+    bench, compared = EpisodeRunner(plan, programs=drawing.programs), Compared(plan, ledger, same=same)
     together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, told = time.perf_counter(), 0
     for stratum, group in groupby(chosen, lambda one: one[0]):
