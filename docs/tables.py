@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from safety_harness.certification.document import schema as evidence_schema
+from safety_harness.certification.evidence import schema as evidence_schema
 from safety_harness.formulas.signals import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import markdown_of_claims

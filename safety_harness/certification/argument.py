@@ -3,15 +3,24 @@
 Goals are what should be true, strategies how a goal is broken down, solutions the evidence it rests on;
 contexts and assumptions stand beside.  A goal without a solution is undeveloped and is drawn so.  The words
 on goals are the evidence's own: an argument whose evidence fails shows it.
+
+In the picture goals are boxes, strategies slanted, solutions circles, contexts rounded.  A goal stands above
+the strategies that support it; what supports a strategy stands below it in rows, each with its solutions to
+the right, so that the picture is as wide as a page.  Contexts and assumptions stand beside.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import textwrap
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from enum import Enum
+from html import escape
 
-from safety_harness.certification.evidence import ClaimStatus, Evidence
+from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
 from safety_harness.certification.verdicts import percent
+from safety_harness.report.svg import plain
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
 STATE = {
@@ -35,23 +44,20 @@ class ElementKind(Enum):
     ASSUMPTION = "A"
 
 
-KIND_WORDS = {kind: kind.name.lower() for kind in ElementKind}
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Element:
     """One element: ``place`` is the id on the page that it leads to, ``state`` the colour of what it says.
 
-    ``below`` supports it, ``beside`` is what it is to be read in.
+    ``below`` supports it, ``beside`` is what it is to be read in.  ``key`` has its kind and number.
     """
 
     kind: ElementKind
-    key: str
     text: str
     place: str
     state: str = OPEN
     below: tuple[Element, ...] = ()
     beside: tuple[Element, ...] = ()
+    key: str = ""
 
     @property
     def undeveloped(self) -> bool:
@@ -59,104 +65,247 @@ class Element:
         return self.kind in (ElementKind.GOAL, ElementKind.STRATEGY) and not self.below
 
 
-@dataclass
-class _Maker:
-    """Makes elements, numbered by kind in the order of making."""
-
-    counts: dict[ElementKind, int] = field(default_factory=dict)
-
-    def __call__(
-        self, kind: ElementKind, text: str, place: str, state: str = OPEN, *, beside: tuple[Element, ...] = ()
-    ) -> Element:
-        self.counts[kind] = self.counts.get(kind, 0) + 1
-        key = f"{kind.value}{self.counts[kind]}"
-        return Element(kind=kind, key=key, text=text, place=place, state=state, beside=beside)
-
-
 def argument_of(evidence: Evidence) -> Element:
     """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
-    make, plan = _Maker(), evidence.plan
+    plan, system = evidence.plan, evidence.system
+    domain = "Domain: " + ", ".join(one.name for one in evidence.strata)
+    cell = "Hands, braking and arm are as the assumptions say"
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
-    top = make(
-        ElementKind.GOAL,
-        f"{evidence.system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
-        + (f"; {evidence.fallback}" if evidence.fallback else ""),
-        "claims",
-        STATE[evidence.standing],
-        beside=(
-            make(ElementKind.CONTEXT, "Domain: " + ", ".join(one.name for one in evidence.strata), "strata"),
-            make(
-                ElementKind.CONTEXT, f"System: {evidence.system.avoider} on {evidence.system.robot}", "system"
-            ),
-            make(ElementKind.ASSUMPTION, "Hands, braking and arm are as the assumptions say", "assumptions"),
-        ),
-    )
-    by_claims = make(
+    by_claims = Element(
         ElementKind.STRATEGY,
         "By claim and stratum, with exact bounds from independent runs",
         "results",
-        beside=(make(ElementKind.CONTEXT, sure, "plan"),),
+        beside=(Element(ElementKind.CONTEXT, sure, "plan"),),
+        below=tuple(map(_of_claim, evidence.claims)),
     )
-    goals = []
-    for claim in evidence.claims:
-        place, state = f"claim-{claim.number}", STATE[claim.standing]
-        target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
-        goal = make(ElementKind.GOAL, f"{claim.sentence}{target}", place, state)
-        runs = sum(outcome.tested for outcome in claim.outcomes)
-        if runs:
-            words = f"{runs} runs put it to the test: {claim.standing.value}"
-            goal = replace(goal, below=(make(ElementKind.SOLUTION, words, place, state),))
-        goals.append(goal)
     means = (
         ("Ways to violate a claim are known and explained", "counterexamples", DOUBT, _hunt),
         ("The simulator may be believed for these claims", "credibility", OPEN, _credibility),
         ("What judges would notice a fault", "tools", OPEN, _tools),
     )
-    others = tuple(
-        replace(make(ElementKind.GOAL, text, place, state), below=support(evidence, make))
-        for text, place, state, support in means
+    by_means = Element(
+        ElementKind.STRATEGY,
+        "By what could make the bounds misleading",
+        "not-shown",
+        below=tuple(
+            Element(ElementKind.GOAL, text, place, state, tuple(support(evidence)))
+            for text, place, state, support in means
+        ),
     )
-    by_means = make(ElementKind.STRATEGY, "By what could make the bounds misleading", "not-shown")
-    by_claims = replace(by_claims, below=tuple(goals))
-    return replace(top, below=(by_claims, replace(by_means, below=others)))
+    top = Element(
+        ElementKind.GOAL,
+        f"{system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
+        + (f"; {evidence.fallback}" if evidence.fallback else ""),
+        "claims",
+        STATE[evidence.standing],
+        below=(by_claims, by_means),
+        beside=(
+            Element(ElementKind.CONTEXT, domain, "strata"),
+            Element(ElementKind.CONTEXT, f"System: {system.avoider} on {system.robot}", "system"),
+            Element(ElementKind.ASSUMPTION, cell, "assumptions"),
+        ),
+    )
+    return _numbered(top, Counter())
 
 
-def _hunt(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
-    found = []
+def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
+    """With keys, counted by kind: what stands beside an element before what stands below it."""
+    counts[element.kind] += 1
+    key = f"{element.kind.value}{counts[element.kind]}"
+    beside = tuple(_numbered(one, counts) for one in element.beside)
+    return replace(
+        element, key=key, beside=beside, below=tuple(_numbered(one, counts) for one in element.below)
+    )
+
+
+def _of_claim(claim: ClaimEvidence) -> Element:
+    place, state = f"claim-{claim.number}", STATE[claim.standing]
+    target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
+    runs = sum(outcome.tested for outcome in claim.outcomes)
+    words = f"{runs} runs put it to the test: {claim.standing.value}"
+    tested = (Element(ElementKind.SOLUTION, words, place, state),) if runs else ()
+    return Element(ElementKind.GOAL, f"{claim.sentence}{target}", place, state, tested)
+
+
+def _hunt(evidence: Evidence) -> Iterator[Element]:
     if evidence.search is not None:
-        state = DOUBT if evidence.counterexamples else OPEN
         distinct = len(evidence.counterexamples)
         words = f"Search of {evidence.search.runs} runs; {distinct} distinct counterexamples in all"
-        found.append(make(ElementKind.SOLUTION, words, "counterexamples", state))
+        yield Element(ElementKind.SOLUTION, words, "counterexamples", DOUBT if distinct else OPEN)
     if evidence.coverage.runs:
         words = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
-        found.append(make(ElementKind.SOLUTION, words, "coverage"))
-    return tuple(found)
+        yield Element(ElementKind.SOLUTION, words, "coverage")
 
 
-def _credibility(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
-    known, found = evidence.credibility, []
-    if known.agreement is not None:
-        agreement = known.agreement
+def _credibility(evidence: Evidence) -> Iterator[Element]:
+    known = evidence.credibility
+    if (agreement := known.agreement) is not None:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
         words = f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ"
-        found.append(make(ElementKind.SOLUTION, words, "agreement", state))
+        yield Element(ElementKind.SOLUTION, words, "agreement", state)
     for rerun in known.reruns:
         words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-        found.append(make(ElementKind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE))
+        yield Element(ElementKind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE)
     if known.oracles:
-        found.append(
-            make(ElementKind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles")
-        )
-    return tuple(found)
+        yield Element(ElementKind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles")
 
 
-def _tools(evidence: Evidence, make: _Maker) -> tuple[Element, ...]:
+def _tools(evidence: Evidence) -> Iterator[Element]:
     test = evidence.selftest
-    if test is None:
-        return ()
-    every = 0 < len(test.faults) == test.caught and test.whole
-    words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
-    words += "" if test.whole else ", not all tried"
-    fine = every and not test.false_alarms and test.present
-    return (make(ElementKind.SOLUTION, words, "tools", DONE if fine else DOUBT),)
+    if test is not None:
+        every = 0 < len(test.faults) == test.caught and test.whole
+        words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
+        words += "" if test.whole else ", not all tried"
+        fine = every and not test.false_alarms and test.present
+        yield Element(ElementKind.SOLUTION, words, "tools", DONE if fine else DOUBT)
+
+
+WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 46.0
+LETTERS = 25  # in a line of a box
+GSN_KEY = ' class="gsn-key"'
+HALO = {DONE: "--holds", DOUBT: "--inconclusive", FAILS: "--violated", OPEN: "--muted"}
+
+
+class _Box:
+    """An element with its place: the left upper corner and the size."""
+
+    def __init__(self, element: Element, x: float, y: float) -> None:
+        self.element, self.x, self.y, self.width = element, x, y, WIDTH
+        self.lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
+        self.height = 2 * PAD + LINE * (len(self.lines) + 1)
+        self.middle, self.bottom = x + WIDTH / 2.0, y + self.height
+
+
+def _own_width(element: Element) -> float:
+    return WIDTH + (WIDTH + GAP_X if element.beside else 0.0)
+
+
+def _width(element: Element) -> float:
+    """With all that supports it."""
+    if element.kind is ElementKind.STRATEGY:
+        return max(_own_width(element), 2 * (GAP_X + WIDTH))
+    below = sum(map(_width, element.below)) + GAP_X * max(len(element.below) - 1, 0)
+    return max(_own_width(element), below)
+
+
+class _Layout:
+    """Places every element, and remembers what is joined to what."""
+
+    def __init__(self, top: Element) -> None:
+        self.boxes: list[_Box] = []
+        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
+        self.width = _width(top) + 2 * GAP_X
+        self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
+
+    def _place(self, element: Element, left: float, top: float) -> tuple[_Box, float]:
+        """Put ``element`` and all below it; returns its box and how far down all of it goes."""
+        span = _width(element)
+        box = self._box(element, left + (span - _own_width(element)) / 2.0, top)
+        bottom = max(self._to_the_right(box, element.beside, "ring") - 8.0, box.bottom)
+        if element.kind is ElementKind.STRATEGY:
+            return box, self._rows(box, left, bottom + GAP_Y * 0.6)
+        lowest, start = bottom, left
+        for one in element.below:
+            placed, end = self._place(one, start, bottom + GAP_Y)
+            level = placed.y - GAP_Y / 2.0
+            below = (box.middle, box.bottom), (box.middle, level)
+            self.arrows.append(([*below, (placed.middle, level), (placed.middle, placed.y)], "tip"))
+            lowest, start = max(lowest, end), start + _width(one) + GAP_X
+        return box, lowest
+
+    def _to_the_right(self, box: _Box, elements: tuple[Element, ...], tip: str) -> float:
+        """Put elements beside a box, one below the other; returns where another one would stand."""
+        y = box.y
+        for one in elements:
+            beside = self._box(one, box.x + WIDTH + GAP_X, y)
+            centre = beside.y + beside.height / 2.0
+            self._arrow(box.x + WIDTH, min(centre, box.bottom - 4.0), beside.x, centre, tip)
+            y += beside.height + 8.0
+        return y
+
+    def _rows(self, box: _Box, left: float, y: float) -> float:
+        """What supports a strategy, one below the other, each with its own support to the right."""
+        rail = min(left, box.x) + 6.0
+        centre = box.bottom
+        for one in box.element.below:
+            placed = self._box(one, left + GAP_X, y)
+            end = placed.bottom + (8.0 if one.undeveloped else 0.0)
+            centre = placed.y + placed.height / 2.0
+            self._arrow(rail, centre, placed.x, centre, "tip")
+            y = max(self._to_the_right(placed, one.below, "tip"), end + 12.0)
+        joint = (box.middle, box.bottom + 10.0), (rail, box.bottom + 10.0)
+        self.arrows.append(([(box.middle, box.bottom), *joint, (rail, centre)], ""))
+        return y
+
+    def _arrow(self, x1: float, y1: float, x2: float, y2: float, tip: str) -> None:
+        self.arrows.append(([(x1, y1), (x2, y2)], tip))
+
+    def _box(self, element: Element, x: float, y: float) -> _Box:
+        self.boxes.append(_Box(element, x, y))
+        return self.boxes[-1]
+
+
+def argument_svg(top: Element, *, prefix: str) -> str:
+    """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
+    layout = _Layout(top)
+    parts = [
+        f'<svg width="{layout.width:.0f}" height="{layout.height:.0f}" viewBox="0 0 {layout.width:.0f} '
+        f'{layout.height:.0f}" role="group" aria-labelledby="{prefix}title {prefix}desc">',
+        f'<title id="{prefix}title">The assurance argument in goal structuring notation</title>',
+        f'<desc id="{prefix}desc">The same as the list below the picture.</desc>',
+        "<defs>",
+        _marker(f"{prefix}tip", 'fill="var(--muted)"'),
+        _marker(f"{prefix}ring", 'fill="var(--paper)" stroke="var(--muted)"'),
+        "</defs>",
+    ]
+    for points, tip in layout.arrows:
+        end = f' marker-end="url(#{prefix}{tip})"' if tip else ""
+        way = " L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+        parts.append(f'<path d="M{way}" fill="none" stroke="var(--muted)"{end}/>')
+    parts += [_drawn(box) for box in layout.boxes]
+    parts.append("</svg>")
+    return "".join(parts)
+
+
+def _marker(name: str, style: str) -> str:
+    return (
+        f'<marker id="{name}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" '
+        f'orient="auto"><path d="M1 1.5 9 5 1 8.5z" {style}/></marker>'
+    )
+
+
+def _drawn(box: _Box) -> str:
+    element = box.element
+    width = "3" if element.state == FAILS else "1.6"
+    style = f'fill="var(--raised)" stroke="var({HALO[element.state]})" stroke-width="{width}"'
+    style += ' stroke-dasharray="5 2.5"' if element.state == DOUBT else ""
+    kind = element.kind.name.lower()
+    x, y = box.x + PAD + (8.0 if element.kind is ElementKind.STRATEGY else 0.0), box.y + PAD + 11.0
+    spans = [
+        f'<tspan x="{x:.1f}" y="{y + LINE * k:.1f}"{GSN_KEY if k == 0 else ""}>{escape(line)}</tspan>'
+        for k, line in enumerate([f"{element.key} \u00b7 {kind}", *box.lines])
+    ]
+    drawn = f'{_shape(box, style)}<text class="gsn-text">{"".join(spans)}</text>'
+    if element.undeveloped:
+        drawn += (
+            f'<path d="M{box.middle:.1f} {box.bottom:.1f}l8 8-8 8-8-8z" fill="var(--paper)" '
+            'stroke="var(--inconclusive)" stroke-width="1.6"><title>undeveloped: nothing supports it</title>'
+            "</path>"
+        )
+    label = escape(f"{element.key}, {kind}: {element.text}", quote=True)
+    return f'<a href="#{escape(element.place, quote=True)}" aria-label="{label}">{drawn}</a>'
+
+
+def _shape(box: _Box, style: str) -> str:
+    x, y, width, height = box.x, box.y, box.width, box.height
+    if box.element.kind is ElementKind.STRATEGY:
+        slant = 9.0
+        return (
+            f'<path d="M{x + slant:.1f} {y:.1f}h{width - slant:.1f}l{-slant:.1f} {height:.1f}'
+            f'h{slant - width:.1f}z" {style}/>'
+        )
+    radius = {ElementKind.GOAL: 0.0, ElementKind.SOLUTION: min(height / 2.0, 26.0), ElementKind.CONTEXT: 12.0}
+    return (
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
+        f'rx="{radius.get(box.element.kind, 18.0):.1f}" {style}/>'
+    )

@@ -38,17 +38,13 @@ _VIOLATIONS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Example:
-    """A counterexample and its run; ``data`` is the trace of a declared one.
+    """A counterexample and its run; ``data`` is the trace of a declared one."""
 
-    Without ``shown`` there is none to show: ``problem`` says why, or no trace of its kind was kept.
-    """
-
-    shown: CounterexampleEvidence | None = None
-    run: JudgedRun | None = None
-    data: bytes | None = None
-    problem: str = ""
+    shown: CounterexampleEvidence
+    run: JudgedRun
+    data: bytes | None
 
 
 @dataclass(eq=False)
@@ -61,34 +57,34 @@ class _Kind:
     count: int = 0
 
 
-def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example]:
-    """Of the plan's own runs: of each kind the worst whose trace is kept, or none that can be shown."""
+def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | str]:
+    """Of the plan's own runs: of each kind the worst whose trace is kept.
+
+    Text is of one that cannot be shown: why, or nothing where no trace of its kind was kept.
+    """
     for number, claim in enumerate(plan.claims):
         for kind in _kinds(ledger, number):
             data = None if kind.episode is None else ledger.trace(kind.stratum, kind.episode)
             stratum = plan.strata[kind.stratum].name
             if data is None:
-                yield Example()
+                yield ""
                 continue
             try:
                 run = judged_run(trace_of(plan, kind.stratum, data))
             except InputError as error:
-                where = f"{stratum}, run {kind.episode}"
-                yield Example(problem=f"{where}: its stored trace cannot be read: {error.got}")
+                yield f"{stratum}, run {kind.episode}: its stored trace cannot be read: {error.got}"
                 continue
             name = f"claim-{number + 1}-stratum-{kind.stratum + 1}-run-{kind.episode}.trace"
-            shown = _evidence(
+            yield _example(
                 run,
                 number,
                 claim.sentence,
                 origin=f"declared run {kind.episode} of {stratum}",
-                independent=True,
                 like_it=kind.count,
                 trace=f"{FOLDER}/{name}",
-                scenario="",
                 lines=(f"kind: {kind.words}", *_circumstances(run)),
+                data=data,
             )
-            yield Example(shown=shown, run=run, data=data)
 
 
 def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
@@ -114,8 +110,13 @@ def _circumstances(run: JudgedRun) -> tuple[str, ...]:
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())
 
 
-def searched_counterexamples(plan: Plan, searches: Sequence[Searched], folder: Path) -> Iterator[Example]:
-    """What the search wrote below ``folder``: shrunk, confirmed and explained scenario files with traces."""
+def searched_counterexamples(
+    plan: Plan, searches: Sequence[Searched], folder: Path
+) -> Iterator[Example | str]:
+    """What the search wrote below ``folder``: shrunk, confirmed and explained scenario files with traces.
+
+    Text is why one cannot be shown.
+    """
     sentences = [claim.sentence for claim in plan.claims]
     for one in searches:
         for name in one.found.counterexamples if one.found else ():
@@ -126,41 +127,38 @@ def searched_counterexamples(plan: Plan, searches: Sequence[Searched], folder: P
                 sentence, lines = _told(file)
             except InputError as error:
                 got = "no trace" if not trace.is_file() else error.got
-                yield Example(problem=f"{one.stratum}: the search's {name} cannot be shown: {got}")
+                yield f"{one.stratum}: the search's {name} cannot be shown: {got}"
                 continue
-            shown = _evidence(
+            yield _example(
                 run,
                 sentences.index(sentence) if sentence in sentences else None,
                 sentence,
                 origin=f"the search of {one.stratum}, shrunk",
-                independent=False,
-                like_it=1,
                 trace=trace.relative_to(folder).as_posix(),
                 scenario=file.relative_to(folder).as_posix(),
                 lines=lines[:MOST_LINES],
             )
-            yield Example(shown=shown, run=run)
 
 
-def _evidence(
+def _example(
     run: JudgedRun,
     claim: int | None,
     sentence: str,
     *,
     origin: str,
-    independent: bool,
-    like_it: int,
     trace: str,
-    scenario: str,
     lines: Sequence[str],
-) -> CounterexampleEvidence:
+    like_it: int = 1,
+    scenario: str = "",
+    data: bytes | None = None,
+) -> Example:
     of = run.under(sentence).about
-    return CounterexampleEvidence(
+    shown = CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,
         sentence=sentence,
         origin=origin,
-        independent=independent,
+        independent=data is not None,
         like_it=like_it,
         margin="\u2013" if of is None else margin_words(run.evaluations[of]),
         scenario_file=scenario,
@@ -168,26 +166,23 @@ def _evidence(
         command=shlex.join(["safety-harness", "replay", trace]),
         lines=tuple(lines),
     )
+    return Example(shown, run, data)
 
 
-def numbered(examples: Sequence[Example]) -> tuple[Example, ...]:
+def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
     """With numbers from 1, those that cannot be shown left out."""
-    shown = [one for one in examples if one.shown is not None]
-    return tuple(
-        replace(one, shown=replace(one.shown, number=number))
-        for number, one in enumerate(shown, start=1)
-        if one.shown is not None
-    )
+    shown = [one for one in met if isinstance(one, Example)]
+    return tuple(replace(one, shown=replace(one.shown, number=k)) for k, one in enumerate(shown, start=1))
 
 
 def write_traces(examples: Sequence[Example], folder: Path) -> None:
     """The declared ones' traces below ``folder``, in place of all that were there.  Raises OSError."""
-    keep = {one.shown.trace_file for one in examples if one.shown is not None}
+    keep = {one.shown.trace_file for one in examples}
     for file in (folder / FOLDER).glob("claim-*-stratum-*-run-*.trace"):
         if file.relative_to(folder).as_posix() not in keep:
             file.unlink()
     for one in examples:
-        if one.data is not None and one.shown is not None:
+        if one.data is not None:
             file = folder / one.shown.trace_file
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(one.data)

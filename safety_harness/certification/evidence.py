@@ -1,16 +1,24 @@
 """Everything that the evidence report shows, as frozen data: the page and the JSON are both made from it.
 
+The JSON, what is read of it, and its schema are all three read off the types.
+
 Numbers are in SI; probabilities are of a violation in a run that put the claim to the test.  What is not
 known is None or an empty tuple, never a number that looks well.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
 from safety_harness.properties.answered import fallback_words
+from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 
 FORMAT = "safety-harness evidence 1"
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
@@ -19,13 +27,14 @@ UNANSWERED = "decision faults"  # among a stratum's decisions: those without a u
 class ClaimStatus(Enum):
     """The word on a claim.  Only the first one is ever shown in green."""
 
+    # each is graver than those above it
     SHOWN = "shown"
+    ESTIMATED = "estimated only"  # the plan sets no target
     DOUBTED = "shown with doubt"  # runs without a verdict count against it; model only; by the fallback
     NOT_SHOWN = "not shown"
-    REFUTED = "refuted"
-    ESTIMATED = "estimated only"  # the plan sets no target
-    UNTESTED = "never put to the test"
     INCOMPLETE = "runs missing"
+    UNTESTED = "never put to the test"
+    REFUTED = "refuted"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +237,7 @@ class SearchSummary:
     lines: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class OpenFinding:
     """Something that is open: an assessor has to look at it."""
 
@@ -309,12 +318,23 @@ class Evidence:
         return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
 
 
-SEVERITY_ORDER = (
-    ClaimStatus.REFUTED,
-    ClaimStatus.UNTESTED,
-    ClaimStatus.INCOMPLETE,
-    ClaimStatus.NOT_SHOWN,
-    ClaimStatus.DOUBTED,
-    ClaimStatus.ESTIMATED,
-    ClaimStatus.SHOWN,
-)
+def as_text(evidence: Evidence) -> str:
+    """The whole report as JSON; ValueError for a number that is not finite."""
+    return json.dumps(plain(evidence), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def read_evidence(path: Path) -> Evidence:
+    """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
+    return typed(of_format(read_json(path, "an evidence report"), FORMAT, path), Evidence, path)
+
+
+def schema() -> dict[str, Any]:
+    """The published schema of the JSON (draft 2020-12)."""
+    found = msgspec.json.schema(Evidence)
+    for kind in found["$defs"].values():
+        if kind.get("type") == "object":  # with all of its fields and no others
+            kind |= {"required": list(kind["properties"]), "additionalProperties": False}
+            for part in kind["properties"].values():
+                part.pop("default", None)
+    found["$defs"]["Evidence"]["properties"]["format"] = {"const": FORMAT}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}

@@ -7,7 +7,13 @@ from collections.abc import Iterator, Sequence
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.counterexamples import MOST, Example
-from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, OpenFinding, StratumResult
+from safety_harness.certification.evidence import (
+    ClaimEvidence,
+    ClaimStatus,
+    OpenFinding,
+    Record,
+    StratumResult,
+)
 from safety_harness.certification.searched import Searched
 from safety_harness.certification.tools import Credibility, SelfTest
 
@@ -21,12 +27,18 @@ _PLAIN = {
 }
 
 
+def of_record(record: Record) -> Iterator[OpenFinding]:
+    """What nothing proves."""
+    if not record.declaration_sha256:
+        yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
+
+
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
     """Whatever is not shown."""
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
-            yield OpenFinding(text=text, place=f"claim-{claim.number}")
+            yield OpenFinding(text, f"claim-{claim.number}")
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
@@ -40,46 +52,42 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
             )
             most = next((f", most often: {reason}" for reason, _ in reasons), "")
             text = f"{stratum.name}: {stratum.failed} of {stratum.made} runs could not be carried on{most}"
-            yield OpenFinding(text=text, place="strata")
+            yield OpenFinding(text, "strata")
         fallback = fallback_of(ledger, place)
         if fallback.words:
             text = f"{stratum.name}: {fallback.words}; most often: {fallback.reason}"
-            yield OpenFinding(text=text, place="strata")
+            yield OpenFinding(text, "strata")
 
 
 def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFinding]:
     """What of the search that the plan asks for is not there, and what it met that is in no bound."""
-    place = "counterexamples"
-    if asked and not searches:
-        yield OpenFinding(text="the search that the plan asks for was not made", place=place)
+    texts = [] if searches or not asked else ["the search that the plan asks for was not made"]
     for one in searches:
         if one.found is None:
-            yield OpenFinding(text=f"{one.stratum}: the search {one.problem}", place=place)
+            texts.append(f"{one.stratum}: the search {one.problem}")
             continue
         if one.found.interrupted:
-            yield OpenFinding(text=f"{one.stratum}: the search was interrupted", place=place)
-        if one.found.unconfirmed:
-            many = len(one.found.unconfirmed)
-            text = f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet"
-            yield OpenFinding(text=text, place=place)
+            texts.append(f"{one.stratum}: the search was interrupted")
+        if many := len(one.found.unconfirmed):
+            texts.append(f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet")
+    yield from (OpenFinding(text, "counterexamples") for text in texts)
 
 
-def of_examples(examples: Sequence[Example]) -> Iterator[OpenFinding]:
+def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
     """What of the counterexamples cannot be shown, or is no part of a bound."""
-    place = "counterexamples"
-    untraced = sum(one.shown is None and not one.problem for one in examples)
-    if untraced:
-        text = f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
-        yield OpenFinding(text=text, place=place)
-    yield from (OpenFinding(text=one.problem, place=place) for one in examples if one.problem)
-    searched = sum(one.shown is not None and not one.shown.independent for one in examples)
-    if searched:
-        text = f"the search found {searched} counterexamples that the declared runs are no measure of"
-        yield OpenFinding(text=text, place=place)
-    shown = sum(one.shown is not None for one in examples)
-    if shown > MOST:
-        text = f"{shown - MOST} of {shown} counterexamples have files but no pictures here"
-        yield OpenFinding(text=text, place=place)
+    shown = [one.shown for one in examples if isinstance(one, Example)]
+    problems = [one for one in examples if isinstance(one, str)]
+    texts = []
+    if untraced := problems.count(""):
+        texts.append(
+            f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
+        )
+    texts += filter(None, problems)
+    if searched := sum(not one.independent for one in shown):
+        texts.append(f"the search found {searched} counterexamples that the declared runs are no measure of")
+    if len(shown) > MOST:
+        texts.append(f"{len(shown) - MOST} of {len(shown)} counterexamples have files but no pictures here")
+    yield from (OpenFinding(text, "counterexamples") for text in texts)
 
 
 def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
@@ -87,28 +95,28 @@ def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
-        yield OpenFinding(text=text, place="credibility")
+        yield OpenFinding(text, "credibility")
     if agreement is not None and agreement.optimistic:
         text = f"{agreement.optimistic} optimistic disagreements of the kinematic world with PyBullet"
-        yield OpenFinding(text=text, place="agreement")
+        yield OpenFinding(text, "agreement")
     for rerun in credibility.reruns:
         if rerun.changed:
             text = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-            yield OpenFinding(text=text, place=rerun.place)
+            yield OpenFinding(text, rerun.place)
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
     """Reasons to doubt the judges."""
     if selftest is None:
-        yield OpenFinding(text="nothing is said of how well the harness notices faults", place="tools")
+        yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return
     if not selftest.whole:
-        yield OpenFinding(text="not every fault of the catalogue was tried on the harness", place="tools")
+        yield OpenFinding("not every fault of the catalogue was tried on the harness", "tools")
     if not selftest.present:
-        yield OpenFinding(text="the harness was on trial with another source", place="tools")
+        yield OpenFinding("the harness was on trial with another source", "tools")
     for alarm in selftest.false_alarms:
-        yield OpenFinding(text=f"the harmless change {alarm!r} raised an alarm", place="tools")
+        yield OpenFinding(f"the harmless change {alarm!r} raised an alarm", "tools")
     for fault in selftest.faults:
         if not fault.caught_by:
             limit = f", a stated limit: {fault.known_limit}" if fault.known_limit else ""
-            yield OpenFinding(text=f"the seeded fault {fault.name!r} survived{limit}", place="tools")
+            yield OpenFinding(f"the seeded fault {fault.name!r} survived{limit}", "tools")

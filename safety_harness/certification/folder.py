@@ -4,32 +4,36 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.counterexamples import write_traces
-from safety_harness.certification.document import as_text
-from safety_harness.certification.evidence import Evidence, StoredFile
+from safety_harness.certification.evidence import (
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    Evidence,
+    StoredFile,
+    as_text,
+)
 from safety_harness.certification.gather import GatheredEvidence
-from safety_harness.certification.junit import junit_xml
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import write_whole
 
-PAGE, JSON, JUNIT, PDF, MANIFEST, PLAN = (
-    "evidence.html",
-    "evidence.json",
-    "junit.xml",
-    "evidence.pdf",
-    "manifest.json",
-    "plan",
-)
+PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
+MANIFEST, PLAN = "manifest.json", "plan"
 FORMAT = "safety-harness manifest 1"
 MADE = (PAGE, JSON, JUNIT, PDF)
 LOG = f"{LEDGER}-wal"
@@ -115,3 +119,96 @@ def names_in(folder: Path) -> Iterator[str]:
         name = path.relative_to(folder).as_posix()
         if name not in (MANIFEST, *PASSING) and not path.name.startswith(".") and path.is_file():
             yield name
+
+
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(evidence: Evidence) -> str:
+    """The claims for machines that gate on tests: one suite a stratum, one case a claim.
+
+    Only a claim that is *shown* passes.  Refuted is a failure; everything else is an error or, where the plan
+    set no target, skipped: nothing that is open is ever green.
+    """
+    name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
+    root = ElementTree.Element("testsuites", name=_xml_text(name))
+    for stratum in evidence.strata:
+        suite = ElementTree.SubElement(root, "testsuite", name=_xml_text(stratum.name))
+        pairs = [
+            (claim, outcome)
+            for claim in evidence.claims
+            for outcome in claim.outcomes
+            if outcome.stratum == stratum.name
+        ]
+        for claim, outcome in pairs:
+            _case(suite, claim, outcome)
+        tags = [child.tag for case in suite for child in case]
+        for name, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+            suite.set(name, str(tags.count(tag)))
+        suite.set("tests", str(len(pairs)))
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult) -> None:
+    case = ElementTree.SubElement(
+        suite, "testcase", classname=_xml_text(outcome.stratum), name=_xml_text(claim.sentence)
+    )
+    if outcome.standing is ClaimStatus.SHOWN:
+        return
+    tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: "skipped"}.get(outcome.standing, "error")
+    said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
+    if tag != "skipped":
+        said.set("type", outcome.standing.value)
+
+
+def _xml_text(text: str) -> str:
+    return _NOT_XML.sub("\ufffd", text)
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+LIMIT_S = 180.0
+
+
+def browser() -> str:
+    """The installed Chromium or Chrome that prints, found on the path; InputError if there is none."""
+    for name in BROWSERS:
+        found = shutil.which(name)
+        if found is not None:
+            return found
+    raise InputError(
+        place=Place(field="--pdf"),
+        expected="an installed Chromium or Chrome, which prints the page",
+        got="none of " + ", ".join(BROWSERS) + " on the path",
+        hint="the page itself prints well from any browser",
+    )
+
+
+def write_pdf(page: Path, path: Path) -> None:
+    """Print ``page`` to ``path``; OutputError with what the browser said if it does not."""
+    with tempfile.TemporaryDirectory() as profile:
+        command = [
+            browser(),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={profile}",
+            f"--print-to-pdf={path.resolve()}",
+            page.resolve().as_uri(),
+        ]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise _failed(path, f"the browser did not finish in {LIMIT_S:.0f} s") from error
+    if done.returncode != 0 or not path.is_file():
+        raise _failed(path, done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "nothing")
+    with path.open("rb") as file:
+        if file.read(5) != b"%PDF-":
+            raise _failed(path, "no PDF")
+
+
+def _failed(path: Path, said: str) -> OutputError:
+    return OutputError(place=Place(file=path), expected="a PDF that the browser prints", got=said[:200])

@@ -28,6 +28,7 @@ from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import (
     of_claims,
     of_examples,
+    of_record,
     of_searches,
     of_selftest,
     of_strata,
@@ -75,8 +76,7 @@ class GatheredEvidence:
     @property
     def runs(self) -> dict[int, JudgedRun]:
         """Of the counterexamples that have pictures, by their numbers."""
-        pairs = ((one.shown, one.run) for one in self.examples)
-        return {shown.number: run for shown, run in pairs if shown and run and shown.number <= MOST}
+        return {one.shown.number: one.run for one in self.examples if one.shown.number <= MOST}
 
 
 def gather(
@@ -137,7 +137,7 @@ def put_together(
         separation=separation_of(plan, stored),
         calibration=calibration_of(plan, stored),
         coverage=coverage_of(ledger),
-        counterexamples=tuple(one.shown for one in examples if one.shown is not None),
+        counterexamples=tuple(one.shown for one in examples),
         search=search_evidence(searches),
         credibility=believed,
         selftest=selftest,
@@ -147,7 +147,7 @@ def put_together(
             *of_record(record),
             *of_claims(claims),
             *of_strata(ledger, strata),
-            *(OpenFinding(text=text, place="strata") for text in damaged),
+            *(OpenFinding(text, "strata") for text in damaged),
             *of_examples(met),
             *of_searches(searches, plan.search_runs),
             *of_worlds(believed),
@@ -224,12 +224,3 @@ def record_of(ledger: Ledger, declaration_sha256: str) -> Record:
 def drawn_with() -> str:
     """What draws the plots of the page, whose lines another version may put elsewhere."""
     return f"matplotlib {metadata.version('matplotlib')}"
-
-
-def of_record(record: Record) -> tuple[OpenFinding, ...]:
-    """What nothing proves."""
-    if record.declaration_sha256:
-        return ()
-    return (
-        OpenFinding(text="nothing proves that the plan was declared before its runs were made", place="plan"),
-    )

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.certification.argument import KIND_WORDS, STATE, argument_of
-from safety_harness.certification.argument_svg import argument_svg
+from safety_harness.certification.argument import STATE, argument_of, argument_svg
 from safety_harness.certification.evidence import ClaimStatus, CounterexampleEvidence, Evidence
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
-from safety_harness.certification.replay3d import replay_json, seconds, start_s
+from safety_harness.certification.replay3d import replay_json, start_s
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tables import outcomes, quantiles, tables_of
+from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -56,23 +55,20 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         state=STATE,
         counts=_counts(evidence),
         meanings=MEANINGS,
-        tables=tables_of(evidence),
-        claims=[
-            {
-                "claim": claim,
-                "table": outcomes(claim),
-                "quantiles": quantiles(claim),
-                "bounds": Markup(bounds_figure(claim, prefix=f"claim-{claim.number}-bounds-")),
-                "margins": Markup(margins_figure(claim, prefix=f"claim-{claim.number}-margins-")),
-            }
-            for claim in evidence.claims
-        ],
+        tables=TABLES,
+        bounds_figure=bounds_figure,
+        margins_figure=margins_figure,
         counterexamples=views,
         top=top,
-        kind_words=KIND_WORDS,
         argument=Markup(argument_svg(top, prefix="argument-")),
-        separation=Markup(separation_figure(evidence.separation, prefix="separation-")),
-        coverage_map=_coverage_map(evidence),
+        separation=Markup(separation_figure(evidence.separation)),
+        coverage_map=Markup(
+            coverage_map(
+                *cells_of(evidence.coverage),
+                prefix="coverage-map-",
+                title="Coverage of the domain by the declared runs",
+            )
+        ),
         percent=percent,
         confidence=confidence_words,
     )
@@ -96,7 +92,6 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> dict[
         return {"one": one, "run": None, "moment": ""}
     run = run.under(one.sentence)
     prefix = f"counterexample-{one.number}-"
-    first_s, last_s = seconds(run.trace)
     moment = shown_moment(run)
     return {
         "one": one,
@@ -104,20 +99,9 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> dict[
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
         "replay": Markup(replay_json(run)),
-        "first_s": first_s,
-        "last_s": last_s,
+        "first_s": float(run.trace.time_s[0]),
+        "last_s": float(run.trace.time_s[-1]),
         "from_s": start_s(run),
         "moment": "" if moment is None else f"{moment.time_s:.3f}",
         "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     }
-
-
-def _coverage_map(evidence: Evidence) -> Markup:
-    if not evidence.coverage.cells:
-        return Markup("")
-    cells, violating = cells_of(evidence.coverage)
-    return Markup(
-        coverage_map(
-            cells, violating, prefix="coverage-map-", title="Coverage of the domain by the declared runs"
-        )
-    )

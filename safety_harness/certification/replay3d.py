@@ -22,7 +22,6 @@ from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.settings import Object
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.trace import Trace
 
 MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
 LITTLE_ENDIAN = "<f4"
@@ -119,8 +118,3 @@ def _rows(matrix: NDArray[np.float64]) -> list[float]:
 
 def _rounded(vector: NDArray[np.float64]) -> list[float]:
     return [round(float(value), 5) for value in vector]
-
-
-def seconds(trace: Trace) -> tuple[float, float]:
-    """The first and the last time of a trace."""
-    return float(trace.time_s[0]), float(trace.time_s[-1])

@@ -7,8 +7,6 @@ statistics are no part of it: each holds with the confidence of one interval alo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from safety_harness.admission.claims import property_of
@@ -59,56 +57,16 @@ def bounds(plan: Plan) -> int:
 
 def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
     """Every claim of the plan, with what the ledger says of it now."""
-    samples = {
-        (claim.sentence, stratum.name): _sample(ledger, stratum.name, claim.sentence)
-        for claim in plan.claims
-        for stratum in plan.strata
-    }
-    known = [sample for sample in samples.values() if isinstance(sample, IndependentSample)]
-    bounded = dict(zip(map(id, known), _bounds(known, plan), strict=True))
-    return tuple(
-        _claim(plan, ledger, number, claim, [samples[claim.sentence, s.name] for s in plan.strata], bounded)
-        for number, claim in enumerate(plan.claims, start=1)
-    )
+    return tuple(_claim(plan, ledger, place, claim) for place, claim in enumerate(plan.claims))
 
 
-def _sample(ledger: Ledger, stratum: str, claim: str) -> IndependentSample | StatisticsError:
-    """Or why there is none: episodes are missing yet, or rows contradict themselves."""
-    try:
-        return ledger.sample(stratum, claim)
-    except StatisticsError as error:
-        return error
-
-
-def _bounds(samples: Sequence[IndependentSample], plan: Plan) -> list[Bound | None]:
-    """With the error shared among all bounds, even where samples are missing yet; None without a trial."""
-    if not samples:
-        return []
-    return [
-        Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
-        if one.trials
-        else None
-        for one in bounds_of(samples, plan.confidence, Sides.BOTH, family=bounds(plan))
-    ]
-
-
-def _claim(
-    plan: Plan,
-    ledger: Ledger,
-    number: int,
-    claim: PlannedClaim,
-    samples: Sequence[IndependentSample | StatisticsError],
-    bounded: dict[int, Bound | None],
-) -> ClaimEvidence:
+def _claim(plan: Plan, ledger: Ledger, place: int, claim: PlannedClaim) -> ClaimEvidence:
     entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
-    outcomes = tuple(
-        _outcome(plan, ledger, place, number - 1, sample, bounded.get(id(sample)))
-        for place, sample in enumerate(samples)
-    )
+    outcomes = tuple(_outcome(plan, ledger, stratum, place) for stratum in range(len(plan.strata)))
     standing, why = overall(outcomes)
     return ClaimEvidence(
-        number=number,
+        number=place + 1,
         sentence=claim.sentence,
         target=claim.target,
         hazard=claim.hazard or tracing.hazard,
@@ -128,24 +86,24 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:].rstrip(".") + "."
 
 
-def _outcome(
-    plan: Plan,
-    ledger: Ledger,
-    place: int,
-    claim: int,
-    sample: IndependentSample | StatisticsError,
-    bound: Bound | None,
-) -> ClaimResult:
-    stratum = plan.strata[place]
-    _, codes, margins = ledger.outcomes(place, claim)
-    problem = str(sample) if isinstance(sample, StatisticsError) else ""
-    if isinstance(sample, IndependentSample):
-        codes, margins = sample.outcomes, sample.margins
+def _outcome(plan: Plan, ledger: Ledger, place: int, claim: int) -> ClaimResult:
+    stratum, planned = plan.strata[place], plan.claims[claim]
+    bound: Bound | None = None
+    quantiles: tuple[Quantile, ...] = ()
+    problem = ""
+    try:
+        sample = ledger.sample(stratum.name, planned.sentence)
+    except StatisticsError as error:  # episodes are missing yet, or rows contradict themselves
+        problem = str(error)
+        _, codes, margins = ledger.outcomes(place, claim)
+    else:
+        codes, margins, bound = sample.outcomes, sample.margins, _bound(sample, plan)
+        quantiles = _quantiles(sample, bound.confidence) if bound else ()
     counts = {code: int(np.count_nonzero(codes == code)) for code in Code}
     without = counts[Code.INCONCLUSIVE] + counts[Code.FAILED]
     fallback, claimed = fallback_of(ledger, place), is_claimed(one.claim for one in plan.claims)
     standing, why = standing_of(
-        target=plan.claims[claim].target,
+        target=planned.target,
         bound=bound,
         runs=len(codes),
         planned=stratum.runs,
@@ -175,10 +133,16 @@ def _outcome(
         least_margin_si=float(margins[sure].min()) if sure.any() else None,
         margins_si=shown,
         shares=shares,
-        quantiles=_quantiles(sample, bound.confidence)
-        if isinstance(sample, IndependentSample) and bound
-        else (),
+        quantiles=quantiles,
     )
+
+
+def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
+    """With the error shared among all bounds of the plan; None without a trial."""
+    (one,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
+    if not one.trials:
+        return None
+    return Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
 
 
 def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:

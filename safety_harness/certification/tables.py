@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from safety_harness.certification.argument import STATE
 from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus, Evidence
-from safety_harness.certification.tools import Rerun
+from safety_harness.certification.tools import Credibility, Rerun, SelfTest, WorldAgreement
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
 from safety_harness.report.words import count_words, with_minus
@@ -144,25 +144,20 @@ def _bounds(outcome: ClaimResult) -> TableCell:
     return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
 
 
-def quantiles(claim: ClaimEvidence) -> CellTable | None:
-    """How much at least most runs keep; None where no stratum has any."""
-    found = [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles]
-    return (
-        _table(
-            "At least this share of the runs that test the claim keeps at least this margin (order "
-            f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
-            "alone; none is among the bounds that hold together.",
-            found,
-            {
-                "Stratum": lambda one: words(one[0]),
-                "Share of runs": lambda one: number(percent(one[1].share), one[1].share),
-                "Margin of at least": lambda one: number(
-                    at_least_words(one[1].at_least_si, claim), one[1].at_least_si
-                ),
-            },
-        )
-        if found
-        else None
+def quantiles(claim: ClaimEvidence) -> CellTable:
+    """How much at least most runs keep."""
+    return _table(
+        "At least this share of the runs that test the claim keeps at least this margin (order "
+        f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
+        "alone; none is among the bounds that hold together.",
+        [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],
+        {
+            "Stratum": lambda one: words(one[0]),
+            "Share of runs": lambda one: number(percent(one[1].share), one[1].share),
+            "Margin of at least": lambda one: number(
+                at_least_words(one[1].at_least_si, claim), one[1].at_least_si
+            ),
+        },
     )
 
 
@@ -298,11 +293,8 @@ def files(evidence: Evidence) -> CellTable:
     )
 
 
-def agreement(evidence: Evidence) -> CellTable | None:
+def agreement(known: WorldAgreement) -> CellTable:
     """The largest differences between the two worlds."""
-    known = evidence.credibility.agreement
-    if known is None:
-        return None
     present = "this very source" if known.present else f"another source, {known.source_hash}"
     return _table(
         f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
@@ -325,30 +317,22 @@ def rerun(known: Rerun) -> CellTable:
     )
 
 
-def oracles(evidence: Evidence) -> CellTable | None:
+def oracles(known: Credibility) -> CellTable:
     """What was checked against software that we did not write."""
-    known = evidence.credibility
-    return (
-        _table(
-            "Parts checked against software that is not ours, with the largest disagreement seen "
-            f"({known.oracles_measured_with}).",
-            known.oracles,
-            {
-                "Part": lambda one: words(one.part),
-                "Against": lambda one: words(one.against),
-                "Largest disagreement": lambda one: words(one.largest),
-            },
-        )
-        if known.oracles
-        else None
+    return _table(
+        "Parts checked against software that is not ours, with the largest disagreement seen "
+        f"({known.oracles_measured_with}).",
+        known.oracles,
+        {
+            "Part": lambda one: words(one.part),
+            "Against": lambda one: words(one.against),
+            "Largest disagreement": lambda one: words(one.largest),
+        },
     )
 
 
-def kills(evidence: Evidence) -> CellTable | None:
+def kills(test: SelfTest) -> CellTable:
     """Every seeded fault and what caught it."""
-    test = evidence.selftest
-    if test is None:
-        return None
     survived = TableCell(text="survived", state="violated")
     return _table(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
@@ -364,9 +348,8 @@ def kills(evidence: Evidence) -> CellTable | None:
     )
 
 
-def tables_of(evidence: Evidence) -> dict[str, object]:
-    """Every table that is not a claim's own, by the name that the page calls it."""
-    of_declared = (verdicts, hazards, strata, separation, coverage, counterexamples, calibration)
-    of_tools = (agreement, oracles, kills, files)
-    known: dict[str, object] = {make.__name__: make(evidence) for make in (*of_declared, *of_tools)}
-    return known | {"reruns": [rerun(one) for one in evidence.credibility.reruns]}
+_EVERY: tuple[Callable[..., object], ...] = (
+    *(verdicts, outcomes, quantiles, hazards, strata, separation, coverage, counterexamples, calibration),
+    *(agreement, rerun, oracles, kills, files),
+)
+TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them

@@ -10,6 +10,7 @@ import re
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.campaign.identity import unpacked
@@ -17,18 +18,16 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.altered import turns_of
-from safety_harness.certification.declaration import PlanDeclaration, declaration_of, read_declaration
-from safety_harness.certification.document import read_evidence
-from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.folder import JSON, read_manifest
-from safety_harness.certification.seal import Seal, read_seal, seal_of
+from safety_harness.certification.lodged import L, declaration_of, read_declaration, read_seal, seal_of
 from safety_harness.certification.verify_files import (
     Examination,
+    Report,
     check_files,
     check_plan,
     check_rows,
     few,
-    same_software,
 )
 from safety_harness.certification.verify_report import check_numbers, check_pages
 from safety_harness.certification.verify_runs import (
@@ -62,47 +61,33 @@ def lodged_hash(text: str | None, field: str) -> str | Path | None:
     )
 
 
-def check_lodged(
-    folder: Path,
-    plan: Plan,
-    ledger: Ledger,
-    recorded: Evidence,
-    *,
-    seal: str | Path | None,
-    declared: str | Path | None,
-) -> Examination:
+def check_lodged(report: Report, *, seal: str | Path | None, declared: str | Path | None) -> Examination:
     """Against what was lodged elsewhere, or what it means that nothing was."""
     faults, notes, unchecked = [], [], []
     if seal is None:
         unchecked.append(NO_SEAL)
     else:
-        faults += _differs(seal, seal_of(folder, ledger), "seal")
+        faults += _differs(seal, seal_of(report.folder, report.ledger), read_seal, "seal")
         notes.append("nothing in the report was altered since it was sealed")
     if declared is None:
         unchecked.append(NOT_DECLARED)
     else:
-        faults += _differs(declared, declaration_of(plan, ledger.declared.identity), "declaration")
+        now = declaration_of(report.plan, report.ledger.declared.identity)
+        faults += _differs(declared, now, read_declaration, "declaration")
         notes.append(
             "plan, seed, avoider, targets and software are the declared ones; its runs began on "
-            f"{recorded.provenance.began_at}: the declaration has to have been lodged before"
+            f"{report.recorded.provenance.began_at}: the declaration has to have been lodged before"
         )
-    root = recorded.record.rows_sha256
+    root = report.recorded.record.rows_sha256
     text = f"the root over all rows, {root[:16]}, and what was lodged elsewhere"
     return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
 
 
-def _differs(lodged: str | Path, now: Seal | PlanDeclaration, what: str) -> list[str]:
+def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], what: str) -> list[str]:
     """In words, if it does; what of it is otherwise is known from the file only."""
-    if isinstance(lodged, str):
-        return (
-            []
-            if lodged == now.sha256
-            else [f"the {what} of this report is {now.sha256}, not what was lodged"]
-        )
-    changes = (
-        read_seal(lodged).changes(now) if isinstance(now, Seal) else read_declaration(lodged).changes(now)
-    )
-    return list(changes)
+    if isinstance(lodged, Path):
+        return list(read(lodged).changes(now))
+    return [] if lodged == now.sha256 else [f"the {what} of this report is {now.sha256}, not what was lodged"]
 
 
 MISS = 0.01
@@ -143,7 +128,7 @@ def verify(
                 "ledger", "the evidence, the ledger and its plan", (str(error),), unchecked=(_REST,)
             )
             return
-        yield rows if plan else Examination(rows.name, rows.looked_at, rows.faults, unchecked=(_REST,))
+        yield rows if plan else replace(rows, unchecked=(_REST,))
         if plan is None:
             return
         _refuse_to_execute(plan, runs, execute_avoider)
@@ -152,44 +137,37 @@ def verify(
         if not own.stands:
             yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
             return
-        drawing = Drawing(runs=runs, miss=miss, seed=seed, on_progress=on_progress)
+        report = Report(folder, hashes, recorded, plan, ledger)
+        drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_avoider, on_progress=on_progress)
         try:
-            yield from _of_the_plan(plan, ledger, folder, recorded, hashes, drawing, execute_avoider)
-            yield check_lodged(folder, plan, ledger, recorded, seal=sealed, declared=before)
+            yield from _of_the_plan(report, drawing)
+            yield check_lodged(report, seal=sealed, declared=before)
         except OutputError:
             raise
         except InputError as error:
             yield Examination("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
 
 
-def _of_the_plan(
-    plan: Plan,
-    ledger: Ledger,
-    folder: Path,
-    recorded: Evidence,
-    hashes: dict[str, str],
-    drawing: Drawing,
-    execute: bool,
-) -> Iterator[Examination]:
+def _of_the_plan(report: Report, drawing: Drawing) -> Iterator[Examination]:
     """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
-    same = same_software(plan, ledger)
-    programs = bool(programs_in(plan))
+    plan, ledger, same = report.plan, report.ledger, report.same
+    repeats = same and not programs_in(plan)
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
     yield stored
     drawing.on_progress("the report from the ledger")
     again = drawing.runs != 0 and stored.stands
-    numbers, gathered = check_numbers(plan, ledger, folder, recorded, hashes, same=same, again=again)
+    numbers, gathered = check_numbers(report, again=again)
     yield numbers
     if numbers.stands:
         drawing.on_progress("the page")
-        yield check_pages(folder, recorded, gathered, same=same)
-    if again and any(one.shown and not one.shown.independent for one in gathered.examples):
+        yield check_pages(report, gathered)
+    if again and any(not one.shown.independent for one in gathered.examples):
         drawing.on_progress("counterexamples of the search")
-        yield check_searched(gathered, same=same and not programs, programs=execute)
+        yield check_searched(gathered, same=repeats, programs=drawing.programs)
     turns = turns_of(gathered.evidence.claims, early=plan.stop_early)
     drawing.on_progress("runs again")
-    yield check_runs(plan, ledger, turns, drawing, same=same and not programs, programs=execute)
+    yield check_runs(plan, ledger, turns, drawing, same=repeats)
 
 
 _REST = "the rest, which cannot be checked without it"

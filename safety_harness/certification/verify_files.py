@@ -13,6 +13,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Stopping
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, JUNIT, LOG, MANIFEST, PAGE, PLAN, names_in, sha256_of
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -91,10 +92,21 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     return Examination("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
 
 
-def same_software(known: Plan, ledger: Ledger) -> bool:
-    """Is all but the plan's files what the report was made with: source, libraries, networks, platform?"""
-    changes = ledger.declared.identity.changes(known.identity)
-    return all(change.startswith("the file ") for change in changes)
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What is verified: a folder, the hashes in its manifest, its evidence, its plan and its ledger."""
+
+    folder: Path
+    hashes: dict[str, str]
+    recorded: Evidence
+    plan: Plan
+    ledger: Ledger
+
+    @property
+    def same(self) -> bool:
+        """Is all but the plan's files what it was made with: source, libraries, networks, platform?"""
+        changes = self.ledger.declared.identity.changes(self.plan.identity)
+        return all(change.startswith("the file ") for change in changes)
 
 
 def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
@@ -132,43 +144,40 @@ def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
 
 def check_rows(ledger: Ledger) -> Examination:
     """Every row is of a declared run, of the right kind, and once; nothing is computed from it yet."""
-    declared = ledger.declared
-    faults = []
-    for what, question in _ODD.items():
-        for (count,) in ledger.all(question):
-            if count:
-                faults.append(f"{count} {what}")
-    for (began,) in ledger.all("SELECT began FROM session"):
-        try:
-            datetime.fromisoformat(began)
-        except (TypeError, ValueError):
-            faults.append("a session that began at no time")
-    strata, claims = len(declared.strata), len(declared.claims)
-    for name, table in (("run", "episode"), ("judgement", "judgement"), ("trace", "trace")):
-        foreign = f"SELECT count(*) FROM {table} t LEFT JOIN stratum s ON s.id = t.stratum WHERE "
-        foreign += "s.id IS NULL OR t.episode NOT BETWEEN 0 AND ifnull(s.stopped_after, s.planned) - 1"
-        for (count,) in ledger.all(foreign):
-            if count:
-                faults.append(f"{count} rows of the table {name} are of no declared run")
-    numbered = "SELECT count(*), ifnull(min(id), 0), ifnull(max(id), -1) FROM "
-    for table, expected in (("stratum", strata), ("claim", claims)):
-        if list(ledger.all(numbered + table)) != [(expected, 0, expected - 1)]:
-            faults.append(f"the table {table} does not count from 0")
-    both = "SELECT count(*) FROM (SELECT stratum, episode FROM {} EXCEPT SELECT stratum, episode FROM {})"
-    for here, there in (("judgement", "episode"), ("episode", "judgement"), ("trace", "episode")):
-        for (count,) in ledger.all(both.format(here, there)):
-            if count:
-                faults.append(f"{count} runs are in the table {here} and not in {there}")
-    uneven = "SELECT count(*) FROM (SELECT 1 FROM judgement GROUP BY stratum, episode HAVING count(*) <> ?)"
-    for (count,) in ledger.all(uneven, claims):
-        if count:
-            faults.append(f"{count} runs are not judged by every claim once")
+    faults = list(_odd_rows(ledger))
     ((made,),) = ledger.all("SELECT count(*) FROM episode")
     if not made:
         faults.append("there is no run in it")
     return Examination(
         "ledger", f"{made} runs in the ledger, each of them declared, and judged by all claims", few(faults)
     )
+
+
+def _odd_rows(ledger: Ledger) -> Iterator[str]:
+    def counted(words: str, question: str, *values: object) -> Iterator[str]:
+        yield from (f"{count} {words}" for (count,) in ledger.all(question, *values) if count)
+
+    for words, question in _ODD.items():
+        yield from counted(words, question)
+    for (began,) in ledger.all("SELECT began FROM session"):
+        try:
+            datetime.fromisoformat(began)
+        except (TypeError, ValueError):
+            yield "a session that began at no time"
+    strata, claims = len(ledger.declared.strata), len(ledger.declared.claims)
+    for name, table in (("run", "episode"), ("judgement", "judgement"), ("trace", "trace")):
+        foreign = f"SELECT count(*) FROM {table} t LEFT JOIN stratum s ON s.id = t.stratum WHERE "
+        foreign += "s.id IS NULL OR t.episode NOT BETWEEN 0 AND ifnull(s.stopped_after, s.planned) - 1"
+        yield from counted(f"rows of the table {name} are of no declared run", foreign)
+    numbered = "SELECT count(*), ifnull(min(id), 0), ifnull(max(id), -1) FROM "
+    for table, expected in (("stratum", strata), ("claim", claims)):
+        if list(ledger.all(numbered + table)) != [(expected, 0, expected - 1)]:
+            yield f"the table {table} does not count from 0"
+    both = "SELECT count(*) FROM (SELECT stratum, episode FROM {} EXCEPT SELECT stratum, episode FROM {})"
+    for here, there in (("judgement", "episode"), ("episode", "judgement"), ("trace", "episode")):
+        yield from counted(f"runs are in the table {here} and not in {there}", both.format(here, there))
+    uneven = "SELECT count(*) FROM (SELECT 1 FROM judgement GROUP BY stratum, episode HAVING count(*) <> ?)"
+    yield from counted("runs are not judged by every claim once", uneven, claims)
 
 
 def _not(table: str, **kinds: str) -> str:
@@ -225,26 +234,19 @@ _ODD = {
 
 def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
     """Seeds that are not the plan's, and traces that should have been kept and are not there."""
-    violating: list[set[int]] = [set() for _ in known.strata]
-    failed: list[set[int]] = [set() for _ in known.strata]
-    for stratum, episode in ledger.all(
-        "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?", int(EpisodeOutcome.VIOLATED)
-    ):
-        violating[stratum].add(episode)
-    for stratum, episode in ledger.all(
-        "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?",
-        int(EpisodeOutcome.FAILED),
-    ):
-        failed[stratum].add(episode)
-    traces = {(stratum, episode): violation for stratum, episode, violation in ledger.traces()}
-    for (stratum, episode), violation in traces.items():
-        if violation != (episode in violating[stratum]):
-            yield f"{known.strata[stratum].name}, run {episode}: its trace is not marked as its outcomes say"
+    distinct = "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?"
+    violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
+    every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"
+    failed = set(ledger.all(every, int(EpisodeOutcome.FAILED)))
+    traces = {(where, episode): violation for where, episode, violation in ledger.traces()}
+    for (where, episode), violation in traces.items():
+        if violation != ((where, episode) in violating):
+            yield f"{known.strata[where].name}, run {episode}: its trace is not marked as its outcomes say"
     for place, stratum in enumerate(known.strata):
         made = dict(ledger.all("SELECT episode, seed FROM episode WHERE stratum = ?", place))
-        first = sorted(violating[place])[: known.violations_kept]
-        random = (random_episodes(known, place) & made.keys()) - failed[place]
-        for episode in sorted({*first, *random}):
+        first = sorted(episode for where, episode in violating if where == place)[: known.violations_kept]
+        random = random_episodes(known, place) & made.keys()
+        for episode in sorted({*first, *(one for one in random if (place, one) not in failed)}):
             if (place, episode) not in traces:
                 yield f"{stratum.name}, run {episode}: its trace should have been kept, and is missing"
         for episode, seed in made.items():

@@ -25,17 +25,15 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.declaration import declaration_of
-from safety_harness.certification.document import as_text
-from safety_harness.certification.evidence import Evidence, EvidenceProvenance
-from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN
+from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
+from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
 from safety_harness.certification.gather import GatheredEvidence, drawn_with, put_together, sessions_of
-from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
 from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility
-from safety_harness.certification.verify_files import Examination, few
+from safety_harness.certification.verify_files import Examination, Report, few
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import plain
@@ -50,14 +48,15 @@ _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
 _AROUND = 60  # letters shown before and after a difference
 
 
-def check_pages(folder: Path, recorded: Evidence, gathered: GatheredEvidence, *, same: bool) -> Examination:
+def check_pages(report: Report, gathered: GatheredEvidence) -> Examination:
     """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
+    folder, recorded = report.folder, report.recorded
     faults, notes, unchecked = list(_traces(folder, gathered)), [], []
     if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
         faults.append(f"{JUNIT} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
-    if differs and same and recorded.record.drawn_with == drawn_with():
+    if differs and report.same and recorded.record.drawn_with == drawn_with():
         faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
     elif differs:
         unchecked += [f"{PAGE} was made by other software, and says otherwise: {one}" for one in differs]
@@ -108,7 +107,7 @@ def _shown(there: bytes, made: bytes) -> str:
 def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
     """Declared counterexamples of which the file is not the ledger's trace."""
     for one in gathered.examples:
-        if one.shown is not None and one.data is not None:
+        if one.data is not None:
             file = folder / one.shown.trace_file
             if not file.is_file() or file.read_bytes() != one.data:
                 yield f"{one.shown.trace_file} is not the trace that the ledger keeps"
@@ -131,20 +130,12 @@ WORDS = {
 CLOSE = 1e-9  # relative: another scipy's last digits
 
 
-def check_numbers(
-    plan: Plan,
-    ledger: Ledger,
-    folder: Path,
-    recorded: Evidence,
-    hashes: dict[str, str],
-    *,
-    same: bool,
-    again: bool,
-) -> tuple[Examination, GatheredEvidence]:
+def check_numbers(report: Report, *, again: bool) -> tuple[Examination, GatheredEvidence]:
     """Everything that follows from the ledger and the searches, computed anew.
 
-    ``same``: with the same software.  ``again``: the runs are made again that doubt the simulator.
+    ``again``: the runs are made again that doubt the simulator.
     """
+    recorded, ledger, same = report.recorded, report.ledger, report.same
 
     def credibility(stored: Sequence[Stored]) -> Credibility:
         then = recorded.credibility
@@ -154,12 +145,12 @@ def check_numbers(
         return now if same else replace(now, agreement=then.agreement)
 
     gathered = put_together(
-        plan,
+        report.plan,
         ledger,
-        folder,
+        report.folder,
         credibility=credibility,
         selftest=recorded.selftest,
-        declaration=_declaration(recorded, plan, ledger),
+        declaration=_declaration(recorded, report.plan, ledger),
         origin=_origin(recorded.provenance, ledger, same=same),
     )
     drawn = replace(gathered.evidence.record, drawn_with=recorded.record.drawn_with)
@@ -170,7 +161,7 @@ def check_numbers(
         names = set(re.split(r"[.\[\]\d]+", place))
         words = (not same and WORDS & names) or ("largest" in names and _near(then, new))
         (notes if words else faults).append(f"{place}: {_short(then)} in the report, {_short(new)} comes out")
-    faults += _files(folder, recorded, hashes)
+    faults += _files(report)
     faults += _told(recorded.provenance)
     text = (
         f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
@@ -180,7 +171,7 @@ def check_numbers(
     unchecked = [] if again else ["the runs by which the simulator is doubted were not made again"]
     if recorded.selftest or recorded.credibility.oracles:
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
-    unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, hashes)]
+    unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
 
 
@@ -239,13 +230,14 @@ def _short(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _files(folder: Path, recorded: Evidence, hashes: dict[str, str]) -> Iterator[str]:
+def _files(report: Report) -> Iterator[str]:
     """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
+    folder, recorded = report.folder, report.recorded
     listed = {one.path: one.sha256 for one in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
     if any(one.bytes != sizes.get(one.path) for one in recorded.files):
         yield f"files: {JSON} lists other sizes than there are"
-    if listed != {name: digest for name, digest in hashes.items() if name not in MADE}:
+    if listed != {name: digest for name, digest in report.hashes.items() if name not in MADE}:
         yield f"files: {JSON} lists others than the manifest"
     if bytes_of(folder / JSON) != written(as_text(recorded)):
         yield f"{JSON} has been edited: the same content is written otherwise"

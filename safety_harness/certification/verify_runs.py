@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -39,12 +39,13 @@ COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faul
 class Drawing:
     """How many runs are made again: ``runs``, or as many as miss the weakest verdict with chance ``miss``.
 
-    ``seed`` draws them: nobody who made the report can know it.
+    ``seed`` draws them: nobody who made the report can know it.  ``programs``: may those in it be executed?
     """
 
     runs: int | None
     miss: float
     seed: int
+    programs: bool = False
     on_progress: Callable[[str], None] = lambda words: None
 
     def number(self, there: int, turns: Sequence[Turn]) -> int:
@@ -110,7 +111,11 @@ class Compared:
 
     def add(self, row: Row) -> None:
         """Take a run in."""
-        faults = list(self._faults(row))
+        then = {
+            claim: ClaimJudgement(EpisodeOutcome(outcome), math.nan if margin is None else margin)
+            for claim, outcome, margin in self.ledger.all(_JUDGEMENTS, row.stratum, row.episode)
+        }
+        faults = list(self._faults(row, then))
         self.faults += faults
         if faults:
             return
@@ -120,8 +125,7 @@ class Compared:
             if self.same:
                 where = self.where(row.stratum, row.episode)
                 self.faults.append(f"{where}: its draws, decisions or cell come out otherwise")
-        pairs = ((self._recorded(row, k), now) for k, now in enumerate(row.judgements))
-        self.moved += not all(then is not None and _same(then, now) for then, now in pairs)
+        self.moved += not all(_same(then[k].margin, now.margin) for k, now in enumerate(row.judgements))
 
     def where(self, stratum: int, episode: int) -> str:
         """Words for a run."""
@@ -140,43 +144,28 @@ class Compared:
             if count
         )
 
-    def _faults(self, row: Row) -> Iterator[str]:
+    def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
         """Claims of which the outcome is another now."""
+        where = self.where(row.stratum, row.episode)
         for number, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True)):
-            then = self._recorded(row, number)
+            then = before.get(number)
             if then is None or then.outcome is not now.outcome:
                 was = "nothing" if then is None else then.outcome.name.lower()
-                where = self.where(row.stratum, row.episode)
                 yield f"{where}: {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
-            elif not _near(then.margin, now.margin):
-                where = self.where(row.stratum, row.episode)
-                unit = claim.unit
-                was, new = unit.margin_text(then.margin), unit.margin_text(now.margin)
-                if self.same:
-                    yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
-
-    def _recorded(self, row: Row, claim: int) -> ClaimJudgement | None:
-        question = (
-            "SELECT outcome, margin, worst_time_s, exercised FROM judgement "
-            "WHERE stratum = ? AND claim = ? AND episode = ?"
-        )
-        for outcome, margin, worst_s, exercised in self.ledger.all(question, row.stratum, claim, row.episode):
-            return ClaimJudgement(EpisodeOutcome(outcome), _number(margin), _number(worst_s), exercised)
-        return None
+            elif self.same and not _near(then.margin, now.margin):
+                was, new = (claim.unit.margin_text(one.margin) for one in (then, now))
+                yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
 
 
+_JUDGEMENTS = "SELECT claim, outcome, margin FROM judgement WHERE stratum = ? AND episode = ?"
 _COUNTS = (
     f"SELECT {', '.join(f'e.{name}' for name in COUNTS)}, c.words, e.failure IS NOT NULL FROM episode e "
     "LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? AND e.episode = ?"
 )
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
-def _same(then: ClaimJudgement, now: ClaimJudgement) -> bool:
-    return then.margin == now.margin or (math.isnan(then.margin) and math.isnan(now.margin))
+def _same(then: float, now: float) -> bool:
+    return then == now or (math.isnan(then) and math.isnan(now))
 
 
 def _near(then: float, now: float) -> bool:
@@ -231,7 +220,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
     unchecked: list[str] = []
     count = 0
     for one in gathered.examples:
-        if one.shown is None or one.run is None or one.shown.independent:
+        if one.shown.independent:
             continue
         trace, count = one.run.trace, count + 1
         if is_executed(trace.scenario.avoider) and not programs:
@@ -251,7 +240,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
 
 
 def check_runs(
-    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool, programs: bool
+    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
 ) -> Examination:
     """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
@@ -261,7 +250,7 @@ def check_runs(
             "runs", "no run was made again", unchecked=("whether runs give their outcomes again",)
         )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
-    bench, compared = EpisodeRunner(plan, programs=programs), Compared(plan, ledger, same=same)
+    bench, compared = EpisodeRunner(plan, programs=drawing.programs), Compared(plan, ledger, same=same)
     together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, told = time.perf_counter(), 0
     for stratum, group in groupby(chosen, lambda one: one[0]):

@@ -113,12 +113,12 @@ def declare(
     Exit code 0; 2: bad input, or another declaration is there.
     """
     from safety_harness.campaign.plan import read_plan
-    from safety_harness.certification.declaration import beside, write_declaration
+    from safety_harness.certification.lodged import declaration_file, write_declaration
     from safety_harness.certification.results import refuse_hopeless
 
     read = read_plan(plan)
     refuse_hopeless(read)
-    path = out or beside(plan)
+    path = out or declaration_file(plan)
     result(write_declaration(read, path).sha256)
     say(
         f"{path}: plan, seed {read.seed}, avoider, targets and software. Lodge the hash where its day cannot "
@@ -139,7 +139,7 @@ def seal_report(
     there.
     """
     from safety_harness.certification.folder import read_manifest
-    from safety_harness.certification.seal import beside, write_seal
+    from safety_harness.certification.lodged import seal_file, write_seal
     from safety_harness.certification.verify_files import check_files
 
     check = check_files(report, read_manifest(report))
@@ -150,7 +150,7 @@ def seal_report(
     made = write_seal(report)
     result(made.sha256)
     say(
-        f"{beside(report)}: the root over all rows, {made.rows[:16]}, the declaration and the hash of "
+        f"{seal_file(report)}: the root over all rows, {made.rows[:16]}, the declaration and the hash of "
         "every file. Lodge the hash elsewhere (a signed git tag, a timestamping service, e-mail): verify "
         "--seal finds whatever is altered from now on."
     )

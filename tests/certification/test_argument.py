@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 
 from made_up_evidence import evidence
 
-from safety_harness.certification.argument import Element, ElementKind, argument_of
-from safety_harness.certification.argument_svg import _Layout, argument_svg
+from safety_harness.certification.argument import Element, ElementKind, _Layout, argument_of, argument_svg
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.tools import CoverageOfRuns, Credibility
 

@@ -14,7 +14,7 @@ def texts(svg: str) -> str:
 
 
 def test_every_stratum_and_the_target_stand_in_the_figure_of_bounds() -> None:
-    drawn = bounds_figure(claims()[0], prefix="a-")
+    drawn = bounds_figure(claims()[0])
     assert "seen" in texts(drawn)
     assert "unseen hand" in texts(drawn)
     assert "target 0.2 %" in texts(drawn)
@@ -23,9 +23,9 @@ def test_every_stratum_and_the_target_stand_in_the_figure_of_bounds() -> None:
 
 def test_what_has_no_bound_and_no_margin_is_not_drawn() -> None:
     never = claims()[4]
-    assert bounds_figure(never, prefix="a-") == ""
-    assert margins_figure(never, prefix="a-") == ""
-    assert separation_figure((), prefix="a-") == ""
+    assert bounds_figure(never) == ""
+    assert margins_figure(never) == ""
+    assert separation_figure(()) == ""
 
 
 def test_a_single_run_can_be_drawn() -> None:
@@ -38,11 +38,11 @@ def test_a_single_run_can_be_drawn() -> None:
         bound=Bound(lower=1.0, upper=1.0, confidence=0.99, method="exact"),
     )
     claim = replace(claim, target=None, outcomes=(one,))
-    assert "least 10.0 mm" in margins_figure(claim, prefix="a-")
-    assert bounds_figure(claim, prefix="b-")
+    assert "least 10.0 mm" in margins_figure(claim)
+    assert bounds_figure(claim)
 
 
 def test_the_terms_of_the_separation_distance_are_named() -> None:
-    drawn = separation_figure(evidence().separation, prefix="a-")
+    drawn = separation_figure(evidence().separation)
     assert "Sh" in texts(drawn)
     assert "1050 mm needed, 310 mm there" in drawn

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 from made_up_evidence import STRATA, evidence
 
 from safety_harness.certification.evidence import ClaimStatus
-from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.folder import junit_xml
 
 
 def test_only_what_is_shown_passes() -> None:

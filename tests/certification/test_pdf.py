@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from browsing import needed
 
-from safety_harness.certification.pdf import browser, write_pdf
+from safety_harness.certification.folder import browser, write_pdf
 from safety_harness.exceptions import InputError, OutputError
 
 

@@ -13,7 +13,7 @@ from safety_harness.campaign.summary import FallbackTally, fallback_of
 from safety_harness.certification.argument import argument_of
 from safety_harness.certification.evidence import UNANSWERED, ClaimStatus
 from safety_harness.certification.findings import of_strata
-from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render
 from safety_harness.certification.results import claims_of, strata_of
 from safety_harness.statistics.sample import EpisodeOutcome

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from safety_harness.certification.evidence import SEVERITY_ORDER, Bound, ClaimStatus
+from safety_harness.certification.evidence import Bound, ClaimStatus
 from safety_harness.certification.verdicts import (
     at_least,
     at_most,
@@ -89,8 +89,7 @@ def test_the_gravest_standing_speaks_for_all() -> None:
     assert gravest([ClaimStatus.SHOWN, ClaimStatus.NOT_SHOWN]) is ClaimStatus.NOT_SHOWN
     assert gravest([ClaimStatus.SHOWN] * 3) is ClaimStatus.SHOWN
     assert gravest([]) is ClaimStatus.UNTESTED
-    assert set(SEVERITY_ORDER) == set(ClaimStatus)
-    assert SEVERITY_ORDER[-1] is ClaimStatus.SHOWN
+    assert next(iter(ClaimStatus)) is ClaimStatus.SHOWN
 
 
 @pytest.mark.parametrize(

@@ -18,17 +18,14 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification import folder, verify_report
-from safety_harness.certification import verify as verify_module
 from safety_harness.certification.altered import Turn, chance_to_miss
-from safety_harness.certification.declaration import declaration_of
-from safety_harness.certification.document import as_text, read_evidence
-from safety_harness.certification.evidence import ClaimStatus
+from safety_harness.certification.evidence import ClaimStatus, as_text, read_evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
+from safety_harness.certification.lodged import declaration_of, write_seal
 from safety_harness.certification.page import render
-from safety_harness.certification.seal import write_seal
 from safety_harness.certification.verify import verify
-from safety_harness.certification.verify_files import Examination
+from safety_harness.certification.verify_files import Examination, Report
 from safety_harness.certification.verify_runs import MOST_AGAIN, Drawing, drawn, programs_in
 from safety_harness.exceptions import CampaignError, InputError
 from tests.campaign.plans import PLAN, plan_in
@@ -273,7 +270,7 @@ def test_words_that_other_software_writes_otherwise_are_no_fault(
     reworded = tuple(replace(claim, rationale="In other words.", terms=()) for claim in claims)
     edited(report, claims=reworded)
     assert "claims[0].rationale: In other words." in faults(report)
-    monkeypatch.setattr(verify_module, "same_software", lambda *_: False)
+    monkeypatch.setattr(Report, "same", False)
     found: dict[str, Examination] = {check.name: check for check in verify(report, runs=0, seed=1)}
     assert found["numbers"].stands
     assert any("claims[0].rationale" in note for note in found["numbers"].notes)

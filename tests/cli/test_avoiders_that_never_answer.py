@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.certification.document import read_evidence
-from safety_harness.certification.evidence import ClaimStatus
+from safety_harness.certification.evidence import ClaimStatus, read_evidence
 from safety_harness.cli import campaign
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS

@@ -21,7 +21,7 @@ import test_search_page as search
 
 import safety_harness
 import safety_harness_paper
-from safety_harness.certification.junit import junit_xml
+from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page

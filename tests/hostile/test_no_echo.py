@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from safety_harness.campaign.plan import read_plan
-from safety_harness.certification.document import read_evidence
-from safety_harness.certification.tool_files import read_oracles, read_selftest
+from safety_harness.certification.evidence import read_evidence
+from safety_harness.certification.tools import read_oracles, read_selftest
 from safety_harness.cli.certify import verify
 from safety_harness.cli.fmt import format_files
 from safety_harness.cli.replay import judge_again

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from made_up_evidence import evidence
 
-from safety_harness.certification.document import as_text, read_evidence, schema
+from safety_harness.certification.evidence import as_text, read_evidence, schema
 from safety_harness.exceptions import InputError
 
 PUBLISHED = Path(__file__).parents[2] / "docs" / "schema" / "evidence.schema.json"

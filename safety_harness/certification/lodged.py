@@ -1,10 +1,14 @@
-"""What is lodged elsewhere by its hash, and the declaration of a plan, which ``certify declare`` writes so.
+"""What is lodged elsewhere by its hash: the declaration of a plan before its runs, the seal of its report.
 
-A declaration holds plan, seed, avoider, targets and software, by name.
+A declaration, which ``certify declare`` writes, holds plan, seed, avoider, targets and software, by name.
 
-The hash is to be lodged where its day cannot be changed.  A report whose ledger gives the same hash was
+Its hash is to be lodged where its day cannot be changed.  A report whose ledger gives the same hash was
 declared on that day at the latest; that nobody had made the same runs before, no hash can show: they repeat
 themselves.  So whoever doubts names the seed.
+
+A seal is one hash over the root of a report's rows, its declaration and all of its files.  Lodged where
+nobody can change it, it shows that none of them was altered since.  Without it whoever alters a row can make
+every hash in the report anew.
 """
 
 from __future__ import annotations
@@ -13,12 +17,17 @@ import hashlib
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.session import LEDGER
+from safety_harness.campaign.summary import root_of
+from safety_harness.certification.evidence import read_evidence
+from safety_harness.certification.folder import JSON, MANIFEST, sha256_of
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import write_whole
@@ -37,12 +46,8 @@ class Lodged(ABC):
         """What is lodged."""
         return hashlib.sha256(self.as_json.encode()).hexdigest()
 
-    @abstractmethod
-    def changes(self, now: Self) -> Iterator[str]:
-        """What is otherwise now, in words."""
 
-
-L = TypeVar("L", bound=Lodged)
+L = TypeVar("L", "PlanDeclaration", "Seal")
 
 
 def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str) -> L:
@@ -61,8 +66,8 @@ def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str)
     return made
 
 
-FORMAT = "safety-harness declaration 1"
-SUFFIX = ".declared.json"
+DECLARATION_FORMAT = "safety-harness declaration 1"
+DECLARATION_SUFFIX = ".declared.json"
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class PlanDeclaration(Lodged):
     @property
     def as_json(self) -> str:
         """One text for one content."""
-        found = {"format": FORMAT, "declared": self.parts}
+        found = {"format": DECLARATION_FORMAT, "declared": self.parts}
         return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
     def changes(self, now: PlanDeclaration) -> Iterator[str]:
@@ -104,9 +109,9 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
     return PlanDeclaration(parts | dict((identity or plan.identity).parts))
 
 
-def beside(plan: Path) -> Path:
+def declaration_file(plan: Path) -> Path:
     """Where the declaration of a plan lies if nobody says otherwise."""
-    return plan.with_suffix(SUFFIX)
+    return plan.with_suffix(DECLARATION_SUFFIX)
 
 
 def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
@@ -117,7 +122,7 @@ def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
 
 def read_declaration(file: Path) -> PlanDeclaration:
     """InputError for what ``certify declare`` did not write."""
-    found = of_format(read_json(file, FORMAT), FORMAT, file)
+    found = of_format(read_json(file, DECLARATION_FORMAT), DECLARATION_FORMAT, file)
     return PlanDeclaration(typed(found.get("declared"), dict[str, Any], file, where="declared"))
 
 
@@ -126,7 +131,7 @@ def declared_sha256(plan: Plan, file: Path | None) -> str:
 
     InputError that names what is not as it was declared.
     """
-    path = file or beside(plan.file)
+    path = file or declaration_file(plan.file)
     if file is None and not path.exists():
         return ""
     then, now = read_declaration(path), declaration_of(plan)
@@ -144,3 +149,52 @@ def declared_sha256(plan: Plan, file: Path | None) -> str:
 def _short(value: Any) -> str:
     text = str(value)
     return text if len(text) <= 40 else f"{text[:12]}..."
+
+
+SEAL_FORMAT = "safety-harness seal 1"
+SEAL_SUFFIX = ".seal.json"
+
+
+@dataclass(frozen=True)
+class Seal(Lodged):
+    """The root over the rows, the declaration (empty: none), the manifest with the hash of every file."""
+
+    rows: str
+    declaration: str
+    manifest: str
+
+    @property
+    def as_json(self) -> str:
+        """One text for one content."""
+        return json.dumps({"format": SEAL_FORMAT} | asdict(self), indent=1) + "\n"
+
+    def changes(self, now: Seal) -> Iterator[str]:
+        """What is otherwise now, in words."""
+        for name, then in asdict(self).items():
+            if then != getattr(now, name):
+                yield f"the {name} is another than was sealed"
+
+
+def seal_of(folder: Path, ledger: Ledger) -> Seal:
+    """Of a report as it is now."""
+    declaration = read_evidence(folder / JSON).record.declaration_sha256
+    return Seal(root_of(ledger), declaration, sha256_of(folder / MANIFEST))
+
+
+def seal_file(folder: Path) -> Path:
+    """Where the seal of a report lies: in the folder it would be a file that it does not cover."""
+    whole = folder.resolve()
+    return whole.with_name(whole.name + SEAL_SUFFIX)
+
+
+def write_seal(folder: Path) -> Seal:
+    """Beside the folder; InputError if another one is there, which was perhaps lodged."""
+    with Ledger.open(folder / LEDGER, alone=True) as ledger:
+        made = seal_of(folder, ledger)
+    expected = "no file there yet, or the seal of this very report"
+    return write_once(made, seal_file(folder), read_seal, expected=expected)
+
+
+def read_seal(file: Path) -> Seal:
+    """InputError for what ``certify seal`` did not write."""
+    return typed(of_format(read_json(file, SEAL_FORMAT), SEAL_FORMAT, file), Seal, file, others=True)

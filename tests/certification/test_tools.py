@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from safety_harness.certification.findings import of_selftest
-from safety_harness.certification.tool_files import read_oracles, read_selftest
-from safety_harness.certification.tools import FaultState
+from safety_harness.certification.tools import FaultState, read_oracles, read_selftest
 from safety_harness.exceptions import InputError
 from safety_harness.selftest.document import document
 from tests.selftest.made_up_faults import EVERY_KIND, about
