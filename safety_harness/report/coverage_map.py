@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from xml.etree import ElementTree
 
-from safety_harness.report.palette import Ink
+from safety_harness.report.svg import Ink
 from safety_harness.search.coverage import (
     AXES,
     DIRECTIONS,

@@ -9,12 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safety_harness.report.decimate import keep_extremes
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.palette import HANDS, Ink
-from safety_harness.report.svg import plain
+from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes, plain
 from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps, with_minus
 from safety_harness.trace.trace import Trace
 
@@ -47,7 +44,6 @@ SUPERSCRIPT = str.maketrans(
 MOST_DECADES = 4  # steps between the labels of a logarithmic axis
 LABEL_PX = 13.0  # the height of a limit's name
 
-Floats = NDArray[np.float64]
 Line = tuple[str, Floats, Ink, Any]  # name, (n,) values, colour, dash pattern
 
 

@@ -6,13 +6,11 @@ Every function draws base x to the right and base ``axis`` (1: y, 2: z) upwards,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safety_harness.report.decimate import keep_extremes
-from safety_harness.report.palette import HANDS, Ink
+from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
 from safety_harness.report.words import with_minus
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
@@ -26,8 +24,6 @@ COLUMNS = 400
 SMALLEST_CLOSE_UP_MM = 60.0  # half its side; an arm that hardly moves is not blown up further
 MOST_NUMBERS = 12  # decisions that are numbered in a view; more would hide the paths
 MM = 1e3
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -71,13 +67,18 @@ def name_table(axes: Axes, cell: Cell) -> None:
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
     """What part of the whole view the close-up shows."""
     low, high = close_up_mm(trace)
-    axes.plot(
-        np.array([low[0], high[0], high[0], low[0], low[0]]),
-        np.array([low[axis], low[axis], high[axis], high[axis], low[axis]]),
-        color=Ink.MUTED.sentinel,
-        linewidth=0.8,
-        zorder=3,
-    )
+    axes.plot(*rectangle(low, high, axis), color=Ink.MUTED.sentinel, linewidth=0.8, zorder=3)
+
+
+def rectangle(low: Floats, high: Floats, axis: int) -> Floats:
+    """The closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
+    across = np.array([low[0], high[0], high[0], low[0], low[0]])
+    return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
+
+
+def _plot(axes: Axes, points_mm: Floats, axis: int, ink: Ink, **style: Any) -> None:
+    """Points (..., 3) [mm] as this view shows them."""
+    axes.plot(points_mm[..., 0], points_mm[..., axis], color=ink.sentinel, **style)
 
 
 def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
@@ -88,18 +89,9 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
     corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
     corners = (corners + shape.position_in_base_m) * MM
     axes.fill(corners[:, 0], corners[:, axis], facecolor=Ink.OBJECT.sentinel, alpha=0.18, zorder=2)
-    outline = np.vstack([corners, corners[:1]])
-    axes.plot(outline[:, 0], outline[:, axis], color=Ink.OBJECT.sentinel, linewidth=2.0, zorder=2)
+    _plot(axes, np.vstack([corners, corners[:1]]), axis, Ink.OBJECT, linewidth=2.0, zorder=2)
     desired = np.array(cell.desired_tcp_position_in_base_m) * MM
-    axes.plot(
-        desired[0],
-        desired[axis],
-        marker="+",
-        markersize=15,
-        markeredgewidth=1.6,
-        color=Ink.TEXT.sentinel,
-        zorder=6,
-    )
+    _plot(axes, desired, axis, Ink.TEXT, marker="+", markersize=15, markeredgewidth=1.6, zorder=6)
     if axis == 2:
         axes.axhline(cell.table_height_m * MM, color=Ink.TEXT.sentinel, linewidth=1.6, zorder=1.5)
 
@@ -113,25 +105,9 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     transforms = np.empty((FRAMES, 4, 4))
     forward_kinematics(arm.chain[0], joints, transforms)
     points = transforms[:, :3, 3] * MM  # (8, 3)
-    axes.plot(
-        points[:, 0],
-        points[:, axis],
-        color=Ink.ARM.sentinel,
-        linewidth=7,
-        solid_joinstyle="round",
-        zorder=1.2,
-    )
-    axes.plot(
-        points[:, 0],
-        points[:, axis],
-        linestyle="none",
-        marker="o",
-        markersize=4,
-        markerfacecolor=Ink.PAPER.sentinel,
-        markeredgecolor=Ink.MUTED.sentinel,
-        markeredgewidth=0.8,
-        zorder=1.3,
-    )
+    _plot(axes, points, axis, Ink.ARM, linewidth=7, solid_joinstyle="round", zorder=1.2)
+    joint = {"markersize": 4, "markerfacecolor": Ink.PAPER.sentinel, "markeredgewidth": 0.8}
+    _plot(axes, points, axis, Ink.MUTED, linestyle="none", marker="o", zorder=1.3, **joint)
 
 
 def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
@@ -175,63 +151,38 @@ def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> No
         if not present.any():
             continue
         path = np.where(present[:, None], trace.ticks["hand_position_in_base_m"][:, hand], np.nan) * MM
-        _draw_path(axes, path[:, 0], path[:, axis], ink, dashed=hand == 1)
-        seen = path[np.flatnonzero(present)]
-        _draw_ends(axes, seen[0], seen[-1], axis, ink)
+        _draw_path(axes, path, axis, ink, dashed=hand == 1)
+        _draw_ends(axes, path[np.flatnonzero(present)], axis, ink)
         if moment is not None and present[moment.tick]:
             centre = path[moment.tick]
             if np.all(np.isfinite(centre)):
-                axes.add_patch(
-                    Circle(
-                        (centre[0], centre[axis]),
-                        radius_mm,
-                        facecolor="none",
-                        edgecolor=ink.sentinel,
-                        linewidth=1.8,
-                        zorder=5,
-                    )
-                )
+                edge = {"edgecolor": ink.sentinel, "linewidth": 1.8}
+                axes.add_patch(Circle(centre[[0, axis]], radius_mm, facecolor="none", zorder=5, **edge))
 
 
 def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
     """The way of the TCP, and where it is at the moment."""
     path = trace.ticks["transform_tcp_to_base"][:, :3, 3] * MM
-    _draw_path(axes, path[:, 0], path[:, axis], Ink.TCP, dashed=False)
-    _draw_ends(axes, path[0], path[-1], axis, Ink.TCP)
+    _draw_path(axes, path, axis, Ink.TCP, dashed=False)
+    _draw_ends(axes, path, axis, Ink.TCP)
     if moment is not None:
-        axes.plot(
-            path[moment.tick, 0],
-            path[moment.tick, axis],
-            marker="x",
-            markersize=9,
-            markeredgewidth=2,
-            color=Ink.TCP.sentinel,
-            zorder=7,
-        )
+        now = path[moment.tick]
+        _plot(axes, now, axis, Ink.TCP, marker="x", markersize=9, markeredgewidth=2, zorder=7)
 
 
-def _draw_path(axes: Axes, x_mm: Floats, y_mm: Floats, ink: Ink, *, dashed: bool) -> None:
-    """A path, thinned so that the extremes of both coordinates survive."""
-    order = np.arange(len(x_mm), dtype=np.float64)
-    kept = np.union1d(keep_extremes(order, x_mm, COLUMNS)[0], keep_extremes(order, y_mm, COLUMNS)[0])
-    index = kept.astype(np.int64)
+def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool) -> None:
+    """A path (n, 3), thinned so that the extremes of both coordinates survive."""
+    order = np.arange(len(path_mm), dtype=np.float64)
+    kept = np.union1d(*(keep_extremes(order, path_mm[:, k], COLUMNS)[0] for k in (0, axis)))
     style = (0, (5, 2)) if dashed else "solid"
-    axes.plot(x_mm[index], y_mm[index], color=ink.sentinel, linewidth=1.6, linestyle=style, zorder=4)
+    _plot(axes, path_mm[kept.astype(np.int64)], axis, ink, linewidth=1.6, linestyle=style, zorder=4)
 
 
-def _draw_ends(axes: Axes, first: Floats, last: Floats, axis: int, ink: Ink) -> None:
-    """A ring where a path starts, a square where it ends."""
-    for point, marker, fill in ((first, "o", Ink.PAPER), (last, "s", ink)):
-        axes.plot(
-            point[0],
-            point[axis],
-            marker=marker,
-            markersize=6.5,
-            markerfacecolor=fill.sentinel,
-            markeredgecolor=ink.sentinel,
-            markeredgewidth=1.6,
-            zorder=5.5,
-        )
+def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
+    """A ring where a path (n, 3) starts, a square where it ends."""
+    for point, marker, fill in ((path_mm[0], "o", Ink.PAPER), (path_mm[-1], "s", ink)):
+        style = {"markersize": 6.5, "markerfacecolor": fill.sentinel, "markeredgewidth": 1.6}
+        _plot(axes, point, axis, ink, marker=marker, zorder=5.5, **style)
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
@@ -240,21 +191,10 @@ def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
     asked = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM
     ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
-    axes.plot(
-        ways[:, 0], ways[:, axis], color=Ink.CHOSEN.sentinel, linewidth=1.0, linestyle=(0, (1, 2)), zorder=3
-    )
+    _plot(axes, ways, axis, Ink.CHOSEN, linewidth=1.0, linestyle=(0, (1, 2)), zorder=3)
     for points, marker, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
-        axes.plot(
-            points[:, 0],
-            points[:, axis],
-            linestyle="none",
-            marker=marker,
-            markersize=7,
-            color=ink.sentinel,
-            markeredgecolor=Ink.PAPER.sentinel,
-            markeredgewidth=0.8,
-            zorder=6,
-        )
+        style = {"markersize": 7, "markeredgecolor": Ink.PAPER.sentinel, "markeredgewidth": 0.8}
+        _plot(axes, points, axis, ink, linestyle="none", marker=marker, zorder=6, **style)
     if len(decisions) > MOST_NUMBERS:
         return
     for number, point in enumerate(asked, start=1):

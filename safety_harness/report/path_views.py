@@ -8,7 +8,6 @@ import numpy as np
 from markupsafe import Markup
 
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.palette import Ink
 from safety_harness.report.path_artists import (
     MM,
     Floats,
@@ -23,7 +22,7 @@ from safety_harness.report.path_artists import (
     draw_tcp,
     name_table,
 )
-from safety_harness.report.svg import drawing, new_figure, to_svg
+from safety_harness.report.svg import Ink, drawing, new_figure, to_svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from safety_harness.report.decimate import spans, ticks_per_column
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.palette import Ink
 from safety_harness.report.panels import (
     COLUMNS,
     PANEL_PX,
@@ -20,7 +18,7 @@ from safety_harness.report.panels import (
     speed_panel,
     sse_panel,
 )
-from safety_harness.report.svg import drawing, new_figure, plain, to_svg
+from safety_harness.report.svg import Ink, drawing, new_figure, plain, spans, ticks_per_column, to_svg
 from safety_harness.report.words import MODE_WORDS, OUTCOME_WORDS, share_words
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DecisionOutcome, Mode
