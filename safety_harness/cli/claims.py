@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Iterator, Sequence
 
 from safety_harness.cli.console import AS_EXPECTED, result, say
-from safety_harness.cli.options import explained
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.catalogue import CATALOGUE
@@ -16,7 +15,6 @@ from safety_harness.scenario.units import near_miss
 WIDTH = 110
 
 
-@explained()
 def explain_claims(words: Sequence[str]) -> int:
     """Print every sentence, or all about those that contain the words; returns the exit code.
 
@@ -24,8 +22,7 @@ def explain_claims(words: Sequence[str]) -> int:
     """
     asked = " ".join(" ".join(words).split())
     if not asked:
-        for entry in CATALOGUE:
-            result(entry.example)
+        result(*(entry.example for entry in CATALOGUE))
         say(f"or a formula (docs/formulas.md) over: {', '.join(signal.words for signal in SIGNALS)}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
@@ -40,10 +37,7 @@ def explain_claims(words: Sequence[str]) -> int:
             hint=near_miss(asked, examples, most=3),
         )
     for number, entry in enumerate(found):
-        if number:
-            result("")
-        for line in _lines(entry):
-            result(line)
+        result(*([""] if number else []), *_lines(entry))
     return AS_EXPECTED
 
 

@@ -6,20 +6,17 @@ import re
 from collections.abc import Iterator, Sequence
 
 from safety_harness.cli.console import AS_EXPECTED, result
-from safety_harness.cli.options import explained
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.units import Dimension, near_miss
 
 
-@explained()
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
     asked = " ".join(" ".join(words).replace(":", " ").split())
     if not asked:
-        for table in every_table():
-            result(f"{table.where}: {', '.join(table.names)}")
+        result(*(f"{table.where}: {', '.join(table.names)}" for table in every_table()))
         return AS_EXPECTED
     found = [(table, key) for table in every_table() for key in table.keys if asked in _names(table, key)]
     if not found:
@@ -31,10 +28,7 @@ def explain_key(words: Sequence[str]) -> int:
             hint=near_miss(asked, known, most=3),
         )
     for number, (table, key) in enumerate(found):
-        if number:
-            result("")
-        for line in _lines(table, key):
-            result(line)
+        result(*([""] if number else []), *_lines(table, key))
     return AS_EXPECTED
 
 

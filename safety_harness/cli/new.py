@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from safety_harness.cli.console import AS_EXPECTED, say
-from safety_harness.cli.options import explained
 from safety_harness.exceptions import OutputError, Place
 
 STARTING_FILE = """\
@@ -57,7 +56,6 @@ claims:
 """
 
 
-@explained()
 def new(file: Path) -> int:
     """Write the file, unless there is one already; returns the exit code."""
     try:

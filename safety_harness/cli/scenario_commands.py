@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, result
 from safety_harness.cli.options import Files, OfAvoider, Out, Seed, command
 
-commands = typer.Typer()
+commands = Typer()
 
 
 @command(commands)
@@ -47,9 +47,7 @@ def validate(files: Files, avoider: OfAvoider = None) -> int:
 @command(commands)
 def fmt(
     files: Files,
-    check: Annotated[
-        bool, typer.Option("--check", help="Change nothing; only say what would change.")
-    ] = False,
+    check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
 ) -> int:
     """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
 
@@ -63,7 +61,7 @@ def fmt(
 
 @command(commands)
 def explain(
-    key: Annotated[list[str] | None, typer.Argument(help="A key, such as: critical distance.")] = None,
+    key: Annotated[list[str] | None, Argument(help="A key, such as: critical distance.")] = None,
 ) -> int:
     """Say what a key of scenario files means: its unit, bounds, default and an example.
 
@@ -79,7 +77,7 @@ def explain(
 @command(commands)
 def claims(
     words: Annotated[
-        list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
+        list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.")
     ] = None,
 ) -> int:
     """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
@@ -94,7 +92,7 @@ def claims(
 
 @command(commands)
 def new(
-    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
+    file: Annotated[Path, Argument(help="The file to write.")] = Path("scenario.yaml"),
 ) -> int:
     """Write a scenario file with comments to start from; it runs as it is.
 
@@ -121,7 +119,7 @@ def schema() -> int:
 
 @command(commands)
 def replay(
-    trace: Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
+    trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,
 ) -> int:
     """Repeat a recorded run bit by bit: "identical", or the first step that differs.
@@ -137,10 +135,10 @@ def replay(
 
 @command(commands)
 def judge(
-    traces: Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
+    traces: Annotated[list[Path], Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
     claim: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="In place of the traces' own: a sentence of the catalogue or a formula, such as 'always "
             "hand distance > 30 mm', expected to hold. May be repeated.",
             metavar="SENTENCE",
@@ -156,13 +154,13 @@ def judge(
     return judge_again(traces, claim or ())
 
 
-@command(commands)
+@command(commands, interrupted="interrupted: this picture and those after it were not drawn")
 def show(
-    files: Annotated[list[Path], typer.Argument(help="Scenario files or spaces.", metavar="FILE...")],
-    out: Annotated[Path, typer.Option(help="Folder for pictures, or the picture of one file.")] = Path(
+    files: Annotated[list[Path], Argument(help="Scenario files or spaces.", metavar="FILE...")],
+    out: Annotated[Path, Option(help="Folder for pictures, or the picture of one file.")] = Path(
         "reports/show"
     ),
-    draws: Annotated[int, typer.Option(help="Draws of a space in its picture.", min=1)] = 200,
+    draws: Annotated[int, Option(help="Draws of a space in its picture.", min=1)] = 200,
     seed: Seed = 0,
 ) -> int:
     """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
@@ -174,11 +172,11 @@ def show(
     return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@command(commands)
+@command(commands, interrupted="interrupted: the files that were written are kept")
 def sample(
-    space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
-    out: Annotated[Path, typer.Option(help="Folder for the scenario files.")] = Path("reports/sample"),
-    count: Annotated[int, typer.Option(help="How many that can be tried.")] = 10,
+    space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
+    out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),
+    count: Annotated[int, Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,
 ) -> int:
     """Draw scenarios from a space, independently, each as a file that run takes.
