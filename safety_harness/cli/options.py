@@ -28,18 +28,18 @@ Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _Asked = ParamSpec("_Asked")
 
 
-def explained(
-    *, interrupted: str = "", failed: int | None = None
+def command(
+    group: Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
 ) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
-    """Of a function that returns an exit code: the user's mistakes are explained, and are exit code 2.
+    """A command of ``group``, of a function that returns an exit code, which it ends with.
 
-    Any other error of ours is ``failed`` (None: it is raised), and Ctrl-C is answered with the words
-    ``interrupted`` (none: it is raised).
+    The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
+    is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).
     """
 
-    def around(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
+    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
         @wraps(work)
-        def explaining(*args: _Asked.args, **options: _Asked.kwargs) -> int:
+        def answer(*args: _Asked.args, **options: _Asked.kwargs) -> int:
             try:
                 return work(*args, **options)
             except SafetyHarnessError as error:
@@ -53,19 +53,6 @@ def explained(
                     raise
                 say(interrupted)
                 return INTERRUPTED
-
-        return explaining
-
-    return around
-
-
-def command(
-    group: Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
-) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
-    """``explained``, and a command of ``group`` that ends with the exit code."""
-
-    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
-        answer = explained(interrupted=interrupted, failed=failed)(work)
 
         @group.command(name)
         @wraps(work)

@@ -6,11 +6,12 @@ another colour and a frame; nothing is told by colour alone.  A pure function of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from itertools import product
 from xml.etree import ElementTree
 
-from safety_harness.report.svg import Ink
+from safety_harness.report.svg import Ink, describe
 from safety_harness.search.coverage import (
     AXES,
     DIRECTIONS,
@@ -41,19 +42,10 @@ def coverage_map(
     """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
     x, y = _columns(), _rows()
     width, height = max(x.values()) + CELL_PX + RIGHT_PX, max(y.values()) + CELL_PX + BELOW_PX
-    root = ElementTree.Element(
-        "svg",
-        {
-            "viewBox": f"0 0 {width} {height}",
-            "width": str(width),
-            "height": str(height),
-            "role": "img",
-            "aria-labelledby": f"{prefix}title {prefix}desc",
-            "font-size": "11",
-        },
-    )
-    ElementTree.SubElement(root, "title", {"id": f"{prefix}title"}).text = title
-    ElementTree.SubElement(root, "desc", {"id": f"{prefix}desc"}).text = _description(coverage, violations)
+    size = {"viewBox": f"0 0 {width} {height}", "width": str(width), "height": str(height)}
+    root = ElementTree.Element("svg", size)
+    describe(root, prefix=prefix, title=title, description=_description(coverage, violations))
+    root.set("font-size", "11")
     _draw_empty(root, coverage, x, y)
     for cell, count in sorted(coverage.counts.items()):
         if count > 0:
@@ -138,13 +130,15 @@ def _name_rows(
     speeds = coverage.table("direction", "speed")
     for direction, runs in coverage.along("direction").items():
         top = y[direction, SPEEDS[0]]
-        _text(root, 0, top + 20, direction, weight="600", size=12.5)
+        _text(root, 0, top + 20, direction, font_weight="600", size=12.5)
         _text(root, 0, top + 34, _runs(runs), ink=Ink.MUTED)
         for speed in SPEEDS:
-            _text(root, LEFT_PX - 8, y[direction, speed] + 10, speed, anchor="end", ink=Ink.MUTED, size=10)
+            _text(
+                root, LEFT_PX - 8, y[direction, speed] + 10, speed, text_anchor="end", ink=Ink.MUTED, size=10
+            )
             if speeds[direction][speed]:
                 total = f"{speeds[direction][speed]:,}"
-                _text(root, width, y[direction, speed] + 10, total, anchor="end", ink=Ink.MUTED, size=10)
+                _text(root, width, y[direction, speed] + 10, total, text_anchor="end", ink=Ink.MUTED, size=10)
 
 
 def _name_columns(
@@ -152,28 +146,23 @@ def _name_columns(
 ) -> None:
     for distance, runs in coverage.along("distance").items():
         left = x[distance, SEEN[0], OUTCOMES[0]]
-        _text(root, left, 14, distance, weight="600", size=12.5)
+        _text(root, left, 14, distance, font_weight="600", size=12.5)
         right = x[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
-        _text(root, right, 14, _runs(runs), anchor="end", ink=Ink.MUTED)
+        _text(root, right, 14, _runs(runs), text_anchor="end", ink=Ink.MUTED)
         for seen in SEEN:
             for line, word in enumerate(seen.split()):
                 _text(root, x[distance, seen, OUTCOMES[0]], 34 + 12 * line, word, ink=Ink.MUTED, size=10)
             for outcome in OUTCOMES:
                 middle = x[distance, seen, outcome] + CELL_PX / 2
                 letter = LETTERS[outcome]
-                _text(root, middle, TOP_PX - 10, letter, anchor="middle", ink=Ink.MUTED, size=10)
-    for column, total in _column_totals(coverage):
-        if total:
-            at = f"rotate(-90 {x[column] + 10} {bottom + 8})"
-            _text(
-                root, x[column] + 10, bottom + 8, f"{total:,}", anchor="end", ink=Ink.MUTED, size=10, turn=at
-            )
-
-
-def _column_totals(coverage: Coverage) -> Iterator[tuple[tuple[str, str, str], int]]:
-    for column in product(DISTANCES, SEEN, OUTCOMES):
-        cells = (CoverageCell(direction, speed, *column) for direction, speed in product(DIRECTIONS, SPEEDS))
-        yield column, sum(coverage.counts[cell] for cell in cells)
+                _text(root, middle, TOP_PX - 10, letter, text_anchor="middle", ink=Ink.MUTED, size=10)
+    totals: Counter[tuple[str, str, str]] = Counter()
+    for cell, count in coverage.counts.items():
+        totals[cell.distance, cell.seen, cell.outcome] += count
+    for column, left in x.items():
+        if totals[column]:
+            turned = {"text_anchor": "end", "transform": f"rotate(-90 {left + 10} {bottom + 8})"}
+            _text(root, left + 10, bottom + 8, f"{totals[column]:,}", ink=Ink.MUTED, size=10, **turned)
 
 
 def _draw_key(root: ElementTree.Element, top: int) -> None:
@@ -196,15 +185,13 @@ def _text(
     y: float,
     words: str,
     *,
-    anchor: str = "start",
     ink: Ink = Ink.TEXT,
     size: float = 11,
-    weight: str = "",
-    turn: str = "",
+    **others: str,
 ) -> None:
+    """``others`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
-    optional = {"text-anchor": anchor if anchor != "start" else "", "font-weight": weight, "transform": turn}
-    attributes |= {name: value for name, value in optional.items() if value}
+    attributes |= {name.replace("_", "-"): value for name, value in others.items()}
     ElementTree.SubElement(parent, "text", attributes).text = words
 
 

@@ -1,17 +1,22 @@
-"""One self-contained HTML file about one or many runs."""
+"""One self-contained HTML file about one or many runs: plain values, which the template only places."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from safety_harness.properties.tally import ClaimTally
+from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
+    avoiders,
     decision_rows,
     failed_checks,
     fault_notes,
@@ -22,19 +27,22 @@ from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_artists import MOST_NUMBERS
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
-from safety_harness.report.view import (
-    changes,
-    claim_rows,
-    coverage_rows,
-    file_name,
-    limit_rows,
-    mode_rows,
-    notes,
-    summarise,
+from safety_harness.report.words import (
+    MODE_WORDS,
+    changed_settings,
+    count_words,
+    flag_words,
+    margin_words,
+    share_words,
 )
-from safety_harness.report.words import count_words, share_words
+from safety_harness.scenario.fault_phrases import fault_words
+from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import write_whole
+
+Row = dict[str, Any]
 
 
 def write_report(
@@ -74,8 +82,8 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    summary = summarise(runs, interrupted=interrupted)
-    fallback = summary.decisions.fallback
+    summary = _summary(runs, interrupted=interrupted)
+    fallback = summary["decisions"].fallback
     return render_page(
         "report.html.j2",
         title=f"{title}; {fallback}" if fallback else title,
@@ -92,7 +100,24 @@ def render(
     )
 
 
-def _section(run: JudgedRun, number: int) -> dict[str, object]:
+def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
+    """The first thing that the reader sees: counts over all runs."""
+    traces = [run.trace for run in runs]
+    return {
+        "runs": len(runs),
+        "claims": sum(len(run.as_expected) for run in runs),
+        **{verdict.value: sum(run.count(verdict) for run in runs) for verdict in Verdict},
+        "differing": sum(run.as_expected.count(False) for run in runs),
+        "cut_short": sum(not run.trace.complete for run in runs),
+        "without_claims": sum(not run.trace.scenario.claims for run in runs),
+        "interrupted": interrupted,
+        "avoiders": avoiders(traces),  # name, runs
+        "computing_time": computing_time_lines(traces),
+        "decisions": DecisionTally.of(traces),
+    }
+
+
+def _section(run: JudgedRun, number: int) -> Row:
     """Everything that the page shows about one run."""
     section, trace = f"run-{number}", run.trace
     drawn = len(trace.ticks) > 0
@@ -118,3 +143,101 @@ def _section(run: JudgedRun, number: int) -> dict[str, object]:
         "changes": changes(run),
         "text": write_scenario(trace.scenario),
     }
+
+
+def claim_rows(run: JudgedRun, section: str) -> list[Row]:
+    """A row of the table of verdicts for each claim of ``run``, whose section has the id ``section``."""
+    tally = DecisionTally.of([run.trace])
+    judged = zip(run.judged_claims(), run.as_expected, strict=True)
+    return [
+        {
+            "section": section,
+            "scenario": run.trace.scenario.title,
+            "file": file_name(run),
+            "tally": tally,
+            "again": number > 1,  # another claim of the same scenario stands above
+            "number": number,
+            "sentence": claim.sentence,
+            "read_as": found.sentence
+            if found.sentence != claim.sentence
+            else "",  # the catalogue's own wording
+            "verdict": found.verdict.value,
+            "expected": claim.expected.value,
+            "as_expected": expected,
+            "margin": margin_words(found),
+            "margin_sort": "" if found.margin is None else f"{float(found.margin)!r}",
+            "worst": "\u2013" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s",
+            "worst_sort": "" if found.worst_time_s is None else f"{found.worst_time_s!r}",
+            "reason": found.reason,
+        }
+        for number, ((claim, found), expected) in enumerate(judged, start=1)
+    ]
+
+
+def coverage_rows(tallies: Sequence[ClaimTally]) -> list[Row]:
+    """A row for each claim over all runs: how often it was put to the test, and its least margin."""
+    return [
+        {
+            "tally": tally,
+            "worst": margin_words(tally.worst.evaluation) if tally.worst else "\u2013",
+            "worst_run": tally.worst.run if tally.worst else "",
+        }
+        for tally in tallies
+    ]
+
+
+def file_name(run: JudgedRun) -> str:
+    """What the scenario's file is called, and which one of its matrix this is; its name without a file."""
+    scenario = run.trace.scenario
+    if scenario.file is None:
+        return scenario.name
+    label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
+    return scenario.file.name + (f" {label}" if label.startswith("[") else "")
+
+
+def limit_rows(trace: Trace) -> list[Row]:
+    """Each limit that acted on at least one tick."""
+    acted = trace.ticks["limits"]
+    rows = [_ticks_row(flag_words(flag), trace, (acted & flag.value) != 0) for flag in Limit if flag]
+    return [row for row in rows if row["ticks"]]
+
+
+def mode_rows(trace: Trace) -> list[Row]:
+    """Each controller mode that occurred."""
+    rows = [_ticks_row(words, trace, trace.ticks["mode"] == mode) for mode, words in MODE_WORDS.items()]
+    return [row for row in rows if row["ticks"]]
+
+
+def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> Row:
+    ticks = int(mask.sum())
+    first = f"{trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else ""
+    return {"name": name, "ticks": ticks, "share": share_words(ticks, len(mask)), "first": first}
+
+
+def notes(run: JudgedRun) -> list[str]:
+    """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
+    found = list(run.notes)
+    for hand in run.trace.scenario.hands:
+        if isinstance(hand, RecordedHand):
+            found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]
+    return found + acted_faults(run.trace)
+
+
+def acted_faults(trace: Trace) -> list[str]:
+    """A sentence on each fault of the scenario, and on how many ticks it acted."""
+    found = []
+    for k, fault in enumerate(trace.scenario.faults):
+        mask = (trace.ticks["faults"] >> k & 1) != 0
+        ticks = int(np.count_nonzero(mask))
+        when = f"first at {trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else "so it changed nothing"
+        found.append(
+            f"Fault: {fault_words(fault)}. It acted on {count_words(ticks, 'tick', 'ticks')}, {when}."
+        )
+    return found
+
+
+def changes(run: JudgedRun) -> list[tuple[str, str, str]]:
+    """(setting, default, this run) where they differ, the robot first."""
+    scenario = run.trace.scenario
+    robot = [("robot", Robot.UR10.value, scenario.robot.value)] if scenario.robot is not Robot.UR10 else []
+    return robot + changed_settings(scenario.settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,6 @@ def write_json(
 
 def _run(run: JudgedRun) -> dict[str, Any]:
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
-    tally = DecisionTally.of([trace])
     return {
         "scenario": scenario.name,
         "title": scenario.title,
@@ -71,14 +71,7 @@ def _run(run: JudgedRun) -> dict[str, Any]:
         "ended": trace.ended,
         "trace_file": str(told(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
-        "decisions": {
-            "made": tally.made,
-            "proposed": tally.proposed,
-            "opposite": tally.opposite,
-            "stops": tally.stops,
-            "faults": tally.faults,
-            "unanswered": tally.unanswered,
-        },
+        "decisions": asdict(DecisionTally.of([trace])),
         "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         "claims": _claims(run),

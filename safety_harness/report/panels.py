@@ -59,8 +59,7 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
             name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
             lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
     _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.0), high)
+    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
     claimed = [
         (f"claim {number}", limit_m * MM)
         for number, evaluation in enumerate(run.evaluations, start=1)
@@ -73,8 +72,7 @@ def predicted_panel(axes: Axes, trace: Trace) -> None:
     """The nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
     values = trace.ticks["predicted_distance_m"] * MM
     _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, "solid")])
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(low, 0.0), high)
+    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     _limit_lines(axes, [("critical distance", critical_m * MM)])
 

@@ -68,14 +68,8 @@ def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, p
     trace = run.trace
     figure = new_figure(WIDTH_PX, HEIGHT_PX)
     left, right, below, above = MARGINS_PX
-    axes = figure.add_axes(
-        (
-            left / WIDTH_PX,
-            below / HEIGHT_PX,
-            1.0 - (left + right) / WIDTH_PX,
-            1.0 - (below + above) / HEIGHT_PX,
-        )
-    )
+    size = 1.0 - (left + right) / WIDTH_PX, 1.0 - (below + above) / HEIGHT_PX
+    axes = figure.add_axes((left / WIDTH_PX, below / HEIGHT_PX, *size))
     axes.grid(True)
     draw_cell(axes, trace.scenario.settings, axis)
     if moment is not None:

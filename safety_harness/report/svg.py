@@ -200,13 +200,18 @@ def to_svg(figure: Figure, *, prefix: str, title: str, description: str) -> str:
     root.attrib.pop("version", None)
     root.set("width", width.removesuffix("pt"))
     root.set("height", height.removesuffix("pt"))
+    describe(root, prefix=prefix, title=title, description=description)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def describe(root: ElementTree.Element, *, prefix: str, title: str, description: str) -> None:
+    """What a screen reader says of an ``<svg>`` element; the ids start with ``prefix``."""
     root.set("role", "img")
     root.set("aria-labelledby", f"{prefix}title {prefix}desc")
     for name, text, place in (("title", title, 0), ("desc", description, 1)):
         child = ElementTree.Element(name, {"id": f"{prefix}{name}"})
         child.text = _UNPRINTABLE.sub(" ", text)
         root.insert(place, child)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def standalone(svg: str, *, style: str) -> str:

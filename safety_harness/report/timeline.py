@@ -37,11 +37,12 @@ MODE_INK = {
     Mode.PROTECTIVE_STOP: Ink.STOPPED,
     Mode.OBJECT_LOST: Ink.LOST,
 }
-OUTCOME_MARKER = {  # shape, size, filled
-    DecisionOutcome.PROPOSED: ("o", 7.5, True),
-    DecisionOutcome.OPPOSITE: ("D", 7.5, False),
-    DecisionOutcome.STOP: ("X", 10.0, True),
+OUTCOME_MARKER = {  # shape, size, fill, edge, and the edge's width
+    DecisionOutcome.PROPOSED: ("o", 7.5, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
+    DecisionOutcome.OPPOSITE: ("D", 7.5, Ink.PAPER.sentinel, Ink.TEXT.sentinel, 2.0),
+    DecisionOutcome.STOP: ("X", 10.0, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
 }
+FAULT_MARKER = "o", 16.0, "none", Ink.LIMIT.sentinel, 1.8
 DECISION_LANE = len(Mode)
 FAULT_LANE = DECISION_LANE + 1  # only where the scenario has faults
 
@@ -195,26 +196,16 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
     """A mark for each decision whose shape is its outcome; a ring where the avoider had no usable answer."""
     decisions = trace.decisions
-    for outcome, (marker, size, filled) in OUTCOME_MARKER.items():
-        times = decisions["time_s"][decisions["outcome"] == outcome]
+    marks = [(decisions["outcome"] == outcome, mark) for outcome, mark in OUTCOME_MARKER.items()]
+    for these, (shape, size, fill, edge, width) in [*marks, (decisions["fault"] != "", FAULT_MARKER)]:
+        times = decisions["time_s"][these]
         axes.plot(
             times,
             np.full(len(times), DECISION_LANE),
             linestyle="none",
-            marker=marker,
+            marker=shape,
             markersize=size,
-            markerfacecolor=(Ink.TEXT if filled else Ink.PAPER).sentinel,
-            markeredgecolor=(Ink.PAPER if filled else Ink.TEXT).sentinel,
-            markeredgewidth=0.8 if filled else 2.0,
+            markerfacecolor=fill,
+            markeredgecolor=edge,
+            markeredgewidth=width,
         )
-    times = decisions["time_s"][decisions["fault"] != ""]
-    axes.plot(
-        times,
-        np.full(len(times), DECISION_LANE),
-        linestyle="none",
-        marker="o",
-        markersize=16,
-        markerfacecolor="none",
-        markeredgecolor=Ink.LIMIT.sentinel,
-        markeredgewidth=1.8,
-    )
