@@ -133,7 +133,7 @@ def claims(
     A whole claim is explained by the one that understands it. Without words, all are listed.
     Exit code 0; 2: nothing in the catalogue has these words.
     """
-    from safety_harness.cli.claims import explain_claims
+    from safety_harness.cli.explain import explain_claims
 
     return explain_claims(words or [])
 

@@ -24,8 +24,7 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.page_parts import in_words, render_page
-from safety_harness.report.path_artists import MOST_NUMBERS
-from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.words import (
     MODE_WORDS,
@@ -92,10 +91,11 @@ def render(
         generated_iso=generated_at.isoformat(),
         summary=summary,
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
-        coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
+        coverage=tallies(runs) if coverage is None else coverage,
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,
+        margin=margin_words,
         most_numbers=MOST_NUMBERS,
     )
 
@@ -125,7 +125,7 @@ def _section(run: JudgedRun, number: int) -> Row:
     return {
         "id": section,
         "run": run,
-        "claims": claim_rows(run, section),
+        "claims": claim_rows(run),
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
@@ -145,44 +145,21 @@ def _section(run: JudgedRun, number: int) -> Row:
     }
 
 
-def claim_rows(run: JudgedRun, section: str) -> list[Row]:
-    """A row of the table of verdicts for each claim of ``run``, whose section has the id ``section``."""
-    tally = DecisionTally.of([run.trace])
+def claim_rows(run: JudgedRun) -> list[Row]:
+    """A row of the table of verdicts for each claim of ``run``."""
     judged = zip(run.judged_claims(), run.as_expected, strict=True)
     return [
         {
-            "section": section,
-            "scenario": run.trace.scenario.title,
-            "file": file_name(run),
-            "tally": tally,
-            "again": number > 1,  # another claim of the same scenario stands above
             "number": number,
-            "sentence": claim.sentence,
-            "read_as": found.sentence
-            if found.sentence != claim.sentence
-            else "",  # the catalogue's own wording
-            "verdict": found.verdict.value,
-            "expected": claim.expected.value,
+            "claim": claim,
+            "found": found,
             "as_expected": expected,
             "margin": margin_words(found),
             "margin_sort": "" if found.margin is None else f"{float(found.margin)!r}",
             "worst": "\u2013" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s",
             "worst_sort": "" if found.worst_time_s is None else f"{found.worst_time_s!r}",
-            "reason": found.reason,
         }
         for number, ((claim, found), expected) in enumerate(judged, start=1)
-    ]
-
-
-def coverage_rows(tallies: Sequence[ClaimTally]) -> list[Row]:
-    """A row for each claim over all runs: how often it was put to the test, and its least margin."""
-    return [
-        {
-            "tally": tally,
-            "worst": margin_words(tally.worst.evaluation) if tally.worst else "\u2013",
-            "worst_run": tally.worst.run if tally.worst else "",
-        }
-        for tally in tallies
     ]
 
 

@@ -6,10 +6,12 @@ critical distance across that of the predicted hand's centre from the TCP.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from safety_harness.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes, plain
 from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps, with_minus
@@ -60,12 +62,7 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
             lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
     _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
     axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
-    claimed = [
-        (f"claim {number}", limit_m * MM)
-        for number, evaluation in enumerate(run.evaluations, start=1)
-        if (limit_m := claimed_hand_distance_m(evaluation)) is not None
-    ]
-    _limit_lines(axes, claimed)
+    _limit_lines(axes, _claimed(run, claimed_hand_distance_m))
 
 
 def predicted_panel(axes: Axes, trace: Trace) -> None:
@@ -131,19 +128,16 @@ def _whole_decades(axes: Axes, least: float, most: float) -> None:
 def speed_panel(axes: Axes, run: JudgedRun) -> None:
     """The TCP's speed with its limits."""
     trace = run.trace
-    _panel(
-        axes,
-        trace,
-        "TCP speed, mm/s",
-        [("TCP", trace.ticks["tcp_speed_mps"] * MM, Ink.TCP, "solid")],
-        zero=True,
-    )
-    limits = [("speed limit", trace.scenario.settings.motion.max_tcp_speed_mps * MM)]
-    for number, evaluation in enumerate(run.evaluations, start=1):
-        claimed_mps = claimed_tcp_speed_mps(evaluation)
-        if claimed_mps is not None:
-            limits.append((f"claim {number}", claimed_mps * MM))
-    _limit_lines(axes, limits)
+    speed = trace.ticks["tcp_speed_mps"] * MM
+    _panel(axes, trace, "TCP speed, mm/s", [("TCP", speed, Ink.TCP, "solid")], zero=True)
+    limit = trace.scenario.settings.motion.max_tcp_speed_mps * MM
+    _limit_lines(axes, [("speed limit", limit), *_claimed(run, claimed_tcp_speed_mps)])
+
+
+def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> list[tuple[str, float]]:
+    """The limit (name, value [mm or mm/s]) of each claim that names one."""
+    limits = [(number, limit_of(one)) for number, one in enumerate(run.evaluations, start=1)]
+    return [(f"claim {number}", limit * MM) for number, limit in limits if limit is not None]
 
 
 def joint_panel(axes: Axes, trace: Trace) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from safety_harness.admission.preview import Preview
-from safety_harness.report.path_artists import MM, rectangle
+from safety_harness.report.path_views import MM, rectangle
 from safety_harness.report.svg import Floats, plain
 from safety_harness.whole_file import replacing
 
