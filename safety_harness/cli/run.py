@@ -28,8 +28,7 @@ from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_co
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.tally import table_lines
-from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import DecisionTally, fault_notes
+from safety_harness.report.decisions import DecisionTally, computing_time_lines, fault_notes
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told

@@ -12,11 +12,11 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.report.computing_time import computing_time_lines
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
     avoiders,
+    computing_time_lines,
     decision_rows,
     failed_checks,
     fault_notes,
@@ -175,20 +175,27 @@ def file_name(run: JudgedRun) -> str:
 def limit_rows(trace: Trace) -> list[Row]:
     """Each limit that acted on at least one tick."""
     acted = trace.ticks["limits"]
-    rows = [_ticks_row(flag_words(flag), trace, (acted & flag.value) != 0) for flag in Limit if flag]
-    return [row for row in rows if row["ticks"]]
+    return _ticks_rows(trace, {flag_words(flag): (acted & flag.value) != 0 for flag in Limit if flag})
 
 
 def mode_rows(trace: Trace) -> list[Row]:
     """Each controller mode that occurred."""
-    rows = [_ticks_row(words, trace, trace.ticks["mode"] == mode) for mode, words in MODE_WORDS.items()]
-    return [row for row in rows if row["ticks"]]
+    modes = trace.ticks["mode"]
+    return _ticks_rows(trace, {words: modes == mode for mode, words in MODE_WORDS.items()})
 
 
-def _ticks_row(name: str, trace: Trace, mask: NDArray[np.bool_]) -> Row:
-    ticks = int(mask.sum())
-    first = f"{trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else ""
-    return {"name": name, "ticks": ticks, "share": share_words(ticks, len(mask)), "first": first}
+def _ticks_rows(trace: Trace, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
+    """Of what is true on any tick: on how many, their share, and when first."""
+    return [
+        {
+            "name": name,
+            "ticks": int(mask.sum()),
+            "share": share_words(int(mask.sum()), len(mask)),
+            "first": f"{trace.time_s[int(np.argmax(mask))]:.3f} s",
+        }
+        for name, mask in masks.items()
+        if mask.any()
+    ]
 
 
 def notes(run: JudgedRun) -> list[str]:

@@ -13,8 +13,7 @@ from typing import Any
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import DecisionTally
+from safety_harness.report.decisions import DecisionTally, computing_time_lines
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.files import told
 from safety_harness.whole_file import write_whole

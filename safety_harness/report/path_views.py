@@ -219,14 +219,7 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
         length = float(np.linalg.norm(elbow - start))
         end = start + (elbow - start) * min(1.0, size.forearm_length_m / length)
         outline = capsule_outline(start[[0, axis]], end[[0, axis]], size.forearm_radius_m) * MM
-        axes.fill(
-            outline[:, 0],
-            outline[:, 1],
-            facecolor=HANDS[hand].sentinel,
-            edgecolor="none",
-            alpha=0.16,
-            zorder=1.6,
-        )
+        axes.fill(*outline.T, facecolor=HANDS[hand].sentinel, edgecolor="none", alpha=0.16, zorder=1.6)
 
 
 def capsule_outline(start: Floats, end: Floats, radius: float) -> Floats:
@@ -297,10 +290,5 @@ def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
         return
     for number, point in enumerate(asked, start=1):
         if np.all(np.isfinite(point)):
-            axes.annotate(
-                str(number),
-                (float(point[0]), float(point[axis])),
-                xytext=(5, 4),
-                textcoords="offset points",
-                zorder=8,
-            )
+            at = point[[0, axis]]
+            axes.annotate(str(number), at, xytext=(5, 4), textcoords="offset points", zorder=8)

@@ -11,7 +11,7 @@ from safety_harness.admission.avoiders import told_avoider
 from safety_harness.exceptions import OutputError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.answered import fallback_words
-from safety_harness.report.computing_time import cost_words
+from safety_harness.report.decisions import cost_words
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
@@ -48,7 +48,6 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
     """Everything that the page shows."""
     trials = session.trials
     avoider = trials.avoider or trials.space.simplest.avoider
-    made = provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider)
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
@@ -67,16 +66,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         confirmed=session.confirmed,
         unconfirmed=tuple(session.unconfirmed),
         agreement=measured_agreement(),
-        provenance=(
-            ("Package", f"safety-harness {made.package_version}"),
-            ("Source hash", made.source_hash),
-            ("World", made.world),
-            ("Seed", str(trials.seed)),
-            ("Python", made.python),
-            ("Platform", made.platform),
-            ("Libraries", ", ".join(f"{name} {version}" for name, version in made.libraries)),
-            *((name, f"sha256 {sha256}") for name, sha256 in made.files),
-        ),
+        provenance=provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider),
     )
 
 

@@ -16,9 +16,8 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
-from safety_harness.report.panels import DASHES
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.svg import Ink, drawing, new_figure, plain, to_svg
+from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
 from safety_harness.report.words import margin_words, share_words, with_minus
 from safety_harness.scenario.files import told
 from safety_harness.search.confirm import Complaint
@@ -28,7 +27,7 @@ from safety_harness.search.disagreement import Disagreement, InOneWorld
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.session import WrittenCounterexample
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Provenance, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +63,7 @@ class SearchEvidence:
     confirmed: int
     unconfirmed: tuple[Disagreement, ...]
     agreement: Agreement
-    provenance: tuple[tuple[str, str], ...]
+    provenance: Provenance
 
 
 def render(evidence: SearchEvidence) -> str:

@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -76,6 +76,14 @@ class Ink(Enum):
 
 BY_SENTINEL = {ink.sentinel: f"var({ink.variable})" for ink in Ink}
 HANDS = (Ink.HAND_1, Ink.HAND_2)
+DASHES: tuple[Any, ...] = (
+    "solid",
+    (0, (6, 2)),
+    (0, (2, 1.5)),
+    (0, (7, 2, 1.5, 2)),
+    (0, (1, 1)),
+    (0, (9, 3, 2, 3, 2, 3)),
+)
 
 
 def plain(text: str, *, longest: int = 28) -> str:

@@ -126,7 +126,7 @@ def evidence(**changes: object) -> SearchEvidence:
         confirmed=2,
         unconfirmed=(apart(),),
         agreement=AGREEMENT,
-        provenance=(("Package", "safety-harness 0"),),
+        provenance=factory.PROVENANCE,
     )
     return replace(whole, **changes)  # type: ignore[arg-type]
 
