@@ -17,100 +17,66 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from safety_harness.admission.admit import Admitted, admit
-    from safety_harness.admission.spaces import AdmittedDraws, draw_admissible
-    from safety_harness.admission.trial import judge, run_kinematic, run_many, run_trial
-    from safety_harness.avoidance.avoider import Avoider, Proposal
-    from safety_harness.exceptions import InputError, SafetyHarnessError
-    from safety_harness.formulas.claim import FormulaClaim
-    from safety_harness.formulas.parse import parse_formula
-    from safety_harness.properties.base import Evaluation, Property
-    from safety_harness.report.evidence import JudgedRun
-    from safety_harness.report.html import write_report
-    from safety_harness.scenario.model import Scenario, Verdict
-    from safety_harness.scenario.read import parse_scenario, read_scenario
-    from safety_harness.scenario.write import write_scenario
-    from safety_harness.search.coverage import Coverage
-    from safety_harness.search.cube import Column, Cube
-    from safety_harness.search.findings import Findings, Goal, Outcomes
-    from safety_harness.search.search import find_violations
-    from safety_harness.search.searchers import searcher_named
-    from safety_harness.search.shrink import shrink
-    from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
-    from safety_harness.settings import DEFAULTS, Settings
-    from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WORLDS, WorldEntry
-    from safety_harness.space.distributions import InBox, InRegion, InShell, TruncatedNormal, Uniform
-    from safety_harness.space.read import parse_space, read_space
-    from safety_harness.space.space import ScenarioSpace
-    from safety_harness.space.strategy import strategy
-    from safety_harness.space.typed import OneOf, Ref, Repeat, Switch, space_from
-    from safety_harness.space.writing import write_space
-    from safety_harness.trace.compare import first_difference
-    from safety_harness.trace.store import load_trace, save_trace
-    from safety_harness.trace.trace import Trace
-
-__all__ = [
-    "DEFAULTS",
-    "KINEMATIC",
-    "PYBULLET",
-    "WORLDS",
-    "Admitted",
-    "AdmittedDraws",
-    "Avoider",
-    "Column",
-    "Coverage",
-    "Cube",
-    "Evaluation",
-    "Findings",
-    "FormulaClaim",
-    "Goal",
-    "InBox",
-    "InRegion",
-    "InShell",
-    "InputError",
-    "JudgedRun",
-    "OneOf",
-    "Outcomes",
-    "Property",
-    "Proposal",
-    "Ref",
-    "Repeat",
-    "SafetyHarnessError",
-    "Scenario",
-    "ScenarioSpace",
-    "Settings",
-    "Switch",
-    "Trace",
-    "Trials",
-    "TruncatedNormal",
-    "Uniform",
-    "Verdict",
-    "WorldEntry",
-    "admit",
-    "draw_admissible",
-    "find_violations",
-    "first_difference",
-    "in_kinematic",
-    "in_pybullet",
-    "judge",
-    "load_trace",
-    "parse_formula",
-    "parse_scenario",
-    "parse_space",
-    "read_scenario",
-    "read_space",
-    "run_kinematic",
-    "run_many",
-    "run_trial",
-    "save_trace",
-    "searcher_named",
-    "shrink",
-    "space_from",
-    "strategy",
-    "write_report",
-    "write_scenario",
-    "write_space",
-]
+    from safety_harness.admission.admit import Admitted as Admitted
+    from safety_harness.admission.admit import admit as admit
+    from safety_harness.admission.spaces import AdmittedDraws as AdmittedDraws
+    from safety_harness.admission.spaces import draw_admissible as draw_admissible
+    from safety_harness.admission.trial import judge as judge
+    from safety_harness.admission.trial import run_kinematic as run_kinematic
+    from safety_harness.admission.trial import run_many as run_many
+    from safety_harness.admission.trial import run_trial as run_trial
+    from safety_harness.avoidance.avoider import Avoider as Avoider
+    from safety_harness.avoidance.avoider import Proposal as Proposal
+    from safety_harness.exceptions import InputError as InputError
+    from safety_harness.exceptions import SafetyHarnessError as SafetyHarnessError
+    from safety_harness.formulas.claim import FormulaClaim as FormulaClaim
+    from safety_harness.formulas.parse import parse_formula as parse_formula
+    from safety_harness.properties.base import Evaluation as Evaluation
+    from safety_harness.properties.base import Property as Property
+    from safety_harness.report.evidence import JudgedRun as JudgedRun
+    from safety_harness.report.html import write_report as write_report
+    from safety_harness.scenario.model import Scenario as Scenario
+    from safety_harness.scenario.model import Verdict as Verdict
+    from safety_harness.scenario.read import parse_scenario as parse_scenario
+    from safety_harness.scenario.read import read_scenario as read_scenario
+    from safety_harness.scenario.write import write_scenario as write_scenario
+    from safety_harness.search.coverage import Coverage as Coverage
+    from safety_harness.search.cube import Column as Column
+    from safety_harness.search.cube import Cube as Cube
+    from safety_harness.search.findings import Findings as Findings
+    from safety_harness.search.findings import Goal as Goal
+    from safety_harness.search.findings import Outcomes as Outcomes
+    from safety_harness.search.search import find_violations as find_violations
+    from safety_harness.search.searchers import searcher_named as searcher_named
+    from safety_harness.search.shrink import shrink as shrink
+    from safety_harness.search.trials import Trials as Trials
+    from safety_harness.search.trials import in_kinematic as in_kinematic
+    from safety_harness.search.trials import in_pybullet as in_pybullet
+    from safety_harness.settings import DEFAULTS as DEFAULTS
+    from safety_harness.settings import Settings as Settings
+    from safety_harness.simulation.worlds import KINEMATIC as KINEMATIC
+    from safety_harness.simulation.worlds import PYBULLET as PYBULLET
+    from safety_harness.simulation.worlds import WORLDS as WORLDS
+    from safety_harness.simulation.worlds import WorldEntry as WorldEntry
+    from safety_harness.space.distributions import InBox as InBox
+    from safety_harness.space.distributions import InRegion as InRegion
+    from safety_harness.space.distributions import InShell as InShell
+    from safety_harness.space.distributions import TruncatedNormal as TruncatedNormal
+    from safety_harness.space.distributions import Uniform as Uniform
+    from safety_harness.space.read import parse_space as parse_space
+    from safety_harness.space.read import read_space as read_space
+    from safety_harness.space.space import ScenarioSpace as ScenarioSpace
+    from safety_harness.space.strategy import strategy as strategy
+    from safety_harness.space.typed import OneOf as OneOf
+    from safety_harness.space.typed import Ref as Ref
+    from safety_harness.space.typed import Repeat as Repeat
+    from safety_harness.space.typed import Switch as Switch
+    from safety_harness.space.typed import space_from as space_from
+    from safety_harness.space.writing import write_space as write_space
+    from safety_harness.trace.compare import first_difference as first_difference
+    from safety_harness.trace.store import load_trace as load_trace
+    from safety_harness.trace.store import save_trace as save_trace
+    from safety_harness.trace.trace import Trace as Trace
 
 _HOMES = {
     "admission.admit": ("Admitted", "admit"),
@@ -145,6 +111,7 @@ _HOMES = {
     "trace.store": ("load_trace", "save_trace"),
     "trace.trace": ("Trace",),
 }
+__all__ = sorted(name for names in _HOMES.values() for name in names)
 
 
 def __getattr__(name: str) -> object:

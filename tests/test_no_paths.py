@@ -17,8 +17,7 @@ from safety_harness.campaign.session import plan_of
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.scenario.files import told
 from safety_harness.scenario.references import portable
 from safety_harness.trace.store import load_trace, save_trace

@@ -9,9 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from safety_harness.report.palette import Ink
-from safety_harness.report.panels import DASHES
-from safety_harness.report.svg import drawing, new_figure, to_svg
+from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, to_svg
 from safety_harness_paper.result import FigureComparison, Panel, Plot
 
 if TYPE_CHECKING:

@@ -8,9 +8,7 @@ import numpy as np
 
 from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, SeparationCase
 from safety_harness.certification.verdicts import at_least, at_most, percent
-from safety_harness.report.palette import Ink
-from safety_harness.report.panels import DASHES
-from safety_harness.report.svg import drawing, new_figure, plain, to_svg
+from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
 from safety_harness.report.words import with_minus
 
 if TYPE_CHECKING:

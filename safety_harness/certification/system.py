@@ -15,7 +15,7 @@ from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import SystemDescription
 from safety_harness.properties.answered import NOT_MODELLED
-from safety_harness.report.computing_time import cost_words
+from safety_harness.report.decisions import cost_words
 from safety_harness.report.words import changed_settings, setting_words
 from safety_harness.robot.description import urdf_file
 from safety_harness.scenario.files import resolved

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say, say_shared_modules
 from safety_harness.cli.options import command
@@ -15,16 +15,14 @@ from safety_harness.exceptions import LedgerError, Place, ScenarioError
 if TYPE_CHECKING:
     from safety_harness.campaign.plan import Plan
 
-_LedgerFile = Annotated[Path, typer.Argument(help="The ledger of a campaign.", metavar="LEDGER")]
-_Workers = Annotated[int | None, typer.Option(help="Processes; without it, one for each core.", min=1)]
+_LedgerFile = Annotated[Path, Argument(help="The ledger of a campaign.", metavar="LEDGER")]
+_Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 _Cluster = Annotated[
     str | None,
-    typer.Option(
-        help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"
-    ),
+    Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
-_Part = Annotated[str, typer.Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-commands = typer.Typer(
+_Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
+commands = Typer(
     no_args_is_help=True,
     help="Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing.",
 )
@@ -35,10 +33,8 @@ _command = partial(
 
 @_command()
 def run(
-    plan: Annotated[Path, typer.Argument(help="A plan file.", metavar="PLAN")],
-    ledger: Annotated[
-        Path | None, typer.Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")
-    ] = None,
+    plan: Annotated[Path, Argument(help="A plan file.", metavar="PLAN")],
+    ledger: Annotated[Path | None, Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")] = None,
     workers: _Workers = None,
     cluster: _Cluster = None,
     part: _Part = "1/1",
@@ -95,8 +91,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
-        for line in ledger_lines(ledger):
-            result(line)
+        result(*ledger_lines(ledger))
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
@@ -127,8 +122,7 @@ def status(ledger: _LedgerFile) -> int:
     from safety_harness.cli.campaign_lines import ledger_lines
 
     with Ledger.open(ledger, check=False) as opened:
-        for line in ledger_lines(opened):
-            result(line)
+        result(*ledger_lines(opened))
     return AS_EXPECTED
 
 
@@ -137,17 +131,13 @@ def query(
     ledger: _LedgerFile,
     sql: Annotated[
         str | None,
-        typer.Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL"),
+        Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL"),
     ] = None,
-    claim: Annotated[
-        str | None, typer.Option(help="Only of this claim, or of the one with these words.")
-    ] = None,
-    stratum: Annotated[str | None, typer.Option(help="Only of this stratum.")] = None,
-    outcome: Annotated[
-        str | None, typer.Option(help="holds, violated, untested, inconclusive or failed.")
-    ] = None,
+    claim: Annotated[str | None, Option(help="Only of this claim, or of the one with these words.")] = None,
+    stratum: Annotated[str | None, Option(help="Only of this stratum.")] = None,
+    outcome: Annotated[str | None, Option(help="holds, violated, untested, inconclusive or failed.")] = None,
     below: Annotated[
-        str | None, typer.Option(help="Only margins below this, with its unit, such as '10 mm'.")
+        str | None, Option(help="Only margins below this, with its unit, such as '10 mm'.")
     ] = None,
 ) -> int:
     """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
@@ -179,9 +169,9 @@ def query(
 @_command()
 def export(
     ledger: _LedgerFile,
-    out: Annotated[Path | None, typer.Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
+    out: Annotated[Path | None, Argument(help="A .csv or .parquet file.", metavar="OUT")] = None,
     traces: Annotated[
-        Path | None, typer.Option(help="Also the stored traces, as files that replay takes, to this folder.")
+        Path | None, Option(help="Also the stored traces, as files that replay takes, to this folder.")
     ] = None,
 ) -> int:
     """Write one line for each episode and claim, for other programs (Parquet: the extra "export").
@@ -204,8 +194,8 @@ def export(
 
 @_command()
 def compare(
-    first: Annotated[Path, typer.Argument(help="The ledger before.", metavar="A")],
-    second: Annotated[Path, typer.Argument(help="The ledger after.", metavar="B")],
+    first: Annotated[Path, Argument(help="The ledger before.", metavar="A")],
+    second: Annotated[Path, Argument(help="The ledger after.", metavar="B")],
 ) -> int:
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
@@ -223,8 +213,7 @@ def compare(
             if words := fallback_of(one_of).words:
                 result(f"{one_of.path}: {words}")
         compared = compare_ledgers(before, after)
-        for line in difference_lines(compared, before.declared.confidence):
-            result(line)
+        result(*difference_lines(compared, before.declared.confidence))
         for found in worse_episodes(before, after):
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
@@ -233,8 +222,8 @@ def compare(
 
 @_command()
 def merge(
-    into: Annotated[Path, typer.Argument(help="The ledger to make.", metavar="INTO")],
-    ledgers: Annotated[list[Path], typer.Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
+    into: Annotated[Path, Argument(help="The ledger to make.", metavar="INTO")],
+    ledgers: Annotated[list[Path], Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
 ) -> int:
     """Make one ledger of those of several machines, each of which ran a part of the same plan.
 
@@ -247,6 +236,5 @@ def merge(
 
     result(f"{into}: {merge_ledgers(into, ledgers)} episodes")
     with Ledger.open(into, check=False) as whole:
-        for line in ledger_lines(whole):
-            result(line)
+        result(*ledger_lines(whole))
     return AS_EXPECTED

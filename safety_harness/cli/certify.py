@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
@@ -25,10 +25,8 @@ class _PlanOrCommand(TyperGroup):
         return (None if name == "plan" else name), command, rest
 
 
-commands = typer.Typer()
-of_certify = typer.Typer(
-    cls=_PlanOrCommand, help="Run a declared plan and write its evidence; declare, seal."
-)
+commands = Typer()
+of_certify = Typer(cls=_PlanOrCommand, help="Run a declared plan and write its evidence; declare, seal.")
 
 
 @command(
@@ -38,23 +36,23 @@ of_certify = typer.Typer(
     failed=DIFFERS,
 )
 def certify(
-    plan: Annotated[Path, typer.Argument(help="A plan: claims, strata, runs, confidence.", metavar="PLAN")],
+    plan: Annotated[Path, Argument(help="A plan: claims, strata, runs, confidence.", metavar="PLAN")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the report; without it reports/NAME of the plan.")
+        Path | None, Option(help="Folder for the report; without it reports/NAME of the plan.")
     ] = None,
     pdf: Annotated[
-        bool, typer.Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
+        bool, Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
     ] = False,
-    workers: Annotated[int | None, typer.Option(help="Processes; without it one a core.", min=1)] = None,
+    workers: Annotated[int | None, Option(help="Processes; without it one a core.", min=1)] = None,
     selftest: Annotated[
-        Path | None, typer.Option(help="selftest.json of safety-harness selftest, to be part of the report.")
+        Path | None, Option(help="selftest.json of safety-harness selftest, to be part of the report.")
     ] = None,
     oracles: Annotated[
-        Path | None, typer.Option(help="Table of independent oracles (docs/oracles.json), likewise.")
+        Path | None, Option(help="Table of independent oracles (docs/oracles.json), likewise.")
     ] = None,
     declared: Annotated[
         Path | None,
-        typer.Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there."),
+        Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there."),
     ] = None,
 ) -> int:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
@@ -102,9 +100,9 @@ def certify(
 
 @command(of_certify)
 def declare(
-    plan: Annotated[Path, typer.Argument(help="A plan that has not been run yet.", metavar="PLAN")],
+    plan: Annotated[Path, Argument(help="A plan that has not been run yet.", metavar="PLAN")],
     out: Annotated[
-        Path | None, typer.Option(help="File to write; without it PLAN.declared.json beside the plan.")
+        Path | None, Option(help="File to write; without it PLAN.declared.json beside the plan.")
     ] = None,
 ) -> int:
     """Print a hash over plan, seed, avoider, targets and software, to be lodged elsewhere before the runs.
@@ -130,7 +128,7 @@ def declare(
 
 @command(of_certify, "seal")
 def seal_report(
-    report: Annotated[Path, typer.Argument(help="The folder of a report of certify.", metavar="REPORT")],
+    report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="REPORT")],
 ) -> int:
     """Print a hash over a report's rows, declaration and files, to be lodged elsewhere.
 
@@ -143,8 +141,7 @@ def seal_report(
     from safety_harness.certification.verify_files import check_files
 
     check = check_files(report, read_manifest(report))
-    for line in check.faults:
-        result(f"DIFF {line}")
+    result(*(f"DIFF {line}" for line in check.faults))
     if not check.stands:
         return DIFFERS
     made = write_seal(report)
@@ -165,42 +162,40 @@ def _chance(said: str | float) -> float:
     except ValueError:
         value = -1.0
     if not 0.0 < value < 1.0:
-        raise typer.BadParameter(f"{text!r} is no chance: expected 1% or 0.01, say")
+        raise BadParameter(f"{text!r} is no chance: expected 1% or 0.01, say")
     return value
 
 
 @command(commands, interrupted="interrupted: what was not checked yet is not known to stand", failed=DIFFERS)
 def verify(
-    report: Annotated[Path, typer.Argument(help="The folder of a report of certify.", metavar="FOLDER")],
+    report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="FOLDER")],
     runs: Annotated[
         int | None,
-        typer.Option(
-            help="Runs to make again, drawn at random; without it as --miss asks, 1000 at most.", min=0
-        ),
+        Option(help="Runs to make again, drawn at random; without it as --miss asks, 1000 at most.", min=0),
     ] = None,
     miss: Annotated[
         float,
-        typer.Option(
+        Option(
             parser=_chance, help="Chance of overlooking altered rows that turn a verdict.", metavar="CHANCE"
         ),
     ] = "1%",  # type: ignore[assignment]
     seal: Annotated[
         str | None,
-        typer.Option(help="Hash that certify seal printed, as it was lodged elsewhere, or its file."),
+        Option(help="Hash that certify seal printed, as it was lodged elsewhere, or its file."),
     ] = None,
     declared: Annotated[
         str | None,
-        typer.Option(help="Hash that certify declare printed, as it was lodged elsewhere, or its file."),
+        Option(help="Hash that certify declare printed, as it was lodged elsewhere, or its file."),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
+        Option(
             help="To repeat an earlier draw of runs; without it others each time, and it says which.", min=0
         ),
     ] = None,
     execute_avoider: Annotated[
         bool,
-        typer.Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
+        Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
     ] = False,
 ) -> int:
     """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
@@ -229,8 +224,8 @@ def verify(
         stands, whole = stands and check.stands, whole and not check.unchecked
         mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
         result(f"{mark} {check.looked_at}")
-        for line in (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked)):
-            result(f"     {line}")
+        lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
+        result(*(f"     {line}" for line in lines))
     open_ones = "" if whole else ", but for what was not checked"
     result(f"the report stands{open_ones}" if stands else "the report does not stand")
     return AS_EXPECTED if stands else DIFFERS

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TextIO, TypeVar
 
 from safety_harness.exceptions import InputError, explanation
 
+_Item = TypeVar("_Item")
+_Made = TypeVar("_Made")
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
@@ -15,21 +18,37 @@ def strip_control_chars(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t" else "?" for c in text)
 
 
-def say(text: str) -> None:
-    """A remark on standard error."""
-    sys.stderr.write(strip_control_chars(text) + "\n")
-    sys.stderr.flush()
+def say(*lines: str) -> None:
+    """Remarks on standard error."""
+    _print(lines, sys.stderr)
 
 
-def result(text: str) -> None:
-    """A line of results on standard output."""
-    sys.stdout.write(strip_control_chars(text) + "\n")
-    sys.stdout.flush()
+def result(*lines: str) -> None:
+    """Lines of results on standard output."""
+    _print(lines, sys.stdout)
+
+
+def _print(lines: Sequence[str], stream: TextIO) -> None:
+    for line in lines:
+        stream.write(strip_control_chars(line) + "\n")
+        stream.flush()
 
 
 def explain(error: Exception) -> None:
     """A user's mistake: where, what was expected, what came, and the hint on a line of its own."""
     say(f"error: {explanation(error)}")
+
+
+def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:
+    """What is made of each item, and the mistakes in those of which nothing can be made."""
+    made: list[_Made] = []
+    errors: list[InputError] = []
+    for item in items:
+        try:
+            made.append(make(item))
+        except InputError as error:
+            errors.append(error)
+    return made, errors
 
 
 def explain_each(errors: Sequence[InputError]) -> int:

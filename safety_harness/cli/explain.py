@@ -1,41 +1,77 @@
-"""``safety-harness explain``: what a key means, from the table behind the documentation."""
+"""``explain`` and ``claims``: what a key means and what can be claimed, as behind the documentation."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
-from safety_harness.cli.console import AS_EXPECTED, result
-from safety_harness.cli.options import explained
+from safety_harness.cli.console import AS_EXPECTED, result, say
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.units import Dimension, near_miss
 
+if TYPE_CHECKING:
+    from safety_harness.properties.entry import CatalogueEntry
 
-@explained()
+WIDTH = 110
+
+
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
     asked = " ".join(" ".join(words).replace(":", " ").split())
     if not asked:
-        for table in every_table():
-            result(f"{table.where}: {', '.join(table.names)}")
+        result(*(f"{table.where}: {', '.join(table.names)}" for table in every_table()))
         return AS_EXPECTED
     found = [(table, key) for table in every_table() for key in table.keys if asked in _names(table, key)]
+    known = (name for table in every_table() for name in table.names)
+    expected = "a key of a scenario file; without one, all of them are listed"
+    return _explain("explain", asked, expected, known, [_key_lines(*pair) for pair in found])
+
+
+def explain_claims(words: Sequence[str]) -> int:
+    """Print every sentence, or all about those that contain the words; returns the exit code.
+
+    The words may be a whole sentence with a limit of one's own: what understands it is explained.
+    """
+    from safety_harness.formulas.signals import SIGNALS
+    from safety_harness.properties.catalogue import CATALOGUE  # slow to import
+
+    asked = " ".join(" ".join(words).split())
+    examples = [entry.example for entry in CATALOGUE]
+    if not asked:
+        result(*examples)
+        say(f"or a formula (docs/formulas.md) over: {', '.join(signal.words for signal in SIGNALS)}")
+        return AS_EXPECTED
+    found = [entry for entry in CATALOGUE if entry.understands(asked)]
+    wanted = set(asked.lower().split())
+    found = found or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
+    expected = "words of a claim of the catalogue; without any, all claims are listed"
+    return _explain("claims", asked, expected, examples, [_claim_lines(one) for one in found])
+
+
+def _explain(
+    field: str, asked: str, expected: str, known: Iterable[str], found: Sequence[Iterator[str]]
+) -> int:
+    """The lines on each that was found, apart; ScenarioError with what is near to it where nothing was."""
     if not found:
-        known = dict.fromkeys(name for table in every_table() for name in table.names)
-        raise ScenarioError(
-            place=Place(field="explain"),
-            expected="a key of a scenario file; without one, all of them are listed",
-            got=asked,
-            hint=near_miss(asked, known, most=3),
-        )
-    for number, (table, key) in enumerate(found):
-        if number:
-            result("")
-        for line in _lines(table, key):
-            result(line)
+        hint = near_miss(asked, known, most=3)
+        raise ScenarioError(place=Place(field=field), expected=expected, got=asked, hint=hint)
+    for number, lines in enumerate(found):
+        result(*([""] if number else []), *lines)
     return AS_EXPECTED
+
+
+def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
+    from safety_harness.properties.entry import told
+
+    yield entry.example
+    for name, text in told(entry):
+        yield from textwrap.wrap(
+            text, WIDTH, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15, break_on_hyphens=False
+        )
 
 
 def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
@@ -44,7 +80,7 @@ def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
 
 
-def _lines(table: KeyTable, key: Key) -> Iterator[str]:
+def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:
     yield f"{key.name}, of {table.where}"
     yield f"  means    {_plain(key.meaning)}"
     yield f"  takes    {_plain(_takes(key))}"

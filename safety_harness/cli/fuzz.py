@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -19,32 +19,30 @@ from safety_harness.cli.console import (
 from safety_harness.cli.options import OfAvoider, Seed, command
 from safety_harness.exceptions import Place, ScenarioError
 
-commands = typer.Typer()
+commands = Typer()
 
 
 @command(commands, interrupted="interrupted before anything was tried")
 def fuzz(
-    space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
+    space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
     avoider: OfAvoider = None,
-    budget: Annotated[int, typer.Option(help="Runs to search with; shrinking has its own.")] = 1000,
+    budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,
     seed: Seed = 0,
-    out: Annotated[Path, typer.Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
+    out: Annotated[Path, Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
         "reports/fuzz"
     ),
     searcher: Annotated[
         str,
-        typer.Option(
-            help="default, uniform, quasi-random, cma-es, hypothesis, or diverse, which fills holes."
-        ),
+        Option(help="default, uniform, quasi-random, cma-es, hypothesis, or diverse, which fills holes."),
     ] = "default",
     claims: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--claim", help="Search for violations of this, in place of the space's claims; may be repeated."
         ),
     ] = None,
     baseline: Annotated[
-        bool, typer.Option("--baseline", help="Sample the space uniformly as well, with the same budget.")
+        bool, Option("--baseline", help="Sample the space uniformly as well, with the same budget.")
     ] = False,
 ) -> int:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.

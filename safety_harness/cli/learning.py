@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, result, say
 from safety_harness.cli.options import Seed, command
@@ -17,18 +19,16 @@ if TYPE_CHECKING:
     from safety_harness.learning.recipes import Recipe
 
 MODEL = "model.safetensors"
-commands = typer.Typer()
+commands = Typer()
 
 
 @command(commands, interrupted="interrupted: no data set was written")
 def dataset(
-    out: Annotated[Path, typer.Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
-    space: Annotated[
-        str, typer.Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")
-    ] = "seen",
-    tcps: Annotated[int, typer.Option(help="TCP positions.")] = 10_000,
-    candidates: Annotated[int, typer.Option(help="Repulsive candidates of each TCP.")] = 100,
-    hands: Annotated[int, typer.Option(help="Hand positions, joined with every TCP.")] = 500,
+    out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
+    space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
+    tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
+    candidates: Annotated[int, Option(help="Repulsive candidates of each TCP.")] = 100,
+    hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
     seed: Seed = 0,
 ) -> int:
     """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
@@ -57,18 +57,16 @@ def dataset(
         )
     save_dataset(made, out)
     views, away = made.tcps * made.candidates, made.views_without_object
-    result(f"space       {made.space.name}")
-    result(f"samples     {len(made):,} = {made.tcps:,} TCPs x {made.hands:,} hands")
     result(
+        f"space       {made.space.name}",
+        f"samples     {len(made):,} = {made.tcps:,} TCPs x {made.hands:,} hands",
         f"candidates  {views:,}; object not wholly in view of {away:,} ({away / views:.2%}), "
-        "which are not selected"
-    )
-    result(
+        "which are not selected",
         f"blind TCPs  {made.tcps_without_view:,}, with no candidate in view: "
-        "selected as if the image had no border"
+        "selected as if the image had no border",
+        f"seed        {made.seed}",
+        f"sha256      {data_hash(made)}",
     )
-    result(f"seed        {made.seed}")
-    result(f"sha256      {data_hash(made)}")
     say(f"data set: {out}")
     return AS_EXPECTED
 
@@ -77,20 +75,20 @@ def dataset(
 def train(
     recipe: Annotated[
         str,
-        typer.Argument(
+        Argument(
             help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
             "also with paper- or trial- before it."
         ),
     ],
     data: Annotated[
-        Path | None, typer.Option(help="Folder of a data set; without it the paper's is made on the spot.")
+        Path | None, Option(help="Folder of a data set; without it the paper's is made on the spot.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
+    out: Annotated[Path, Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
         "models/new"
     ),
     seed: Seed = 0,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
-    device: Annotated[str, typer.Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
+    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
 ) -> int:
     """Train and calibrate a network; "trial-mc-dropout" takes under a minute.
 
@@ -134,7 +132,7 @@ def train(
             out=out,
             resume=resume,
             device=device,
-            on_epoch=_EpochLines(chosen),
+            on_epoch=_epoch_lines(chosen),
         )
         say("calibrating on seen TCPs and hands that are new")
         model = model_of(trained, dataset, split, shlex.join(again))
@@ -152,19 +150,13 @@ def train(
     return AS_EXPECTED
 
 
-class _EpochLines:
+def _epoch_lines(recipe: Recipe) -> Callable[[Epoch], None]:
     """One line an epoch: the losses, and how long the rest will take."""
+    begun_s, epochs = time.monotonic(), count(1)
 
-    def __init__(self, recipe: Recipe) -> None:
-        self._recipe = recipe
-        self._begun_s = time.monotonic()
-        self._epochs = 0
-
-    def __call__(self, epoch: Epoch) -> None:
-        self._epochs += 1
-        recipe = self._recipe
+    def tell(epoch: Epoch) -> None:
         left = recipe.members * recipe.epochs - epoch.member * recipe.epochs - epoch.number - 1
-        left_s = left * (time.monotonic() - self._begun_s) / self._epochs
+        left_s = left * (time.monotonic() - begun_s) / next(epochs)
         member = f"member {epoch.member + 1}/{recipe.members}, " if recipe.members > 1 else ""
         say(
             f"{member}epoch {epoch.number + 1}/{recipe.epochs}: loss {epoch.training_loss:.4f}, "
@@ -172,16 +164,18 @@ class _EpochLines:
             f"{' (best)' if epoch.is_best else ''}, {left_s:.0f} s left"
         )
 
+    return tell
+
 
 @command(commands, interrupted="interrupted: no evaluation was written")
 def evaluate(
     models: Annotated[
         list[str],
-        typer.Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
+        Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
     ],
-    samples: Annotated[int, typer.Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
+    samples: Annotated[int, Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
     seed: Seed = 0,
-    out: Annotated[Path | None, typer.Option(help="Also every figure, as JSON, to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
 ) -> int:
     """Compare models on seen and unseen space: errors, intervals, coverage, doubt as a detector.
 
@@ -199,8 +193,7 @@ def evaluate(
     for one in loaded:
         result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
-    for line in (*remarks, *tables(figures)):
-        result(line)
+    result(*remarks, *tables(figures))
     if out is not None:
         say(f"figures: {out}")
     return AS_EXPECTED
@@ -210,15 +203,13 @@ def evaluate(
 def time_avoider(
     avoider: Annotated[
         str,
-        typer.Argument(
+        Argument(
             help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
             metavar="AVOIDER",
         ),
     ],
-    out: Annotated[
-        Path | None, typer.Option(help="Also a profile for scenarios, to this file *.json.")
-    ] = None,
-    questions: Annotated[int, typer.Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
+    out: Annotated[Path | None, Option(help="Also a profile for scenarios, to this file *.json.")] = None,
+    questions: Annotated[int, Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
     seed: Seed = 0,
 ) -> int:
     """Measure how long an avoider takes to answer on this machine: p50, p99, max.
@@ -255,9 +246,9 @@ def time_avoider(
 @command(commands, interrupted="interrupted: nothing was exported")
 def export(
     model: Annotated[
-        str, typer.Argument(help="A model file (*.safetensors), or a shipped model's name.", metavar="MODEL")
+        str, Argument(help="A model file (*.safetensors), or a shipped model's name.", metavar="MODEL")
     ],
-    out: Annotated[Path, typer.Option(help="The file to write.")],
+    out: Annotated[Path, Option(help="The file to write.")],
     seed: Seed = 0,
 ) -> int:
     """Write a model as ONNX, and try the file against the original on random questions.

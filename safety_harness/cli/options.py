@@ -7,39 +7,39 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, ParamSpec
 
-import typer
+from typer import Argument, Exit, Option, Typer
 
 from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, explain, say
 from safety_harness.exceptions import InputError, SafetyHarnessError
 
 Files = Annotated[
-    list[Path], typer.Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
+    list[Path], Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
 ]
-Out = Annotated[Path, typer.Option(help="Folder for report.html and traces/.")]
+Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[
     str | None,
-    typer.Option(
+    Option(
         help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
         "optimum, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors or FILE.onnx.",
         metavar="AVOIDER",
     ),
 ]
-Seed = Annotated[int, typer.Option(help="Root of every random number.", min=0)]
+Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _Asked = ParamSpec("_Asked")
 
 
-def explained(
-    *, interrupted: str = "", failed: int | None = None
+def command(
+    group: Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
 ) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
-    """Of a function that returns an exit code: the user's mistakes are explained, and are exit code 2.
+    """A command of ``group``, of a function that returns an exit code, which it ends with.
 
-    Any other error of ours is ``failed`` (None: it is raised), and Ctrl-C is answered with the words
-    ``interrupted`` (none: it is raised).
+    The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
+    is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).
     """
 
-    def around(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
+    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
         @wraps(work)
-        def explaining(*args: _Asked.args, **options: _Asked.kwargs) -> int:
+        def answer(*args: _Asked.args, **options: _Asked.kwargs) -> int:
             try:
                 return work(*args, **options)
             except SafetyHarnessError as error:
@@ -54,23 +54,10 @@ def explained(
                 say(interrupted)
                 return INTERRUPTED
 
-        return explaining
-
-    return around
-
-
-def command(
-    group: typer.Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
-) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
-    """``explained``, and a command of ``group`` that ends with the exit code."""
-
-    def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
-        answer = explained(interrupted=interrupted, failed=failed)(work)
-
         @group.command(name)
         @wraps(work)
         def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
-            raise typer.Exit(answer(*args, **options))
+            raise Exit(answer(*args, **options))
 
         return answer
 

@@ -10,7 +10,6 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
-from safety_harness.cli.options import explained
 from safety_harness.cli.runs import ScenarioProgress, say_results
 from safety_harness.exceptions import InadmissibleError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
@@ -24,7 +23,6 @@ from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Provenance, Trace
 
 
-@explained()
 def replay(path: Path, avoider: str | None = None) -> int:
     """Repeat a recorded run: "identical", or the first step that differs.
 
@@ -48,8 +46,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
         )
         return AS_EXPECTED
     result(f"{stored.scenario.name}: {difference}")
-    for line in changes(stored.provenance, fresh.provenance):
-        say(line)
+    say(*changes(stored.provenance, fresh.provenance))
     return DIFFERS
 
 
@@ -88,7 +85,6 @@ def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
 
 
-@explained()
 def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
     """Judge stored traces by their claims, with the present code, without simulating.
 

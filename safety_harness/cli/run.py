@@ -21,15 +21,14 @@ from safety_harness.cli.console import (
     explain_each,
     say,
     say_shared_modules,
+    usable,
 )
-from safety_harness.cli.options import explained
 from safety_harness.cli.runs import ScenarioProgress, say_results
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.tally import table_lines
-from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import DecisionTally, fault_notes
+from safety_harness.report.decisions import DecisionTally, computing_time_lines, fault_notes
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
@@ -43,17 +42,12 @@ TRACES = "traces"
 def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
     """Read and admit everything, with another avoider if one is given; all mistakes, not only the first."""
     gathered = gather(paths)
-    admitted: list[Admitted] = []
-    errors = list(gathered.errors)
-    for scenario in gathered.scenarios:
-        try:
-            admitted.append(admit(scenario if avoider is None else with_avoider(scenario, avoider)))
-        except InputError as error:
-            errors.append(error)
-    return admitted, errors
+    admitted, errors = usable(
+        gathered.scenarios, lambda one: admit(one if avoider is None else with_avoider(one, avoider))
+    )
+    return admitted, [*gathered.errors, *errors]
 
 
-@explained()
 def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
     """Run, judge, print, save and report; returns the exit code."""
     if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
@@ -109,8 +103,7 @@ class RunSession:
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
         say_results(judged)
-        for note in fault_notes(judged.trace):
-            say(f"note: {judged.trace.scenario.name}: {note}")
+        say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
         self.interrupted = not judged.trace.complete
 
     def _fail(self, name: str, error: Exception) -> None:
@@ -130,8 +123,8 @@ class RunSession:
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
         untested = self._say_coverage()
-        for line in computing_time_lines(run.trace for run in self.runs):
-            say(f"computing time: {line}")
+        times = computing_time_lines(run.trace for run in self.runs)
+        say(*(f"computing time: {line}" for line in times))
         verdicts = [same for one in self.runs for same in one.as_expected]
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(
@@ -149,11 +142,10 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        for line in table_lines(found):
-            say(line)
+        say(*table_lines(found))
         untested = [tally.sentence for tally in found if tally.untested]
-        for sentence in untested:
-            say(f"error: no run put this to the test, and it was expected to tell: {sentence}")
+        words = "error: no run put this to the test, and it was expected to tell"
+        say(*(f"{words}: {sentence}" for sentence in untested))
         return bool(untested)
 
     def _report(self) -> bool:

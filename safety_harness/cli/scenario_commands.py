@@ -5,12 +5,60 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, result
+from safety_harness.cli.console import AS_EXPECTED, result, say
 from safety_harness.cli.options import Files, OfAvoider, Out, Seed, command
+from safety_harness.exceptions import OutputError, Place
 
-commands = typer.Typer()
+commands = Typer()
+STARTING_FILE = """\
+# A scenario: one thing to try. Every value has its unit; "safety-harness explain KEY" says what a key means.
+# Run it with: safety-harness run {name}
+scenario: a hand reaches past the tool and withdraws
+about: >
+  Say here why one would try this: what could go wrong, and what you would learn from it.
+duration: 6 s
+seed: 1
+
+# Where the tool starts, as an offset from the pose that the servoing should end in.
+# Positions are in the robot's base frame: x forward, y left, z up, origin at the foot of the arm.
+tcp start:
+  offset: [30 mm, -60 mm, 60 mm]
+
+# What proposes where the tool gives way to: a name, FILE.py:NAME, FILE.onnx or FILE.safetensors.
+avoider: mc-dropout
+
+# At most two hands; each does one move after another, then rests.
+hands:
+  - hand: right hand
+    starts at: [1100 mm, -750 mm, 150 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - wait: 500 ms
+      - move to: [840 mm, -350 mm, 300 mm]
+        speed: 0.6 m/s
+      - wait: 1 s
+      - withdraw: 1.6 m/s
+
+# The camera that watches the hands, and how it errs.
+hand sensor:
+  kind: overhead
+  rate: 30 Hz
+  latency: 33 ms
+
+# Everything else keeps its default; docs/scenario-language.md has them all.
+settings:
+  avoidance:
+    critical distance: 400 mm
+
+# What you claim will come of it: holds, violated or inconclusive.
+claims:
+  hand distance never below 50 mm: holds
+  repulsive poses reachable: holds
+  joint speeds within limits: holds
+  the avoider answered: holds
+"""
 
 
 @command(commands)
@@ -47,9 +95,7 @@ def validate(files: Files, avoider: OfAvoider = None) -> int:
 @command(commands)
 def fmt(
     files: Files,
-    check: Annotated[
-        bool, typer.Option("--check", help="Change nothing; only say what would change.")
-    ] = False,
+    check: Annotated[bool, Option("--check", help="Change nothing; only say what would change.")] = False,
 ) -> int:
     """Lay scenario files out as the shipped ones are: order of keys, indentation, quotes.
 
@@ -63,7 +109,7 @@ def fmt(
 
 @command(commands)
 def explain(
-    key: Annotated[list[str] | None, typer.Argument(help="A key, such as: critical distance.")] = None,
+    key: Annotated[list[str] | None, Argument(help="A key, such as: critical distance.")] = None,
 ) -> int:
     """Say what a key of scenario files means: its unit, bounds, default and an example.
 
@@ -79,7 +125,7 @@ def explain(
 @command(commands)
 def claims(
     words: Annotated[
-        list[str] | None, typer.Argument(help="A claim, or words of it, such as: hand distance.")
+        list[str] | None, Argument(help="A claim, or words of it, such as: hand distance.")
     ] = None,
 ) -> int:
     """Say what can be claimed of a run: why, margin, parameters, when it is put to the test.
@@ -87,22 +133,29 @@ def claims(
     A whole claim is explained by the one that understands it. Without words, all are listed.
     Exit code 0; 2: nothing in the catalogue has these words.
     """
-    from safety_harness.cli.claims import explain_claims
+    from safety_harness.cli.explain import explain_claims
 
     return explain_claims(words or [])
 
 
 @command(commands)
 def new(
-    file: Annotated[Path, typer.Argument(help="The file to write.")] = Path("scenario.yaml"),
+    file: Annotated[Path, Argument(help="The file to write.")] = Path("scenario.yaml"),
 ) -> int:
     """Write a scenario file with comments to start from; it runs as it is.
 
     Exit code 0; 2: there is such a file already, or it cannot be written.
     """
-    from safety_harness.cli.new import new as new_file
-
-    return new_file(file)
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(STARTING_FILE.format(name=file))
+    except OSError as error:
+        expected, got = "a place that can be written", error.strerror or str(error)
+        if isinstance(error, FileExistsError):
+            expected, got = "a file that is not there yet", "one that is"
+        raise OutputError(place=Place(file=file), expected=expected, got=got) from error
+    say(f"{file} is a scenario; run it with: safety-harness run {file}")
+    return AS_EXPECTED
 
 
 @command(commands)
@@ -121,7 +174,7 @@ def schema() -> int:
 
 @command(commands)
 def replay(
-    trace: Annotated[Path, typer.Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
+    trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,
 ) -> int:
     """Repeat a recorded run bit by bit: "identical", or the first step that differs.
@@ -137,10 +190,10 @@ def replay(
 
 @command(commands)
 def judge(
-    traces: Annotated[list[Path], typer.Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
+    traces: Annotated[list[Path], Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
     claim: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="In place of the traces' own: a sentence of the catalogue or a formula, such as 'always "
             "hand distance > 30 mm', expected to hold. May be repeated.",
             metavar="SENTENCE",
@@ -156,13 +209,13 @@ def judge(
     return judge_again(traces, claim or ())
 
 
-@command(commands)
+@command(commands, interrupted="interrupted: this picture and those after it were not drawn")
 def show(
-    files: Annotated[list[Path], typer.Argument(help="Scenario files or spaces.", metavar="FILE...")],
-    out: Annotated[Path, typer.Option(help="Folder for pictures, or the picture of one file.")] = Path(
+    files: Annotated[list[Path], Argument(help="Scenario files or spaces.", metavar="FILE...")],
+    out: Annotated[Path, Option(help="Folder for pictures, or the picture of one file.")] = Path(
         "reports/show"
     ),
-    draws: Annotated[int, typer.Option(help="Draws of a space in its picture.", min=1)] = 200,
+    draws: Annotated[int, Option(help="Draws of a space in its picture.", min=1)] = 200,
     seed: Seed = 0,
 ) -> int:
     """Draw what a file would try: hands, TCP start, regions, the camera's view; nothing is run.
@@ -174,11 +227,11 @@ def show(
     return show_files(files, out=out, draws=draws, seed=seed)
 
 
-@command(commands)
+@command(commands, interrupted="interrupted: the files that were written are kept")
 def sample(
-    space: Annotated[Path, typer.Argument(help="A scenario space.", metavar="SPACE")],
-    out: Annotated[Path, typer.Option(help="Folder for the scenario files.")] = Path("reports/sample"),
-    count: Annotated[int, typer.Option(help="How many that can be tried.")] = 10,
+    space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
+    out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),
+    count: Annotated[int, Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,
 ) -> int:
     """Draw scenarios from a space, independently, each as a file that run takes.

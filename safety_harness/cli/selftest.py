@@ -5,29 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
 from safety_harness.cli.options import OfAvoider, command
 from safety_harness.exceptions import Place, SettingsError
 
-commands = typer.Typer()
+commands = Typer()
 
 
 @command(commands)
 def selftest(
     profile: Annotated[
-        str, typer.Option(help="quick: some minutes; nightly: every scenario, and many draws.")
+        str, Option(help="quick: some minutes; nightly: every scenario, and many draws.")
     ] = "quick",
     avoider: OfAvoider = None,
     scenarios: Annotated[
-        Path, typer.Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+        Path, Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
     ] = Path("scenarios"),
-    fault: Annotated[str | None, typer.Option(help="Only faults with these words in their name.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for selftest.html and selftest.json.")] = Path(
+    fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
+    out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(
         "reports/selftest"
     ),
-    jobs: Annotated[int, typer.Option(help="Processes at once, each on one core.")] = 2,
+    jobs: Annotated[int, Option(help="Processes at once, each on one core.")] = 2,
 ) -> int:
     """Put the harness itself on trial: seed faults into a sound system, and tell what caught each.
 
@@ -70,8 +70,7 @@ def selftest(
     except KeyboardInterrupt:
         say("interrupted before anything was tried")
         return INTERRUPTED
-    for remark in session.remarks:
-        say(remark)
+    say(*session.remarks)
 
     def tell(one: FaultOutcome) -> None:
         words, alarm, smallest = one.state.value, one.alarm, one.smallest
@@ -84,8 +83,7 @@ def selftest(
         faults, harmless = in_table(session.tried)
         tables = (HEAD, list(map(row, faults))), (HARMLESS_HEAD, list(map(harmless_row, harmless)))
         for head, rows in tables:
-            for line in (*lines(head, rows), ""):
-                result(line)
+            result(*lines(head, rows), "")
         result(summary(tally_of(session.tried)))
         session.write()
         session.write_page()

@@ -13,7 +13,6 @@ from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, result, say
-from safety_harness.cli.options import explained
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
@@ -27,8 +26,7 @@ from safety_harness.whole_file import write_text, writing
 PICTURES = (".png", ".svg", ".pdf")
 
 
-@explained(interrupted="interrupted: this picture and those after it were not drawn")
-def show(files: Sequence[Path], *, out: Path, draws: int = 200, seed: int = 0) -> int:
+def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
     """One picture a scenario, and one of ``draws`` admissible draws of each space; returns the exit code."""
     gathered = gather(files, spaces=True)
     if gathered.errors:
@@ -45,8 +43,7 @@ def show(files: Sequence[Path], *, out: Path, draws: int = 200, seed: int = 0) -
     return AS_EXPECTED
 
 
-@explained(interrupted="interrupted: the files that were written are kept")
-def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
+def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
     """``count`` admissible draws of a space, each a scenario file in ``out``; returns the exit code."""
     if not 1 <= count <= 100_000:
         raise ScenarioError(
@@ -58,8 +55,7 @@ def sample(file: Path, *, out: Path, count: int = 10, seed: int = 0) -> int:
         path = out / f"{scenario.name.replace('#', '-')}.yaml"
         write_text(path, write_scenario(as_seen_from(out, scenario)))
         result(str(path))
-    for note in (*space.notes, str(drawn)):
-        say(note)
+    say(*space.notes, str(drawn))
     return AS_EXPECTED
 
 

@@ -61,7 +61,7 @@ class Ending:
             say(line)
 
     def _computing_times(self) -> list[str]:
-        from safety_harness.report.computing_time import ComputingTime, lines_of
+        from safety_harness.report.decisions import ComputingTime, lines_of
 
         runs = (ComputingTime(*values) for sent in self._sent for values in sent["computing"])
         return [f"computing time: {line}" for line in lines_of(runs)]

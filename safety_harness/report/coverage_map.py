@@ -6,11 +6,12 @@ another colour and a frame; nothing is told by colour alone.  A pure function of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Mapping
 from itertools import product
 from xml.etree import ElementTree
 
-from safety_harness.report.palette import Ink
+from safety_harness.report.svg import Ink, describe
 from safety_harness.search.coverage import (
     AXES,
     DIRECTIONS,
@@ -28,41 +29,6 @@ SIZES_PX = (3, 5, 7, 9, 11)  # of squares, by decades
 CLASSES = ("1", "2 to 9", "10 to 99", "100 to 999", "1,000 and more")
 LETTERS = dict(zip(OUTCOMES, ("n", "p", "o", "s"), strict=True))
 NOTHING: Mapping[CoverageCell, int] = {}
-
-
-def size_class(count: int) -> int:
-    """Which of CLASSES a number of runs (at least 1) is in."""
-    return 0 if count == 1 else min(len(str(count)), len(CLASSES) - 1)
-
-
-def coverage_map(
-    coverage: Coverage, violations: Mapping[CoverageCell, int] = NOTHING, *, prefix: str, title: str
-) -> str:
-    """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
-    x, y = _columns(), _rows()
-    width, height = max(x.values()) + CELL_PX + RIGHT_PX, max(y.values()) + CELL_PX + BELOW_PX
-    root = ElementTree.Element(
-        "svg",
-        {
-            "viewBox": f"0 0 {width} {height}",
-            "width": str(width),
-            "height": str(height),
-            "role": "img",
-            "aria-labelledby": f"{prefix}title {prefix}desc",
-            "font-size": "11",
-        },
-    )
-    ElementTree.SubElement(root, "title", {"id": f"{prefix}title"}).text = title
-    ElementTree.SubElement(root, "desc", {"id": f"{prefix}desc"}).text = _description(coverage, violations)
-    _draw_empty(root, coverage, x, y)
-    for cell, count in sorted(coverage.counts.items()):
-        if count > 0:
-            where = (x[cell.distance, cell.seen, cell.outcome], y[cell.direction, cell.speed])
-            _draw_cell(root, cell, count, violations.get(cell, 0), where)
-    _name_rows(root, coverage, y, width)
-    _name_columns(root, coverage, x, max(y.values()) + CELL_PX)
-    _draw_key(root, height - BELOW_PX + 66)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _columns() -> dict[tuple[str, str, str], int]:
@@ -90,29 +56,52 @@ def _rows() -> dict[tuple[str, str], int]:
     return found
 
 
-def _draw_empty(
-    root: ElementTree.Element,
-    coverage: Coverage,
-    x: Mapping[tuple[str, str, str], int],
-    y: Mapping[tuple[str, str], int],
-) -> None:
+X_PX, Y_PX = _columns(), _rows()
+WIDTH_PX, BOTTOM_PX = max(X_PX.values()) + CELL_PX + RIGHT_PX, max(Y_PX.values()) + CELL_PX
+
+
+def size_class(count: int) -> int:
+    """Which of CLASSES a number of runs (at least 1) is in."""
+    return 0 if count == 1 else min(len(str(count)), len(CLASSES) - 1)
+
+
+def coverage_map(
+    coverage: Coverage, violations: Mapping[CoverageCell, int] = NOTHING, *, prefix: str, title: str
+) -> str:
+    """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
+    height = BOTTOM_PX + BELOW_PX
+    size = {"viewBox": f"0 0 {WIDTH_PX} {height}", "width": str(WIDTH_PX), "height": str(height)}
+    root = ElementTree.Element("svg", size)
+    describe(root, prefix=prefix, title=title, description=_description(coverage, violations))
+    root.set("font-size", "11")
+    _draw_empty(root, coverage)
+    for cell, count in sorted(coverage.counts.items()):
+        if count > 0:
+            _draw_cell(root, cell, count, violations.get(cell, 0))
+    _name_rows(root, coverage)
+    _name_columns(root, coverage)
+    _draw_key(root, BOTTOM_PX + 66)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _place(cell: CoverageCell) -> tuple[int, int]:
+    """Its upper left corner [px]."""
+    return X_PX[cell.distance, cell.seen, cell.outcome], Y_PX[cell.direction, cell.speed]
+
+
+def _draw_empty(root: ElementTree.Element, coverage: Coverage) -> None:
     """A dot for every cell without a run, all in one path."""
     middle = CELL_PX // 2
-    dots = [
-        f"M{x[cell.distance, cell.seen, cell.outcome] + middle} {y[cell.direction, cell.speed] + middle}h0"
-        for cell in coverage.holes
-    ]
+    dots = [f"M{x + middle} {y + middle}h0" for x, y in map(_place, coverage.holes)]
     attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
     ElementTree.SubElement(root, "path", {"d": "".join(dots), "fill": "none", **attributes})
 
 
-def _draw_cell(
-    parent: ElementTree.Element, cell: CoverageCell, count: int, violated: int, where: tuple[int, int]
-) -> None:
+def _draw_cell(parent: ElementTree.Element, cell: CoverageCell, count: int, violated: int) -> None:
     group = ElementTree.SubElement(parent, "g")
     words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
     ElementTree.SubElement(group, "title").text = words
-    _draw_square(group, SIZES_PX[size_class(count)], where, violated=bool(violated))
+    _draw_square(group, SIZES_PX[size_class(count)], _place(cell), violated=bool(violated))
 
 
 def _draw_square(
@@ -132,48 +121,40 @@ def _draw_square(
         )
 
 
-def _name_rows(
-    root: ElementTree.Element, coverage: Coverage, y: Mapping[tuple[str, str], int], width: int
-) -> None:
+def _name_rows(root: ElementTree.Element, coverage: Coverage) -> None:
     speeds = coverage.table("direction", "speed")
     for direction, runs in coverage.along("direction").items():
-        top = y[direction, SPEEDS[0]]
-        _text(root, 0, top + 20, direction, weight="600", size=12.5)
+        top = Y_PX[direction, SPEEDS[0]]
+        _text(root, 0, top + 20, direction, font_weight="600", size=12.5)
         _text(root, 0, top + 34, _runs(runs), ink=Ink.MUTED)
         for speed in SPEEDS:
-            _text(root, LEFT_PX - 8, y[direction, speed] + 10, speed, anchor="end", ink=Ink.MUTED, size=10)
+            _label(root, LEFT_PX - 8, Y_PX[direction, speed] + 10, speed, text_anchor="end")
             if speeds[direction][speed]:
                 total = f"{speeds[direction][speed]:,}"
-                _text(root, width, y[direction, speed] + 10, total, anchor="end", ink=Ink.MUTED, size=10)
+                _label(root, WIDTH_PX, Y_PX[direction, speed] + 10, total, text_anchor="end")
 
 
-def _name_columns(
-    root: ElementTree.Element, coverage: Coverage, x: Mapping[tuple[str, str, str], int], bottom: int
-) -> None:
+def _name_columns(root: ElementTree.Element, coverage: Coverage) -> None:
     for distance, runs in coverage.along("distance").items():
-        left = x[distance, SEEN[0], OUTCOMES[0]]
-        _text(root, left, 14, distance, weight="600", size=12.5)
-        right = x[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
-        _text(root, right, 14, _runs(runs), anchor="end", ink=Ink.MUTED)
+        left = X_PX[distance, SEEN[0], OUTCOMES[0]]
+        _text(root, left, 14, distance, font_weight="600", size=12.5)
+        right = X_PX[distance, SEEN[-1], OUTCOMES[-1]] + CELL_PX
+        _text(root, right, 14, _runs(runs), text_anchor="end", ink=Ink.MUTED)
         for seen in SEEN:
             for line, word in enumerate(seen.split()):
-                _text(root, x[distance, seen, OUTCOMES[0]], 34 + 12 * line, word, ink=Ink.MUTED, size=10)
+                _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, word)
             for outcome in OUTCOMES:
-                middle = x[distance, seen, outcome] + CELL_PX / 2
+                middle = X_PX[distance, seen, outcome] + CELL_PX / 2
                 letter = LETTERS[outcome]
-                _text(root, middle, TOP_PX - 10, letter, anchor="middle", ink=Ink.MUTED, size=10)
-    for column, total in _column_totals(coverage):
-        if total:
-            at = f"rotate(-90 {x[column] + 10} {bottom + 8})"
-            _text(
-                root, x[column] + 10, bottom + 8, f"{total:,}", anchor="end", ink=Ink.MUTED, size=10, turn=at
-            )
-
-
-def _column_totals(coverage: Coverage) -> Iterator[tuple[tuple[str, str, str], int]]:
-    for column in product(DISTANCES, SEEN, OUTCOMES):
-        cells = (CoverageCell(direction, speed, *column) for direction, speed in product(DIRECTIONS, SPEEDS))
-        yield column, sum(coverage.counts[cell] for cell in cells)
+                _label(root, middle, TOP_PX - 10, letter, text_anchor="middle")
+    totals: Counter[tuple[str, str, str]] = Counter()
+    for cell, count in coverage.counts.items():
+        totals[cell.distance, cell.seen, cell.outcome] += count
+    for column, left in X_PX.items():
+        if totals[column]:
+            turn = f"rotate(-90 {left + 10} {BOTTOM_PX + 8})"
+            total = f"{totals[column]:,}"
+            _label(root, left + 10, BOTTOM_PX + 8, total, text_anchor="end", transform=turn)
 
 
 def _draw_key(root: ElementTree.Element, top: int) -> None:
@@ -196,16 +177,18 @@ def _text(
     y: float,
     words: str,
     *,
-    anchor: str = "start",
     ink: Ink = Ink.TEXT,
     size: float = 11,
-    weight: str = "",
-    turn: str = "",
+    **others: str,
 ) -> None:
+    """``others`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
-    optional = {"text-anchor": anchor if anchor != "start" else "", "font-weight": weight, "transform": turn}
-    attributes |= {name: value for name, value in optional.items() if value}
+    attributes |= {name.replace("_", "-"): value for name, value in others.items()}
     ElementTree.SubElement(parent, "text", attributes).text = words
+
+
+def _label(parent: ElementTree.Element, x: float, y: float, words: str, **others: str) -> None:
+    _text(parent, x, y, words, ink=Ink.MUTED, size=10, **others)
 
 
 def _runs(count: int) -> str:

@@ -1,17 +1,22 @@
-"""One self-contained HTML file about one or many runs."""
+"""One self-contained HTML file about one or many runs: plain values, which the template only places."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
+    avoiders,
+    computing_time_lines,
     decision_rows,
     failed_checks,
     fault_notes,
@@ -19,22 +24,24 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.page_parts import in_words, render_page
-from safety_harness.report.path_artists import MOST_NUMBERS
-from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
-from safety_harness.report.view import (
-    changes,
-    claim_rows,
-    coverage_rows,
-    file_name,
-    limit_rows,
-    mode_rows,
-    notes,
-    summarise,
+from safety_harness.report.words import (
+    MODE_WORDS,
+    changed_settings,
+    count_words,
+    flag_words,
+    margin_words,
+    share_words,
 )
-from safety_harness.report.words import count_words, share_words
+from safety_harness.scenario.faults import fault_words
+from safety_harness.scenario.model import RecordedHand, Robot, Verdict
 from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import write_whole
+
+Row = dict[str, Any]
 
 
 def write_report(
@@ -74,8 +81,8 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    summary = summarise(runs, interrupted=interrupted)
-    fallback = summary.decisions.fallback
+    summary = _summary(runs, interrupted=interrupted)
+    fallback = summary["decisions"].fallback
     return render_page(
         "report.html.j2",
         title=f"{title}; {fallback}" if fallback else title,
@@ -84,15 +91,33 @@ def render(
         generated_iso=generated_at.isoformat(),
         summary=summary,
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
-        coverage=coverage_rows(tallies(runs) if coverage is None else coverage),
+        coverage=tallies(runs) if coverage is None else coverage,
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,
+        margin=margin_words,
         most_numbers=MOST_NUMBERS,
     )
 
 
-def _section(run: JudgedRun, number: int) -> dict[str, object]:
+def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
+    """The first thing that the reader sees: counts over all runs."""
+    traces = [run.trace for run in runs]
+    return {
+        "runs": len(runs),
+        "claims": sum(len(run.as_expected) for run in runs),
+        **{verdict.value: sum(run.count(verdict) for run in runs) for verdict in Verdict},
+        "differing": sum(run.as_expected.count(False) for run in runs),
+        "cut_short": sum(not run.trace.complete for run in runs),
+        "without_claims": sum(not run.trace.scenario.claims for run in runs),
+        "interrupted": interrupted,
+        "avoiders": avoiders(traces),  # name, runs
+        "computing_time": computing_time_lines(traces),
+        "decisions": DecisionTally.of(traces),
+    }
+
+
+def _section(run: JudgedRun, number: int) -> Row:
     """Everything that the page shows about one run."""
     section, trace = f"run-{number}", run.trace
     drawn = len(trace.ticks) > 0
@@ -100,7 +125,7 @@ def _section(run: JudgedRun, number: int) -> dict[str, object]:
     return {
         "id": section,
         "run": run,
-        "claims": claim_rows(run, section),
+        "claims": claim_rows(run),
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
@@ -118,3 +143,85 @@ def _section(run: JudgedRun, number: int) -> dict[str, object]:
         "changes": changes(run),
         "text": write_scenario(trace.scenario),
     }
+
+
+def claim_rows(run: JudgedRun) -> list[Row]:
+    """A row of the table of verdicts for each claim of ``run``."""
+    judged = zip(run.judged_claims(), run.as_expected, strict=True)
+    return [
+        {
+            "number": number,
+            "claim": claim,
+            "found": found,
+            "as_expected": expected,
+            "margin": margin_words(found),
+            "margin_sort": "" if found.margin is None else f"{float(found.margin)!r}",
+            "worst": "\u2013" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s",
+            "worst_sort": "" if found.worst_time_s is None else f"{found.worst_time_s!r}",
+        }
+        for number, ((claim, found), expected) in enumerate(judged, start=1)
+    ]
+
+
+def file_name(run: JudgedRun) -> str:
+    """What the scenario's file is called, and which one of its matrix this is; its name without a file."""
+    scenario = run.trace.scenario
+    if scenario.file is None:
+        return scenario.name
+    label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
+    return scenario.file.name + (f" {label}" if label.startswith("[") else "")
+
+
+def limit_rows(trace: Trace) -> list[Row]:
+    """Each limit that acted on at least one tick."""
+    acted = trace.ticks["limits"]
+    return _ticks_rows(trace, {flag_words(flag): (acted & flag.value) != 0 for flag in Limit if flag})
+
+
+def mode_rows(trace: Trace) -> list[Row]:
+    """Each controller mode that occurred."""
+    modes = trace.ticks["mode"]
+    return _ticks_rows(trace, {words: modes == mode for mode, words in MODE_WORDS.items()})
+
+
+def _ticks_rows(trace: Trace, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
+    """Of what is true on any tick: on how many, their share, and when first."""
+    return [
+        {
+            "name": name,
+            "ticks": int(mask.sum()),
+            "share": share_words(int(mask.sum()), len(mask)),
+            "first": f"{trace.time_s[int(np.argmax(mask))]:.3f} s",
+        }
+        for name, mask in masks.items()
+        if mask.any()
+    ]
+
+
+def notes(run: JudgedRun) -> list[str]:
+    """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
+    found = list(run.notes)
+    for hand in run.trace.scenario.hands:
+        if isinstance(hand, RecordedHand):
+            found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]
+    return found + acted_faults(run.trace)
+
+
+def acted_faults(trace: Trace) -> list[str]:
+    """A sentence on each fault of the scenario, and on how many ticks it acted."""
+    found = []
+    for k, fault in enumerate(trace.scenario.faults):
+        mask = (trace.ticks["faults"] >> k & 1) != 0
+        ticks = int(np.count_nonzero(mask))
+        when = f"first at {trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else "so it changed nothing"
+        found.append(
+            f"Fault: {fault_words(fault)}. It acted on {count_words(ticks, 'tick', 'ticks')}, {when}."
+        )
+    return found
+
+
+def changes(run: JudgedRun) -> list[tuple[str, str, str]]:
+    """(setting, default, this run) where they differ, the robot first."""
+    scenario = run.trace.scenario
+    robot = [("robot", Robot.UR10.value, scenario.robot.value)] if scenario.robot is not Robot.UR10 else []
+    return robot + changed_settings(scenario.settings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,7 @@ from typing import Any
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.report.computing_time import computing_time_lines
-from safety_harness.report.decisions import DecisionTally
+from safety_harness.report.decisions import DecisionTally, computing_time_lines
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.files import told
 from safety_harness.whole_file import write_whole
@@ -56,7 +56,6 @@ def write_json(
 
 def _run(run: JudgedRun) -> dict[str, Any]:
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
-    tally = DecisionTally.of([trace])
     return {
         "scenario": scenario.name,
         "title": scenario.title,
@@ -71,14 +70,7 @@ def _run(run: JudgedRun) -> dict[str, Any]:
         "ended": trace.ended,
         "trace_file": str(told(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
-        "decisions": {
-            "made": tally.made,
-            "proposed": tally.proposed,
-            "opposite": tally.opposite,
-            "stops": tally.stops,
-            "faults": tally.faults,
-            "unanswered": tally.unanswered,
-        },
+        "decisions": asdict(DecisionTally.of([trace])),
         "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         "claims": _claims(run),

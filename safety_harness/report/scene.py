@@ -7,18 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.admission.preview import Preview
-from safety_harness.report.path_artists import MM
-from safety_harness.report.svg import plain
+from safety_harness.report.path_views import MM, rectangle
+from safety_harness.report.svg import Floats, plain
 from safety_harness.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Floats = NDArray[np.float64]
 Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the base frame [m]
 
 # Okabe and Ito's colours, safe for colour-blind readers.
@@ -74,8 +72,7 @@ def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxe
 
 
 def _draw_box(axes: Axes, name: str, low: Floats, high: Floats, axis: int) -> None:
-    x, y = [low[0], high[0], high[0], low[0], low[0]], [low[axis]] * 2 + [high[axis]] * 2 + [low[axis]]
-    axes.plot(x, y, color=REGION, linewidth=1.2, linestyle="--", zorder=2)
+    axes.plot(*rectangle(low, high, axis), color=REGION, linewidth=1.2, linestyle="--", zorder=2)
     axes.annotate(plain(name), (low[0], high[axis]), color=REGION, fontsize=8, va="bottom")
 
 

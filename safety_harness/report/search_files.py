@@ -7,19 +7,19 @@ import shlex
 from datetime import UTC, datetime
 
 from safety_harness.admission.agreement import measured_agreement
-from safety_harness.admission.avoiders import replay_command, told_avoider
+from safety_harness.admission.avoiders import told_avoider
 from safety_harness.exceptions import OutputError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.answered import fallback_words
-from safety_harness.report.computing_time import cost_words
-from safety_harness.report.coverage_map import coverage_map
+from safety_harness.report.decisions import cost_words
 from safety_harness.report.page_parts import asset
-from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
+from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
 from safety_harness.search.findings import Findings, Group
-from safety_harness.search.session import FINDINGS, SearchSession, WrittenCounterexample, complaint_of
+from safety_harness.search.session import FINDINGS, SearchSession, complaint_of
 from safety_harness.search.trials import Trials
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.provenance import provenance
 from safety_harness.whole_file import write_text
 
@@ -33,10 +33,7 @@ def write_search(session: SearchSession) -> None:
     try:
         with one_more_ctrl_c(say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
             write_text(out / FINDINGS, json.dumps(as_json(session.trials, evidence), indent=1) + "\n")
-            title = f"Coverage of {evidence.space}"
-            counts = evidence.violations.counts
-            drawn = coverage_map(evidence.coverage, counts, prefix="coverage-", title=title)
-            write_text(out / COVERAGE, standalone(drawn, style=asset("report.css")))
+            write_text(out / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
             write_text(out / PAGE, render(evidence))
         say(f"page: {out / PAGE} (for programs: {FINDINGS})")
         session.findings.interrupted |= asked()
@@ -51,7 +48,6 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
     """Everything that the page shows."""
     trials = session.trials
     avoider = trials.avoider or trials.space.simplest.avoider
-    made = provenance("kinematic, confirmed in pybullet", avoider)
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
@@ -66,34 +62,11 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         baseline=session.baseline,
         coverage=trials.coverage,
         violations=trials.violations,
-        shown=tuple(map(_shown, session.written)),
+        shown=tuple(session.written),
         confirmed=session.confirmed,
         unconfirmed=tuple(session.unconfirmed),
         agreement=measured_agreement(),
-        provenance=(
-            ("Package", f"safety-harness {made.package_version}"),
-            ("Source hash", made.source_hash),
-            ("World", made.world),
-            ("Seed", str(trials.seed)),
-            ("Python", made.python),
-            ("Platform", made.platform),
-            ("Libraries", ", ".join(f"{name} {version}" for name, version in made.libraries)),
-            *((name, f"sha256 {sha256}") for name, sha256 in made.files),
-        ),
-    )
-
-
-def _shown(written: WrittenCounterexample) -> ShownCounterexample:
-    trace = written.trace_file
-    return ShownCounterexample(
-        one=written.one,
-        groups=tuple(written.groups),
-        searcher=written.searcher,
-        file=written.path.name,
-        trace_file="" if trace is None else trace.name,
-        run_command=shlex.join(["safety-harness", "run", str(told(written.path))]),
-        replay_command="" if trace is None else replay_command(written.one.shrunk.scenario, trace),
-        text=written.text,
+        provenance=provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider),
     )
 
 
@@ -132,9 +105,9 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
             _of_group(trials, group) | {"counterexample": _file_of(group, evidence)}
             for group in findings.groups
         ],
-        "confirmed in PyBullet": evidence.confirmed,
-        "not confirmed in PyBullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
-        "counterexamples": [shown.file for shown in evidence.shown],
+        f"confirmed in {PYBULLET.label}": evidence.confirmed,
+        f"not confirmed in {PYBULLET.label}": [_of_group(trials, one.group) for one in evidence.unconfirmed],
+        "counterexamples": [shown.path.name for shown in evidence.shown],
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
         "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
     }
@@ -156,7 +129,7 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
 
 def _file_of(group: Group, evidence: SearchEvidence) -> str | None:
     """The counterexample that it shrank to; None for what was not shrunk, or not confirmed."""
-    return next((shown.file for shown in evidence.shown if group in shown.groups), None)
+    return next((shown.path.name for shown in evidence.shown if group in shown.groups), None)
 
 
 def _of_group(trials: Trials, group: Group) -> dict[str, object]:

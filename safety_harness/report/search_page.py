@@ -2,49 +2,38 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
+from safety_harness.admission.avoiders import replay_command
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.search_progress import progress_figure
+from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
 from safety_harness.report.words import margin_words, share_words, with_minus
+from safety_harness.scenario.files import told
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
-from safety_harness.search.counterexample import DRAWS, Counterexample
+from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
-from safety_harness.trace.trace import Trace
+from safety_harness.search.session import WrittenCounterexample
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.trace.trace import Provenance, Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MOST_GROUPS = 100  # rows of violations that were found
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShownCounterexample:
-    """A counterexample with its files (names beside the page) and the commands that run it again.
-
-    ``groups`` of runs, which lie apart, shrank to it.
-    """
-
-    one: Counterexample
-    groups: tuple[Group, ...]
-    searcher: str
-    file: str
-    trace_file: str  # empty where there is no trace
-    run_command: str
-    replay_command: str
-    text: str
-
-    @property
-    def runs(self) -> int:
-        """How many led to it."""
-        return sum(group.count for group in self.groups)
+WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
+INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +58,11 @@ class SearchEvidence:
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage
-    shown: tuple[ShownCounterexample, ...]
+    shown: tuple[WrittenCounterexample, ...]
     confirmed: int
     unconfirmed: tuple[Disagreement, ...]
     agreement: Agreement
-    provenance: tuple[tuple[str, str], ...]
+    provenance: Provenance
 
 
 def render(evidence: SearchEvidence) -> str:
@@ -110,19 +99,20 @@ def render(evidence: SearchEvidence) -> str:
             for number, one in enumerate(evidence.unconfirmed, start=1)
             if one.searched is not None
         ],
-        map=Markup(
-            coverage_map(
-                evidence.coverage,
-                evidence.violations.counts,
-                prefix="coverage-",
-                title=f"Coverage of {evidence.space}",
-            )
-        ),
+        map=Markup(map_of(evidence)),
         refused=findings.refused.most_common(),
         share=share_words,
         minus=with_minus,
         draws=DRAWS,
+        searched=KINEMATIC,
+        confirming=PYBULLET,
     )
+
+
+def map_of(evidence: SearchEvidence) -> str:
+    """The coverage as an ``<svg>``, on the page and in a file of its own."""
+    counts, title = evidence.violations.counts, f"Coverage of {evidence.space}"
+    return coverage_map(evidence.coverage, counts, prefix="coverage-", title=title)
 
 
 def _claim_line(findings: Findings, claim: int) -> dict[str, str]:
@@ -146,9 +136,9 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: ShownCounterexample, number: int) -> dict[str, object]:
-    """What the page shows about one counterexample."""
-    one, evaluation = shown.one, shown.one.evaluation
+def _section(shown: WrittenCounterexample, number: int) -> dict[str, object]:
+    """What the page shows about one counterexample, with the commands that run it again."""
+    one, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
     found = "\u2013"
     if evaluation is not None and one.found_margin is not None:
         found = with_minus(evaluation.unit.margin_text(one.found_margin))
@@ -158,6 +148,9 @@ def _section(shown: ShownCounterexample, number: int) -> dict[str, object]:
     return {
         "id": name,
         "shown": shown,
+        "runs": sum(group.count for group in shown.groups),
+        "run_command": shlex.join(["safety-harness", "run", str(told(shown.path))]),
+        "replay_command": "" if trace is None else replay_command(one.shrunk.scenario, trace),
         "margin": "\u2013" if evaluation is None else margin_words(evaluation),
         "found_margin": found,
         "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
@@ -207,3 +200,74 @@ def _part_lines(evaluation: Evaluation, depth: int) -> list[dict[str, object]]:
         "sentence": evaluation.sentence,
     }
     return [own, *(line for part in evaluation.parts for line in _part_lines(part, depth + 1))]
+
+
+def progress_figure(searches: list[Findings], *, prefix: str) -> str:
+    """How near it came to each claim, as an ``<svg>``: the least margin so far, one panel a claim.
+
+    Of the one or two searches the second is the baseline; runs are on a logarithmic axis.  A cross is the
+    first violation.  Empty text where no claim has a margin yet.
+    """
+    claims = [k for k in range(len(searches[0].goals)) if any(one.improvements[k] for one in searches)]
+    if not claims:
+        return ""
+    height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)
+    with drawing():
+        figure = new_figure(WIDTH_PX, height)
+        for row, claim in enumerate(claims):
+            bottom = height - TOP_PX - row * (PANEL_PX + GAP_PX) - PANEL_PX
+            size = (1.0 - (LEFT_PX + RIGHT_PX) / WIDTH_PX, PANEL_PX / height)
+            axes = figure.add_axes((LEFT_PX / WIDTH_PX, bottom / height, *size))
+            for findings, ink, dashes in zip(searches, INKS, DASHES, strict=False):
+                _curve(axes, findings, claim, ink, dashes)
+            _decorate(axes, searches, claim)
+        names = " and ".join(one.searcher for one in searches)
+        return to_svg(
+            figure,
+            prefix=prefix,
+            title="Least margin so far, over the runs",
+            description=f"One panel for each claim, searched by {names}; the table has the numbers.",
+        )
+
+
+def _curve(axes: Axes, findings: Findings, claim: int, ink: Ink, dashes: object) -> None:
+    steps = findings.improvements[claim]
+    if not steps:
+        return
+    per_si = findings.goals[claim].unit.per_si
+    runs = [run for run, _ in steps] + [findings.tried]
+    margins = [margin * per_si for _, margin in steps]
+    axes.plot(
+        runs,
+        [*margins, margins[-1]],
+        drawstyle="steps-post",
+        color=ink.sentinel,
+        linestyle=dashes,
+        linewidth=1.6,
+    )
+    first = int(findings.first_violation[claim])
+    if first:
+        margin = next(margin for run, margin in reversed(steps) if run <= first) * per_si
+        axes.plot([first], [margin], marker="X", markersize=8.0, markeredgewidth=0.0, color=ink.sentinel)
+
+
+def _decorate(axes: Axes, searches: list[Findings], claim: int) -> None:
+    goal = searches[0].goals[claim]
+    axes.set_xscale("log")
+    axes.set_xlim(1.0, max(2, *(one.tried for one in searches)))
+    axes.axhline(0.0, color=Ink.LIMIT.sentinel, linewidth=1.2, linestyle=(0, (4, 3)))
+    axes.margins(y=0.12)
+    axes.grid(True, axis="y")
+    axes.locator_params(axis="y", nbins=5)
+    axes.minorticks_off()
+    ticks = [10**k for k in range(12) if 10**k <= axes.get_xlim()[1]]
+    axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
+    axes.set_title(
+        plain(f"{claim + 1}  {goal.sentence}", longest=110),
+        loc="left",
+        fontsize=11,
+        color=Ink.TEXT.sentinel,
+        pad=8,
+    )
+    axes.set_ylabel(f"margin, {goal.unit.symbol}" if goal.unit.symbol else "margin")
+    axes.set_xlabel("runs", loc="right")

@@ -1,8 +1,13 @@
-"""From a matplotlib figure to SVG that can live inside a page.
+"""What every figure is drawn with: colours, thinned curves, and from matplotlib to SVG inside a page.
 
 matplotlib writes a document for itself: ids that repeat from figure to figure, a style rule for
 every element of the page, metadata with addresses, fonts by name, fixed colours.  Here all of
 that is taken out or made the page's own.  Text stays text, escaped by the XML writer.
+
+matplotlib can only draw fixed colours, but a page that follows the reader's light or dark scheme
+needs variables.  So every ink has a sentinel that nothing else uses, which is replaced here by
+``var(--fig-...)``; the style sheet gives the variables their values (Okabe and Ito's colours,
+safe for colour-blind readers, darkened or lightened for contrast with the page).
 """
 
 from __future__ import annotations
@@ -12,14 +17,17 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from enum import Enum
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-from safety_harness.report.palette import BY_SENTINEL, Ink
+import numpy as np
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+Floats = NDArray[np.float64]
 _SVG = "{http://www.w3.org/2000/svg}"
 _XLINK_HREF = "{http://www.w3.org/1999/xlink}href"
 _COLOUR = re.compile(r"#a1b3[0-9a-f]{2}")
@@ -32,10 +40,107 @@ _PAPER = re.compile(r"--paper: (#\w+);")
 _UNPRINTABLE = re.compile(r"[^\S ]|[\x00-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
+class Ink(Enum):
+    """One colour role each; the value is its number in the sentinel."""
+
+    PAPER = 1
+    TEXT = 2
+    MUTED = 3
+    GRID = 4
+    TCP = 5
+    HAND_1 = 6
+    HAND_2 = 7
+    PREDICTED = 8
+    GREEN = 9
+    SKY = 10
+    LIMIT = 11
+    REPULSING = 12
+    STOPPED = 13
+    LOST = 14
+    MISSING = 15
+    ARM = 16
+    OBJECT = 17
+    CHOSEN = 18
+    SERVOING = 19
+
+    @property
+    def sentinel(self) -> str:
+        """The colour to hand to matplotlib."""
+        return f"#a1b3{self.value:02x}"
+
+    @property
+    def variable(self) -> str:
+        """The CSS variable's name."""
+        return "--fig-" + self.name.lower().replace("_", "-")
+
+
+BY_SENTINEL = {ink.sentinel: f"var({ink.variable})" for ink in Ink}
+HANDS = (Ink.HAND_1, Ink.HAND_2)
+DASHES: tuple[Any, ...] = (
+    "solid",
+    (0, (6, 2)),
+    (0, (2, 1.5)),
+    (0, (7, 2, 1.5, 2)),
+    (0, (1, 1)),
+    (0, (9, 3, 2, 3, 2, 3)),
+)
+
+
 def plain(text: str, *, longest: int = 28) -> str:
     """``text`` as it may stand in a figure: printable, on one line, not too long."""
     text = _UNPRINTABLE.sub("\ufffd", text)
     return text if len(text) <= longest else text[: longest - 1] + "\u2026"
+
+
+def ticks_per_column(count: int, columns: int) -> int:
+    """How many consecutive ticks share one of ``columns`` columns (1: every tick is drawn)."""
+    return 1 if count <= 2 * columns else -(-count // columns)
+
+
+def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats, Floats]:
+    """The smallest and the largest value of every column, at their own times and in order.
+
+    ``time_s`` and ``values`` are (n,); at most 2 ``columns`` points come back, and every tick when
+    there are no more than that.  What is not finite is a gap: a column without any finite value
+    becomes one NaN, so that the line breaks there.  The first and last finite samples are kept.
+    """
+    values = np.where(np.isfinite(values), values, np.nan)
+    count = len(values)
+    width = ticks_per_column(count, columns)
+    if width == 1:
+        return time_s, values
+    rows = -(-count // width)
+    padded = np.full(rows * width, np.nan)
+    padded[:count] = values
+    table = padded.reshape(rows, width)
+    empty = np.isnan(table).all(axis=1)
+    starts = np.arange(rows) * width
+    least = starts + np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
+    most = starts + np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
+    least[empty] = most[empty] = starts[empty]
+    ends = np.flatnonzero(np.isfinite(values))[[0, -1]] if not empty.all() else np.empty(0, dtype=np.int64)
+    keep = np.unique(np.concatenate([least, most, ends]))
+    return time_s[keep], values[keep]
+
+
+def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
+    """Stretches (start, length) [s] in which ``mask`` (n,) is true, each tick lasting to the next.
+
+    Gaps shorter than one of ``columns`` columns are closed, so that a mode which flickers costs no
+    more ink than one can see; nothing that is true is ever left out.
+    """
+    if not mask.any():
+        return []
+    ends = np.append(time_s[1:], max(end_s, time_s[-1]))
+    shortest_s = (ends[-1] - time_s[0]) / columns
+    found: list[tuple[float, float]] = []
+    for index in np.flatnonzero(mask):
+        start, end = float(time_s[index]), float(ends[index])
+        if found and start - (found[-1][0] + found[-1][1]) < shortest_s:
+            found[-1] = (found[-1][0], end - found[-1][0])
+        else:
+            found.append((start, end - start))
+    return found
 
 
 @contextmanager
@@ -103,13 +208,18 @@ def to_svg(figure: Figure, *, prefix: str, title: str, description: str) -> str:
     root.attrib.pop("version", None)
     root.set("width", width.removesuffix("pt"))
     root.set("height", height.removesuffix("pt"))
+    describe(root, prefix=prefix, title=title, description=description)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def describe(root: ElementTree.Element, *, prefix: str, title: str, description: str) -> None:
+    """What a screen reader says of an ``<svg>`` element; the ids start with ``prefix``."""
     root.set("role", "img")
     root.set("aria-labelledby", f"{prefix}title {prefix}desc")
     for name, text, place in (("title", title, 0), ("desc", description, 1)):
         child = ElementTree.Element(name, {"id": f"{prefix}{name}"})
         child.text = _UNPRINTABLE.sub(" ", text)
         root.insert(place, child)
-    return ElementTree.tostring(root, encoding="unicode")
 
 
 def standalone(svg: str, *, style: str) -> str:

@@ -1,27 +1,40 @@
-"""What happened over time in one run: eight panels on one time axis, and what lies behind them all."""
+"""What happened over time in one run: eight panels on one time axis, and what lies behind them all.
+
+Limits are drawn across the curves, with their names.  A limit stands only across what it limits: a claim's
+length across distances between surfaces, the critical distance across that of the predicted hand's centre
+from the TCP.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from safety_harness.report.decimate import spans, ticks_per_column
+from safety_harness.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.palette import Ink
-from safety_harness.report.panels import (
-    COLUMNS,
-    PANEL_PX,
-    distance_panel,
-    joint_panel,
-    length_error_panel,
-    predicted_panel,
-    shape_error_panel,
-    speed_panel,
-    sse_panel,
+from safety_harness.report.svg import (
+    DASHES,
+    HANDS,
+    Floats,
+    Ink,
+    drawing,
+    keep_extremes,
+    new_figure,
+    plain,
+    spans,
+    ticks_per_column,
+    to_svg,
 )
-from safety_harness.report.svg import drawing, new_figure, plain, to_svg
-from safety_harness.report.words import MODE_WORDS, OUTCOME_WORDS, share_words
+from safety_harness.report.words import (
+    MODE_WORDS,
+    OUTCOME_WORDS,
+    claimed_hand_distance_m,
+    claimed_tcp_speed_mps,
+    share_words,
+    with_minus,
+)
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
@@ -30,6 +43,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+PANEL_PX = 882.0
+COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
+MM, DEGREES = 1e3, 180.0 / np.pi
+
+JOINTS = (
+    ("pan", Ink.TCP),
+    ("lift", Ink.HAND_1),
+    ("elbow", Ink.GREEN),
+    ("wrist 1", Ink.HAND_2),
+    ("wrist 2", Ink.PREDICTED),
+    ("wrist 3", Ink.SKY),
+)
+SUPERSCRIPT = str.maketrans(
+    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
+)
+MOST_DECADES = 4  # steps between the labels of a logarithmic axis
+LABEL_PX = 13.0  # the height of a limit's name
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
@@ -39,13 +69,16 @@ MODE_INK = {
     Mode.PROTECTIVE_STOP: Ink.STOPPED,
     Mode.OBJECT_LOST: Ink.LOST,
 }
-OUTCOME_MARKER = {  # shape, size, filled
-    DecisionOutcome.PROPOSED: ("o", 7.5, True),
-    DecisionOutcome.OPPOSITE: ("D", 7.5, False),
-    DecisionOutcome.STOP: ("X", 10.0, True),
+OUTCOME_MARKER = {  # shape, size, fill, edge, and the edge's width
+    DecisionOutcome.PROPOSED: ("o", 7.5, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
+    DecisionOutcome.OPPOSITE: ("D", 7.5, Ink.PAPER.sentinel, Ink.TEXT.sentinel, 2.0),
+    DecisionOutcome.STOP: ("X", 10.0, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
 }
+FAULT_MARKER = "o", 16.0, "none", Ink.LIMIT.sentinel, 1.8
 DECISION_LANE = len(Mode)
 FAULT_LANE = DECISION_LANE + 1  # only where the scenario has faults
+
+Line = tuple[str, Floats, Ink, Any]  # name, (n,) values, colour, dash pattern
 
 
 def thinning(trace: Trace) -> int:
@@ -197,26 +230,186 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
     """A mark for each decision whose shape is its outcome; a ring where the avoider had no usable answer."""
     decisions = trace.decisions
-    for outcome, (marker, size, filled) in OUTCOME_MARKER.items():
-        times = decisions["time_s"][decisions["outcome"] == outcome]
+    marks = [(decisions["outcome"] == outcome, mark) for outcome, mark in OUTCOME_MARKER.items()]
+    for these, (shape, size, fill, edge, width) in [*marks, (decisions["fault"] != "", FAULT_MARKER)]:
+        times = decisions["time_s"][these]
         axes.plot(
             times,
             np.full(len(times), DECISION_LANE),
             linestyle="none",
-            marker=marker,
+            marker=shape,
             markersize=size,
-            markerfacecolor=(Ink.TEXT if filled else Ink.PAPER).sentinel,
-            markeredgecolor=(Ink.PAPER if filled else Ink.TEXT).sentinel,
-            markeredgewidth=0.8 if filled else 2.0,
+            markerfacecolor=fill,
+            markeredgecolor=edge,
+            markeredgewidth=width,
         )
-    times = decisions["time_s"][decisions["fault"] != ""]
-    axes.plot(
-        times,
-        np.full(len(times), DECISION_LANE),
-        linestyle="none",
-        marker="o",
-        markersize=16,
-        markerfacecolor="none",
-        markeredgecolor=Ink.LIMIT.sentinel,
-        markeredgewidth=1.8,
+
+
+def distance_panel(axes: Axes, run: JudgedRun) -> None:
+    """True hands to robot, surface to surface, with the limits that claims set to it."""
+    trace = run.trace
+    lines: list[Line] = []
+    for hand, ink in enumerate(HANDS):
+        present = trace.ticks["hand_present"][:, hand]
+        if present.any():
+            values = np.where(present, trace.ticks["hand_distance_m"][:, hand], np.nan) * MM
+            hands = trace.scenario.hands
+            name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
+            lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
+    _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
+    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
+    _limit_lines(axes, _claimed(run, claimed_hand_distance_m))
+
+
+def predicted_panel(axes: Axes, trace: Trace) -> None:
+    """The nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
+    values = trace.ticks["predicted_distance_m"] * MM
+    _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, "solid")])
+    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    _limit_lines(axes, [("critical distance", critical_m * MM)])
+
+
+def length_error_panel(axes: Axes, trace: Trace) -> None:
+    """The errors of x_n, y_n and a_n."""
+    errors = _seen(trace, "feature_error") * MM
+    names = (("x\u2099", Ink.TCP), ("y\u2099", Ink.HAND_1), ("a\u2099", Ink.GREEN))
+    lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
+    _panel(axes, trace, "Feature errors, lengths, mm", lines, zero=True)
+
+
+def shape_error_panel(axes: Axes, trace: Trace) -> None:
+    """The errors of gamma, delta and alpha."""
+    errors = _seen(trace, "feature_error")
+    names = (("\u03b3", Ink.HAND_2), ("\u03b4", Ink.PREDICTED), ("\u03b1", Ink.SKY))
+    lines = [(name, errors[:, 3 + i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
+    _panel(axes, trace, "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)", lines, zero=True)
+
+
+def sse_panel(axes: Axes, trace: Trace) -> None:
+    """|f - f*|^2 (eq. 15) on a logarithmic axis, with the threshold of the gain switch."""
+    sse = _seen(trace, "sse")
+    positive = np.where(sse > 0.0, sse, np.nan)
+    switch = trace.scenario.settings.servo.gain_switch_sse
+    shown = np.append(positive[np.isfinite(positive)], switch)
+    if len(shown) > 1:
+        axes.set_yscale("log")
+    _panel(axes, trace, "Squared image error |f \u2212 f*|\u00b2", [("sse", positive, Ink.TCP, "solid")])
+    if len(shown) > 1:
+        _whole_decades(axes, float(shown.min()), float(shown.max()))
+    _limit_lines(axes, [("gain switch", switch)])
+
+
+def _whole_decades(axes: Axes, least: float, most: float) -> None:
+    """A logarithmic axis from decade to decade, so that at least its two ends are labelled."""
+    from matplotlib.ticker import NullFormatter, NullLocator
+
+    low = int(np.floor(np.log10(least)))
+    high = max(int(np.ceil(np.log10(most))), low + 1)
+    step = -(-(high - low) // MOST_DECADES)
+    labelled = list(range(high, low - 1, -step))
+    axes.set_ylim(10.0**low, 10.0**high)
+    axes.set_yticks(
+        [10.0**exponent for exponent in labelled],
+        ["10" + str(exponent).translate(SUPERSCRIPT) for exponent in labelled],
     )
+    if step == 1:
+        between = [m * 10.0**exponent for exponent in range(low, high) for m in range(2, 10)]
+        axes.set_yticks(between, minor=True)
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.yaxis.set_minor_locator(NullLocator())
+
+
+def speed_panel(axes: Axes, run: JudgedRun) -> None:
+    """The TCP's speed with its limits."""
+    trace = run.trace
+    speed = trace.ticks["tcp_speed_mps"] * MM
+    _panel(axes, trace, "TCP speed, mm/s", [("TCP", speed, Ink.TCP, "solid")], zero=True)
+    limit = trace.scenario.settings.motion.max_tcp_speed_mps * MM
+    _limit_lines(axes, [("speed limit", limit), *_claimed(run, claimed_tcp_speed_mps)])
+
+
+def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> list[tuple[str, float]]:
+    """The limit (name, value [mm or mm/s]) of each claim that names one."""
+    limits = [(number, limit_of(one)) for number, one in enumerate(run.evaluations, start=1)]
+    return [(f"claim {number}", limit * MM) for number, limit in limits if limit is not None]
+
+
+def joint_panel(axes: Axes, trace: Trace) -> None:
+    """The six joint angles."""
+    angles = trace.ticks["joint_position_rad"] * DEGREES
+    lines = [(name, angles[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(JOINTS)]
+    _panel(axes, trace, "Joint angles, deg", lines)
+
+
+def _seen(trace: Trace, name: str) -> Floats:
+    """A field of the image where the object was in view; NaN elsewhere."""
+    visible = trace.ticks["object_visible"]
+    values: Floats = trace.ticks[name]
+    return np.where(visible.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
+
+def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
+    """Title to the left, a key to the right, the curves below."""
+    axes.grid(True)
+    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", pad=8)
+    if zero:
+        axes.axhline(0.0, color=Ink.MUTED.sentinel, linewidth=0.8)
+    handles = []
+    for name, values, ink, dash in lines:
+        times, kept = keep_extremes(trace.time_s, values, COLUMNS)
+        (handle,) = axes.plot(times, kept, color=ink.sentinel, linewidth=1.5, linestyle=dash)
+        if len(lines) > 1:
+            handles.append((handle, name))
+    if axes.get_yscale() == "linear":
+        axes.locator_params(axis="y", nbins=5)
+        # Each label says its whole value: a common factor in a corner is overlooked.
+        axes.yaxis.set_major_formatter(lambda value, _: with_minus(f"{value + 0.0:g}"))
+    if handles:
+        legend = axes.legend(
+            [handle for handle, _ in handles],
+            [""] * len(handles),
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=len(handles),
+            frameon=False,
+            borderaxespad=0.0,
+            borderpad=0.1,
+            handlelength=2.6,
+            columnspacing=1.6,
+            handletextpad=0.5,
+        )
+        for text, (_, name) in zip(legend.get_texts(), handles, strict=True):
+            text.set_text(name)  # not given as a label: a leading underscore would hide it
+
+
+def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
+    """Horizontal limits (name, value), named at their right ends; the view grows to hold them.
+
+    Limits of one value share a line and a label; labels that would cover another stand further left.
+    """
+    named: dict[float, list[str]] = {}
+    for name, value in limits:
+        named.setdefault(round(value, 9), []).append(name)
+    for value in named:
+        axes.axhline(value, color=Ink.LIMIT.sentinel, linewidth=1.2, linestyle=(0, (4, 3)))
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, value), max(high, value))
+    used: list[tuple[float, float]] = []  # (height in pixels, place along the axis)
+    for value, names in named.items():
+        height = float(axes.transData.transform((0.0, value))[1])
+        right = 1.0
+        while any(abs(height - other) < LABEL_PX and right == place for other, place in used):
+            right -= 0.25
+        used.append((height, right))
+        axes.annotate(
+            f"{' and '.join(names)}: {value:g}",
+            (right, value),
+            xycoords=("axes fraction", "data"),
+            xytext=(-4, 3),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=10,
+        )

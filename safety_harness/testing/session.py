@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
     from safety_harness.properties.base import Evaluation
-    from safety_harness.report.computing_time import ComputingTime
+    from safety_harness.report.decisions import ComputingTime
     from safety_harness.scenario.model import Verdict
     from safety_harness.trace.trace import Trace
 

@@ -14,7 +14,7 @@ from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError, InputError
 from safety_harness.properties.answered import by_default
-from safety_harness.report.computing_time import ComputingTime
+from safety_harness.report.decisions import ComputingTime
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED

@@ -12,9 +12,8 @@ from safety_harness.cli import campaign
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
-from safety_harness.cli.new import new
-from safety_harness.cli.replay import judge_again
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import judge as judge_again
+from safety_harness.cli.scenario_commands import new, run
 from safety_harness.search import session as search_session
 from tests.campaign.plans import plan_in
 from tests.cli.test_own_avoider import VISIT

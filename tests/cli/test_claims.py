@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cli.claims import explain_claims
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.scenario_commands import claims as explain_claims
 from safety_harness.properties.base import Unit
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import told

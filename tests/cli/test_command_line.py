@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
-from safety_harness.cli.replay import judge_again, replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import judge as judge_again
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.scenario.expand import gather
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

@@ -10,8 +10,7 @@ import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.fuzz import fuzz
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.exceptions import OutputError
 from safety_harness.scenario.expand import gather
 from safety_harness.search import session as search_session

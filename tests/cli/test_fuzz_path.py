@@ -11,8 +11,7 @@ import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.search import counterexample as counterexample_module
 from safety_harness.search import explain as explain_module
 from safety_harness.search import searchers

@@ -11,8 +11,7 @@ import pytest
 
 from safety_harness.cli import run as run_module
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.exceptions import SimulationError
 from safety_harness.report import html
 from safety_harness.simulation.pybullet_world import PyBulletWorld

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
-from safety_harness.cli.replay import judge_again
+from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 

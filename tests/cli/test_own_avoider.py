@@ -10,8 +10,7 @@ import pytest
 from safety_harness import load_trace
 from safety_harness.avoidance.shipped import SHIPPED
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import DecisionOutcome
 

@@ -10,7 +10,7 @@ from examples import VISIT, scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many
 from safety_harness.cli.console import AS_EXPECTED
-from safety_harness.cli.replay import replay
+from safety_harness.cli.scenario_commands import replay
 from safety_harness.trace.store import save_trace
 
 

@@ -9,11 +9,11 @@ import pytest
 from typer.testing import CliRunner
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
-from safety_harness.cli.explain import explain_key
 from safety_harness.cli.fmt import format_files
 from safety_harness.cli.main import app
-from safety_harness.cli.new import new
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import explain as explain_key
+from safety_harness.cli.scenario_commands import judge as judge_again
+from safety_harness.cli.scenario_commands import new, replay, run
 from safety_harness.cli.validate import validate
 from safety_harness.scenario.layout import laid_out
 from safety_harness.scenario.read import parse_scenario
@@ -52,7 +52,6 @@ def test_a_suite_of_a_matrix_is_run_and_every_scenario_has_its_trace(
 
 
 def test_the_trace_of_a_matrix_is_complete_in_itself(tmp_path: Path) -> None:
-    from safety_harness.cli.replay import judge_again, replay
 
     write(tmp_path, base=GOOD, two="extends: base.yaml\nmatrix: {s: {one: {seed: 1}}}\n")
     run([tmp_path / "two.yaml"], tmp_path / "out")

@@ -10,7 +10,8 @@ import pytest
 from safety_harness import admit, read_scenario, read_space
 from safety_harness.admission.preview import preview_of
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
-from safety_harness.cli.show import regions_of, sample, show
+from safety_harness.cli.scenario_commands import sample, show
+from safety_harness.cli.show import regions_of
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 PNG = b"\x89PNG"

@@ -10,8 +10,7 @@ import pytest
 from safety_harness import load_trace
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.learning import time_avoider
-from safety_harness.cli.replay import replay
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import replay, run
 from tests.cli.test_own_avoider import MINE, VISIT
 
 COST = "settings: {avoidance: {decision time: mine.json}}\n"

@@ -12,8 +12,8 @@ from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.tools import read_oracles, read_selftest
 from safety_harness.cli.certify import verify
 from safety_harness.cli.fmt import format_files
-from safety_harness.cli.replay import judge_again
-from safety_harness.cli.show import sample
+from safety_harness.cli.scenario_commands import judge as judge_again
+from safety_harness.cli.scenario_commands import sample
 from safety_harness.cli.validate import validate
 from tests.search.short_space import TEXT
 

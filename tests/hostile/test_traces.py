@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
-from safety_harness.cli.replay import judge_again
+from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.exceptions import TraceError
 from safety_harness.trace.records import TICK
 from safety_harness.trace.store import load_trace

@@ -12,7 +12,7 @@ from examples import VISIT, TowardsTheHand, run, scenario
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import judge
 from safety_harness.cli.console import BAD_INPUT
-from safety_harness.cli.replay import judge_again
+from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.consistency import first_untruth

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safety_harness.report.decimate import keep_extremes, spans, ticks_per_column
+from safety_harness.report.svg import keep_extremes, spans, ticks_per_column
 
 
 @given(st.integers(0, 2**32), st.integers(1, 3000), st.integers(1, 200))

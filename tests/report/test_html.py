@@ -18,7 +18,7 @@ from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render
 from safety_harness.report.page_parts import asset
-from safety_harness.report.palette import Ink
+from safety_harness.report.svg import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
 from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.write import write_scenario

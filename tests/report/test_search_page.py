@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
+from pathlib import Path
 
 import factory
 import numpy as np
@@ -18,12 +19,13 @@ from page import Node, parse
 from safety_harness.admission.agreement import Agreement, LargestDifference, present_source
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
-from safety_harness.report.search_page import SearchEvidence, ShownCounterexample, render
+from safety_harness.report.search_page import SearchEvidence, render
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld, disagreement_of
 from safety_harness.search.counterexample import Counterexample, Ingredient
 from safety_harness.search.coverage import Coverage, CoverageCell
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.findings import Findings, Goal, Outcomes
+from safety_harness.search.session import WrittenCounterexample
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
 from tests.search.short_space import SHORT
@@ -75,18 +77,16 @@ def counterexample() -> Counterexample:
     )
 
 
-def shown() -> ShownCounterexample:
+def shown() -> WrittenCounterexample:
     one = counterexample()
     assert one.complaint.claim is not None
     found = findings_of([(-0.1, 0.1)])
-    return ShownCounterexample(
+    return WrittenCounterexample(
         one=one,
-        groups=tuple(found.groups),
+        groups=found.groups,
         searcher="default",
-        file="space-claim-1.yaml",
-        trace_file="space-claim-1.trace",
-        run_command="safety-harness run out/space-claim-1.yaml",
-        replay_command="safety-harness replay out/space-claim-1.trace",
+        path=Path("out/space-claim-1.yaml"),
+        trace_file=Path("out/space-claim-1.trace"),
         text="# A counterexample\nscenario: x\n",
     )
 
@@ -122,7 +122,7 @@ def evidence(**changes: object) -> SearchEvidence:
         confirmed=2,
         unconfirmed=(apart(),),
         agreement=AGREEMENT,
-        provenance=(("Package", "safety-harness 0"),),
+        provenance=factory.PROVENANCE,
     )
     return replace(whole, **changes)  # type: ignore[arg-type]
 
@@ -180,7 +180,10 @@ def test_a_counterexample_is_shown_with_pictures_margins_reasons_files_and_comma
     links = [link.attributes["href"] for link in section.all("ul", "files")[0].all("a")]
     assert links == ["space-claim-1.yaml", "space-claim-1.trace"]
     commands = [code.text for code in section.all("code", "copy")]
-    assert commands == [shown().run_command, shown().replay_command]
+    assert commands == [
+        "safety-harness run out/space-claim-1.yaml",
+        "safety-harness replay out/space-claim-1.trace",
+    ]
     assert section.all("pre")[0].children[0] == shown().text
 
 
@@ -273,7 +276,7 @@ def test_a_mishap_without_a_trace_has_a_section_too() -> None:
         ingredients=(),
         draws=None,
     )
-    page = parse(render(evidence(shown=(replace(shown(), one=one, trace_file="", replay_command=""),))))
+    page = parse(render(evidence(shown=(replace(shown(), one=one, trace_file=None),))))
     section = page.one("counterexample-1")
     assert "the run failed: ValueError: x" in section.text
     assert not section.all("figure")
@@ -289,9 +292,8 @@ def test_a_search_interrupted_before_anything_was_tried_has_a_page() -> None:
 
 
 def test_markup_in_any_text_of_the_user_is_shown_and_not_obeyed() -> None:
-    hostile = replace(
-        shown(), file=f"x{factory.HOSTILE}.yaml", text=factory.HOSTILE, run_command=factory.HOSTILE
-    )
+    path = Path(f"out/x{factory.HOSTILE}.yaml")
+    hostile = replace(shown(), path=path, trace_file=path.with_suffix(".trace"), text=factory.HOSTILE)
     text = render(evidence(title=factory.HOSTILE, avoider=factory.HOSTILE, shown=(hostile,)))
     assert text.count("<script") == 1
     assert "<b>" not in text

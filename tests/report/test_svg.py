@@ -9,10 +9,8 @@ import matplotlib
 import numpy as np
 import pytest
 
-from safety_harness.report.palette import BY_SENTINEL, Ink
-from safety_harness.report.path_artists import capsule_outline, close_up_mm
-from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.svg import drawing, new_figure, plain, to_svg
+from safety_harness.report.path_views import capsule_outline, close_up_mm, path_views, shown_moment
+from safety_harness.report.svg import BY_SENTINEL, Ink, drawing, new_figure, plain, to_svg
 from safety_harness.report.timeline import timeline
 from safety_harness.trace.records import DecisionOutcome
 

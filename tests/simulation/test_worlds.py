@@ -17,7 +17,7 @@ from safety_harness.admission.trial import run_all, run_trial
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.stored import random_traces
-from safety_harness.cli.replay import replay
+from safety_harness.cli.scenario_commands import replay
 from safety_harness.exceptions import InstallationError, ScenarioError, TraceError
 from safety_harness.search.trials import InWorld, Trials
 from safety_harness.simulation.kinematic_world import KinematicWorld

@@ -15,7 +15,7 @@ import safety_harness.simulation.pybullet_world  # loads every library
 from safety_harness.campaign.identity import identity_of
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import BAD_INPUT
-from safety_harness.cli.run import run
+from safety_harness.cli.scenario_commands import run
 from safety_harness.exceptions import InstallationError
 from safety_harness.trace import provenance as software
 from safety_harness.trace.provenance import provenance, refuse_shared_modules, shared_modules
