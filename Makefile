@@ -10,7 +10,9 @@ BIN := $(VENV)/bin
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
+# Compiled first, for the many programs that the tests start, even where Python may not write byte code.
 test: $(VENV)/tested check
+	$(BIN)/python -m compileall -q safety_harness paper/safety_harness_paper
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 	$(BIN)/python -m pytest -n 2 --dist worksteal examples/suites --safety-derandomize
 
