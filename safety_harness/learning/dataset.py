@@ -42,10 +42,6 @@ class Space:
     tcp: Region
     hand: Region
 
-    def contains(self, *, hand_in_base_m: Vectors, tcp_in_base_m: Vectors) -> NDArray[np.bool_]:
-        """``hand_in_base_m`` and ``tcp_in_base_m`` (..., 3) -> (...): which pairs belong to the space."""
-        return self.hand.contains(hand_in_base_m) & self.tcp.contains(tcp_in_base_m)
-
 
 SPACES = {  # by name, the regions of hands and of TCPs
     "seen": ("seen hand", "seen tcp"),

@@ -95,12 +95,12 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        process = self._told(Ask.of(number, questions, together=together))
+        process = self._told(Ask(number, questions, together))
         for k, question in enumerate(questions):
             said = process.receive(limit_of(questions) if together else question.limit_s)
             if not isinstance(said, Answered) or said.number != k:
                 raise NonsenseError
-            yield said.answer()
+            yield said.answer
 
     def drop(self, number: int) -> None:
         """Forget an avoider, before the next thing is asked: this may be called amid another message."""
