@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
@@ -234,8 +233,8 @@ class _Run:
             part = slice(batch * rows, (batch + 1) * rows)
             masks = None if recipe.dropout is Dropout.NONE else network.draw_masks(rows, generator)
             self.optimiser.zero_grad()
-            loss = _l1(network(x[part], masks), y[part])
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss = (network(x[part], masks) - y[part]).abs().mean()  # L1, over samples and axes
+            loss.backward()
             self.optimiser.step()
             total += loss.detach()
         return float(total) / batches
@@ -275,8 +274,3 @@ class _Run:
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]
-
-
-def _l1(prediction: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error over samples and axes."""
-    return (prediction - target).abs().mean()

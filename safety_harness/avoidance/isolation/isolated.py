@@ -44,7 +44,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
     def __init__(self, host: Host, wanted: Wanted) -> None:
         """Make it there; RefusedError, or GoneError if the process does not live to say so."""
-        self._number = host.number()
+        self._number = next(host.numbers)
         with host.lock:
             made = _first_made(host, self._number, wanted)
             self._generation = host.generation
@@ -100,7 +100,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
     def _be_there(self) -> None:
         """Made anew if need be, and asked its first question again, so that no decision pays for that."""
-        if self._host.has(self._generation):
+        if self._host.alive and self._generation == self._host.generation:
             return
         why = ""
         for _ in range(ATTEMPTS):
