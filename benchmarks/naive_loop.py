@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.perception.threshold import OBJECT_BRIGHTEST
+from safety_harness.perception.detector import OBJECT_BRIGHTEST
 from safety_harness.simulation.cell import build_cell, render
 from safety_harness.simulation.engine import pybullet
 

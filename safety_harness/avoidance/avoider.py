@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import AvoiderError
+from safety_harness.exceptions import AvoiderError, on_one_line
 from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
@@ -110,8 +110,7 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
 
 def printable(text: str) -> str:
     """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
-    text = re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split()))
-    return "".join(c if c.isprintable() else "?" for c in text)
+    return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
 
 
 def described(error: BaseException, file: str | None = None) -> str:

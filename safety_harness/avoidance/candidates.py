@@ -69,10 +69,12 @@ class CandidateCap:
 
         Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
         """
+        frame = self._frame()
         kept = np.empty((0, 3))
         while len(kept) < self.count:
-            azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))
-            directions = self._directions(azimuth, elevation)
+            azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))  # both from the axis
+            along, aside = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+            directions = np.stack([along, aside, np.sin(elevation)], axis=1) @ frame  # (n, 3) unit vectors
             inside = directions @ self.axis_in_base >= np.cos(self.cone_rad)
             kept = np.concatenate([kept, directions[inside]])
         return self.radius_m * kept[: self.count]
@@ -95,17 +97,6 @@ class CandidateCap:
                 return offsets
             for one in short.tolist():
                 generators[one].standard_normal(out=angles[one])
-
-    def _directions(
-        self, azimuth: NDArray[np.float64], elevation: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Unit vectors (n, 3); azimuth about the vertical and elevation, both from the axis."""
-        local = np.stack(
-            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)],
-            axis=1,
-        )  # (n, 3) along axis, side, up
-        directions: NDArray[np.float64] = local @ self._frame()
-        return directions
 
     def _frame(self) -> NDArray[np.float64]:
         """(3, 3) rows: the axis, the horizontal direction beside it, and up."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector, Vectors
-from safety_harness.avoidance.model_file import PLACES, Dropout, Model
+from safety_harness.avoidance.model_file import Dropout, Model
 from safety_harness.avoidance.resnet_kernel import FoldedNetwork, decide, fold
 
 
@@ -74,15 +74,5 @@ class LearnedAvoider:
                 f"got {hands.shape}, {tcps.shape} and {keys.shape}"
             )
         positions, spreads = np.empty(hands.shape), np.empty(hands.shape)
-        decide(
-            self._network,
-            PLACES[self.model.dropout],
-            self.model.dropout_probability,
-            self.model.passes,
-            hands,
-            tcps,
-            keys,
-            positions,
-            spreads,
-        )
+        decide(self._network, hands, tcps, keys, positions, spreads)
         return positions, spreads

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from enum import Enum
 from itertools import islice
@@ -214,9 +215,15 @@ def save_model(model: Model, path: Path) -> None:
     except (TypeError, ValueError, SafetensorError) as error:
         refuse(path, None, "a model of numbers and plain texts", str(error))
     _parse(data, path)
+    with writing_to(path), replacing(path) as unfinished:
+        unfinished.write_bytes(data)
+
+
+@contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """OutputError where the block cannot write the file ``path``."""
     try:
-        with replacing(path) as unfinished:
-            unfinished.write_bytes(data)
+        yield
     except OSError as error:
         raise OutputError(
             place=Place(file=path), expected="a file that can be written", got=error.strerror or str(error)
@@ -270,10 +277,9 @@ def _parse(data: bytes, path: Path) -> Model:
 def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) -> U:
     """What the metadata of a model say, or with ``others`` of an exported one; ModelError."""
     if isinstance(found, dict) and isinstance(found.get("calibration"), dict):
-        own = {one.name for one in fields(Calibration)}
-        parts: dict[str, Any] = {"more": {}}
-        for name, value in found["calibration"].items():
-            (parts if name in own else parts["more"])[name] = value
+        given, own = found["calibration"], {one.name for one in fields(Calibration)}
+        more = {name: value for name, value in given.items() if name not in own}
+        parts = {"more": more} | {name: value for name, value in given.items() if name in own}
         found = found | {"calibration": parts}
     made = typed(found, kind, path, others=others, error=ModelError)
     if made.dropout is not Dropout.NONE and made.passes < 2:

@@ -37,11 +37,10 @@ from safety_harness.avoidance.model_file import (
     WIDTH,
     Dropout,
     NetworkUse,
-    SeenSpace,
     network_use,
     refuse,
 )
-from safety_harness.exceptions import ModelError, Place
+from safety_harness.exceptions import ModelError, Place, on_one_line
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
 
@@ -51,17 +50,6 @@ POSITION, SPREAD, THRESHOLD = "position_in_base_m", "spread_m", "spread_threshol
 FLOATS = {"tensor(float)": "float32", "tensor(double)": "float64"}
 INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
 BOOLEANS = {"tensor(bool)": "bool"}
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Exported(NetworkUse):
-    """What the metadata of a file of ``export`` say, beyond the function itself."""
-
-    @classmethod
-    def of(cls, path: Path, text: str) -> Exported:
-        """From their JSON; ModelError for the first field that is wrong."""
-        found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
-        return network_use(found, cls, path, others=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +62,7 @@ class OnnxAvoider:
     _session: Any
     _dtypes: Mapping[str, str]  # of the inputs
     _outputs: tuple[str, ...]
-    _exported: Exported | None
+    _exported: NetworkUse | None
 
     @classmethod
     def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector) -> OnnxAvoider:
@@ -84,29 +72,19 @@ class OnnxAvoider:
         answers in another shape, or not twice the same, is refused.
         """
         try:
-            return cls._of(path, data, hand, tcp)
+            session = open_session(path, data)
+            own = dict(session.get_modelmeta().custom_metadata_map)
+            use = _exported(path, own[KEY]) if KEY in own else None
+            threshold_m = _number(path, own, THRESHOLD) if use is None else use.spread_threshold_m
+            outputs = _outputs(path, session, spread_wanted=use is not None or threshold_m is not None)
+            plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
+            time_s = plain_s if use is None else use.decision_time_s
+            name = on_one_line(f"ONNX model {path.name}")
+            avoider = cls(name, threshold_m, time_s, session, _inputs(path, session, use), outputs, use)
+            avoider._try(path, hand, tcp)
         except UnicodeDecodeError as error:  # of a damaged name
-            place = Place(file=path)
-            raise ModelError(place=place, expected="names in UTF-8", got=error.reason) from error
-
-    @classmethod
-    def _of(cls, path: Path, data: bytes, hand: Vector, tcp: Vector) -> OnnxAvoider:
-        session = open_session(path, data)
-        own = dict(session.get_modelmeta().custom_metadata_map)
-        exported = Exported.of(path, own[KEY]) if KEY in own else None
-        threshold_m = _number(path, own, THRESHOLD) if exported is None else exported.spread_threshold_m
-        outputs = _outputs(path, session, spread_wanted=exported is not None or threshold_m is not None)
-        name = "".join(c if c.isprintable() else "?" for c in f"ONNX model {path.name}")
-        plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
-        time_s = plain_s if exported is None else exported.decision_time_s
-        avoider = cls(name, threshold_m, time_s, session, _inputs(path, session, exported), outputs, exported)
-        avoider._try(path, hand, tcp)
+            raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
         return avoider
-
-    @property
-    def seen(self) -> SeenSpace | None:
-        """What a file of ``export`` was trained on; None: the file does not say."""
-        return None if self._exported is None else self._exported.seen
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
@@ -147,6 +125,12 @@ class OnnxAvoider:
                 )
 
 
+def _exported(path: Path, text: str) -> NetworkUse:
+    """What the JSON in a file of ``export`` says of its use; ModelError for the first field that is wrong."""
+    found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
+    return network_use(found, NetworkUse, path, others=True)
+
+
 def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
     """Passes, places, units."""
     return use.passes, PLACES[use.dropout], WIDTH
@@ -174,7 +158,7 @@ def open_session(path: Path, data: bytes) -> Any:
         refuse(path, None, "an ONNX file that onnxruntime can load", _words(error), hint)
 
 
-def _inputs(path: Path, session: Any, exported: Exported | None) -> dict[str, str]:
+def _inputs(path: Path, session: Any, exported: NetworkUse | None) -> dict[str, str]:
     """The numpy dtype of each input; ModelError for one that is missing, unknown or of another shape."""
     known: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {HAND: ((3,), FLOATS), TCP: ((3,), FLOATS)}
     if exported is not None and exported.dropout is not Dropout.NONE:

@@ -49,8 +49,7 @@ def refuse_undefined(path: Path, name: str, place: Place) -> None:
     if len(source) > MOST_PARSED:
         return
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the user's own code
+        with warnings.catch_warnings(action="ignore"):  # of the user's own code
             tree = ast.parse(source, str(path))
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         _refuse(place, f"{path.name} to be a Python file", described(error, str(path)), hint="")

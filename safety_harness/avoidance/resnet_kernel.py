@@ -26,6 +26,7 @@ from safety_harness.avoidance.model_file import (
     LAYERS,
     NORM,
     OUTPUTS,
+    PLACES,
     STAGE_LAYERS,
     STAGES,
     WIDTH,
@@ -66,6 +67,9 @@ class FoldedNetwork(NamedTuple):
     input_std: Float64s  # (6,) [m]
     target_mean: Float64s  # (3,) [m]
     target_std: Float64s  # (3,) [m]
+    places: int  # of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES
+    probability: float  # of dropping a unit
+    passes: int  # one without any places
 
 
 def fold(model: Model) -> FoldedNetwork:
@@ -82,6 +86,9 @@ def fold(model: Model) -> FoldedNetwork:
         input_std=np.array(model.input_std),
         target_mean=np.array(model.target_mean),
         target_std=np.array(model.target_std),
+        places=PLACES[model.dropout],
+        probability=model.dropout_probability,
+        passes=model.passes,
     )
     for member in range(count):
         for layer, (prefix, number) in enumerate(layer_names()):
@@ -337,9 +344,6 @@ def _summarise(network: FoldedNetwork, answers: Float32s, position: Float64s, sp
 @compiled
 def decide(
     network: FoldedNetwork,
-    places: int,
-    probability: float,
-    passes: int,
     hands_in_base_m: Float64s,
     tcps_in_base_m: Float64s,
     seeds: NDArray[np.uint64],  # (n,)
@@ -348,11 +352,10 @@ def decide(
 ) -> None:
     """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame, seeds (n,).
 
-    ``places`` of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES; without any, one pass.
     An ensemble's answers are those of its members.  A row with a NaN gives NaN.
     """
-    members = network.weight.shape[0]
-    rows = passes if places > 0 else 1
+    members, places = network.weight.shape[0], network.places
+    rows = network.passes if places > 0 else 1
     factors = np.empty((places, rows, WIDTH), dtype=np.float32)
     work = np.zeros((SLOTS, rows, WIDTH), dtype=np.float32)
     answers = np.empty((members, rows, OUTPUTS), dtype=np.float32)
@@ -363,7 +366,7 @@ def decide(
             x[k] = (hands_in_base_m[n, k] - network.input_mean[k]) / network.input_std[k]
             x[k + 3] = (tcps_in_base_m[n, k] - network.input_mean[k + 3]) / network.input_std[k + 3]
         if places > 0:
-            fill_factors(seeds[n], probability, factors)
+            fill_factors(seeds[n], network.probability, factors)
         for member in range(members):
             work[X, 0] = x
             out = _stages(network.weight[member], network.bias[member], factors, work, X, Y)

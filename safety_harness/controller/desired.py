@@ -19,15 +19,17 @@ def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
     return transform_from(DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
-def view_of(settings: Settings) -> DesiredView:
-    """What the true camera sees of the object at the desired pose: the desired image is a real one."""
+def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(4, 4) each: at the desired pose, the truly mounted camera to base, and the object to that camera."""
     turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
     object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
     camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
         settings.camera, calibrated=False
     )
-    return desired_view(
-        np.array(settings.object.polygon_m),
-        inverse_transform(camera_to_base) @ object_to_base,
-        settings.servo.object_kind,
-    )
+    return camera_to_base, inverse_transform(camera_to_base) @ object_to_base
+
+
+def view_of(settings: Settings) -> DesiredView:
+    """What the true camera sees of the object at the desired pose: the desired image is a real one."""
+    object_to_camera = desired_camera(settings)[1]
+    return desired_view(np.array(settings.object.polygon_m), object_to_camera, settings.servo.object_kind)

@@ -42,10 +42,6 @@ class Space:
     tcp: Region
     hand: Region
 
-    def contains(self, *, hand_in_base_m: Vectors, tcp_in_base_m: Vectors) -> NDArray[np.bool_]:
-        """``hand_in_base_m`` and ``tcp_in_base_m`` (..., 3) -> (...): which pairs belong to the space."""
-        return self.hand.contains(hand_in_base_m) & self.tcp.contains(tcp_in_base_m)
-
 
 SPACES = {  # by name, the regions of hands and of TCPs
     "seen": ("seen hand", "seen tcp"),
@@ -72,6 +68,7 @@ def seen(settings: Settings) -> Space:
 
 
 Index = NDArray[np.integer]
+Numbers = NDArray[np.int64]
 
 VIEWS_AT_A_TIME = 100_000  # bounds the memory; the result does not depend on it
 TCPS_A_REDRAW = 32
@@ -220,7 +217,7 @@ def generate(
 
 def fresh_pairs(
     settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
-) -> tuple[CompactDataset, NDArray[np.int64]]:
+) -> tuple[CompactDataset, Numbers]:
     """New data with the numbers of ``samples`` independent rows: every TCP and every hand is in one only."""
     drawn = generate(settings, space, seed=seed, tcps=samples, candidates=candidates, hands=samples)
     return drawn, np.arange(samples) * (samples + 1)  # TCP k with hand k
@@ -315,9 +312,9 @@ class Split:
     """Numbers of the samples in each part, read-only; together they are all samples, each once."""
 
     kind: str
-    train: NDArray[np.int64]
-    validation: NDArray[np.int64]
-    test: NDArray[np.int64]
+    train: Numbers
+    validation: Numbers
+    test: Numbers
 
     def __post_init__(self) -> None:
         for part in (self.train, self.validation, self.test):
@@ -341,9 +338,7 @@ def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
 SPLITS = {"by TCP": split_by_tcp, "by sample": split_by_sample}
 
 
-def _parts(
-    count: int, what: str, seed: int, kind: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _parts(count: int, what: str, seed: int, kind: int) -> tuple[Numbers, Numbers, Numbers]:
     """A random permutation of 0 ... count - 1, cut into train, validation and test."""
     held_out = round(HELD_OUT * count)
     if count < 10:

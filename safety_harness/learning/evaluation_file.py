@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Model, load_model
+from safety_harness.avoidance.model_file import Model, load_model, writing_to
 from safety_harness.avoidance.shipped import model_file
 from safety_harness.compiled import source_hash
-from safety_harness.exceptions import DatasetError, ModelError, OutputError, Place
+from safety_harness.exceptions import DatasetError, ModelError, Place
 from safety_harness.learning.dataset import seen
 from safety_harness.learning.evaluation import (
     LEVELS,
@@ -152,12 +152,8 @@ def write_evaluation(
             for one in loaded
         ],
     }
-    try:
+    with writing_to(out):
         write_whole(out, json.dumps(document, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
-    except OSError as error:
-        raise OutputError(
-            place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
-        ) from error
 
 
 def _json_of(figures: Figures) -> dict[str, Any]:

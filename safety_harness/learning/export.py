@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import KEY, Dropout, Model, metadata_of
+from safety_harness.avoidance.model_file import KEY, Dropout, Model, metadata_of, writing_to
 from safety_harness.avoidance.onnx_model import (
     EXPORT_FORMAT,
     HAND,
@@ -103,20 +103,15 @@ def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
         "source_sha256": hashlib.sha256(source).hexdigest(),
     }
     data = _onnx_bytes(model, json.dumps(metadata, sort_keys=True))
-    try:
-        with replacing(out) as unfinished:
-            unfinished.write_bytes(data)
-            found_m = difference(model, load_onnx(unfinished), seed=seed)
-            if not found_m <= MOST_DIFFERENT_M:
-                raise ModelError(
-                    place=Place(file=out),
-                    expected=f"the original's answers to {1e3 * MOST_DIFFERENT_M:g} mm",
-                    got=f"a difference of {1e3 * found_m:.3g} mm",
-                )
-    except OSError as error:
-        raise OutputError(
-            place=Place(file=out), expected="a file that can be written", got=error.strerror or str(error)
-        ) from error
+    with writing_to(out), replacing(out) as unfinished:
+        unfinished.write_bytes(data)
+        found_m = difference(model, load_onnx(unfinished), seed=seed)
+        if not found_m <= MOST_DIFFERENT_M:
+            raise ModelError(
+                place=Place(file=out),
+                expected=f"the original's answers to {1e3 * MOST_DIFFERENT_M:g} mm",
+                got=f"a difference of {1e3 * found_m:.3g} mm",
+            )
     return found_m
 
 
@@ -200,8 +195,7 @@ def _quiet() -> Iterator[None]:
     before = logger.level
     logger.setLevel(logging.ERROR)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     finally:
         logger.setLevel(before)

@@ -8,16 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.controller.desired import desired_transform_tcp_to_base, view_of
+from safety_harness.controller.desired import desired_camera, view_of
 from safety_harness.exceptions import DatasetError, Place
-from safety_harness.geometry.rotations import rotation_from_vector
-from safety_harness.geometry.transforms import inverse_transform, transform_from
-from safety_harness.perception.camera import (
-    polygon_in_camera,
-    polygon_inside_image,
-    project,
-    transform_camera_to_tcp,
-)
+from safety_harness.perception.camera import polygon_in_camera, polygon_inside_image, project
 from safety_harness.perception.moments import MOMENT_COUNT, point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
 from safety_harness.servoing.features import feature_error, features
@@ -46,17 +39,13 @@ class ImageErrors(NamedTuple):
     @classmethod
     def of(cls, settings: Settings) -> ImageErrors:
         """For the settings' cell, with the camera's true mount."""
-        camera_to_base = desired_transform_tcp_to_base(settings) @ transform_camera_to_tcp(
-            settings.camera, calibrated=False
-        )
-        turn = rotation_from_vector(np.array([0.0, 0.0, settings.object.yaw_rad]))
-        object_to_base = transform_from(turn, np.array(settings.object.position_in_base_m))
+        camera_to_base, object_to_camera = desired_camera(settings)
         view, camera = view_of(settings), settings.camera
         return cls(
             np.array(settings.object.polygon_m),
             np.array(settings.cell.desired_tcp_position_in_base_m),
             camera_to_base,
-            np.ascontiguousarray(inverse_transform(camera_to_base) @ object_to_base),
+            np.ascontiguousarray(object_to_camera),
             view.features,
             view.area,
             view.depth_m,

@@ -28,16 +28,10 @@ def _keep(x: Tensor) -> Tensor:
     return x
 
 
-class _NextMask:
+def _next_masks(masks: Masks, probability: float) -> Drop:
     """Inverted dropout: each call applies the next mask and divides by the kept share."""
-
-    def __init__(self, masks: Masks, probability: float) -> None:
-        self._masks = iter(masks)
-        self._scale = 1.0 / (1.0 - probability)
-
-    def __call__(self, x: Tensor) -> Tensor:
-        mask = next(self._masks)[..., : x.shape[-1]]
-        return x * (mask * self._scale)
+    left, scale = iter(masks), 1.0 / (1.0 - probability)
+    return lambda x: x * (next(left)[..., : x.shape[-1]] * scale)
 
 
 class Block(nn.Module):
@@ -109,7 +103,7 @@ class RegressionResNet(nn.Module):
         """
         if masks is not None and len(masks) != self.places:
             raise ValueError(f"expected {self.places} dropout masks, got {len(masks)}")
-        drop: Drop = _NextMask(masks, self.probability) if masks is not None and self.places else _keep
+        drop: Drop = _next_masks(masks, self.probability) if masks is not None and self.places else _keep
         inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
         for stage in self.stages:
             for block in stage:  # type: ignore[attr-defined]

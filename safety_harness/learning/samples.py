@@ -59,39 +59,34 @@ class Normalisation:
     target_std: NDArray[np.float64]  # (3,)
 
     @classmethod
-    def of(cls, recipe: Recipe, moments: Moments) -> Normalisation:
-        """That of the training set, or plain millimetres if the recipe does not normalise."""
+    def of(cls, recipe: Recipe, mean: NDArray[np.float64], std: NDArray[np.float64]) -> Normalisation:
+        """By ``mean`` and ``std`` (9,), or plain millimetres if the recipe does not normalise."""
         if recipe.normalise:
-            return cls(moments.mean[:6], moments.std[:6], moments.mean[6:], moments.std[6:])
+            return cls(mean[:6], std[:6], mean[6:], std[6:])
         return cls(np.zeros(6), np.full(6, 1e-3), np.zeros(3), np.full(3, 1e-3))
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Mean and standard deviation [m] of the six inputs and three targets, (9,) each."""
+def moments(samples: Samples, index: Index) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and standard deviation [m] of the six inputs and three targets, (9,) each, over ``index`` (n,).
 
-    mean: NDArray[np.float64]
-    std: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, samples: Samples, index: Index) -> Moments:
-        """Over the samples of ``index``; ModelError if one of the nine columns does not vary."""
-        origin = _columns(samples, index[:1])[0]  # near the mean: no cancellation in the squares
-        total, squares = np.zeros(9), np.zeros(9)
-        for start in range(0, len(index), CHUNK):
-            shifted = _columns(samples, index[start : start + CHUNK]) - origin
-            total += shifted.sum(axis=0)
-            squares += (shifted**2).sum(axis=0)
-        mean = total / len(index)
-        variance = squares / len(index) - mean**2
-        if not np.all(variance > 1e-12):
-            column = int(np.argmin(variance > 1e-12))
-            raise ModelError(
-                place=Place(field="training samples"),
-                expected="finite inputs and targets that vary along every axis by more than 1 um",
-                got=f"a variance of {variance[column]:g} m^2 in column {column} of hand, TCP, target",
-            )
-        return cls(origin + mean, np.sqrt(variance))
+    ModelError if one of the nine columns does not vary.
+    """
+    origin = _columns(samples, index[:1])[0]  # near the mean: no cancellation in the squares
+    total, squares = np.zeros(9), np.zeros(9)
+    for start in range(0, len(index), CHUNK):
+        shifted = _columns(samples, index[start : start + CHUNK]) - origin
+        total += shifted.sum(axis=0)
+        squares += (shifted**2).sum(axis=0)
+    mean = total / len(index)
+    variance = squares / len(index) - mean**2
+    if not np.all(variance > 1e-12):
+        column = int(np.argmin(variance > 1e-12))
+        raise ModelError(
+            place=Place(field="training samples"),
+            expected="finite inputs and targets that vary along every axis by more than 1 um",
+            got=f"a variance of {variance[column]:g} m^2 in column {column} of hand, TCP, target",
+        )
+    return origin + mean, np.sqrt(variance)
 
 
 def _columns(samples: Samples, index: Index) -> NDArray[np.float64]:

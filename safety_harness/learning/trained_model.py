@@ -43,18 +43,16 @@ def split_for(recipe: Recipe, dataset: CompactDataset) -> Split:
 
 def model_of(trained: Trained, dataset: CompactDataset, split: Split, command: str) -> Model:
     """The trained networks with their normalisation, seen space and card, to be calibrated."""
-    recipe, normal = trained.recipe, trained.normalisation
+    recipe = trained.recipe
     drops = recipe.dropout is not Dropout.NONE
     hand, tcp = dataset.space.hand.outer, dataset.space.tcp.outer
+    moments: dict[str, Any] = {name: tuple(m.tolist()) for name, m in vars(trained.normalisation).items()}
     return Model(
         dropout=recipe.dropout,
         dropout_probability=recipe.dropout_probability if drops else 0.0,
         members=recipe.members,
         passes=recipe.passes if drops else 1,
-        input_mean=_floats(normal.input_mean),
-        input_std=_floats(normal.input_std),
-        target_mean=_floats(normal.target_mean),
-        target_std=_floats(normal.target_std),
+        **moments,
         seen=SeenSpace(
             hand_low_m=hand.low_m, hand_high_m=hand.high_m, tcp_low_m=tcp.low_m, tcp_high_m=tcp.high_m
         ),
@@ -100,10 +98,6 @@ def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str)
         },
         "limits": list(LIMITS),
     }
-
-
-def _floats(array: Floats) -> tuple[float, ...]:
-    return tuple(array.tolist())
 
 
 SAMPLES = 10_000

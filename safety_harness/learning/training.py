@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
@@ -24,7 +23,7 @@ from safety_harness.learning.checkpoint import Checkpoint, Epoch, Tensors, begin
 from safety_harness.learning.dataset import seed_below
 from safety_harness.learning.networks import RegressionResNet, fresh_network, load_tensors, to_tensors
 from safety_harness.learning.recipes import Recipe
-from safety_harness.learning.samples import Index, Moments, Normalisation, Samples, network_samples
+from safety_harness.learning.samples import Index, Normalisation, Samples, moments, network_samples
 
 CHECKPOINT = "checkpoint.safetensors"
 VALIDATION_ROWS = 10_000  # at a time: a layer's values stay in the processor's cache
@@ -141,15 +140,15 @@ class _Run:
     ) -> None:
         self.recipe, self.seed, self.device = recipe, seed, device
         self._samples, self._training = samples, training
-        moments = Moments.of(samples, training)
-        self.normalisation = Normalisation.of(recipe, moments)
-        variance_mm2 = float(np.mean(moments.std[6:] ** 2)) * 1e6
+        mean, std = moments(samples, training)
+        self.normalisation = Normalisation.of(recipe, mean, std)
+        variance_mm2 = float(np.mean(std[6:] ** 2)) * 1e6
         self.weight_decay = recipe.weight_decay(len(training), variance_mm2)
         chosen = self._chosen(validation, recipe.validation_samples, _VALIDATION)
         x, y = network_samples(samples, np.sort(chosen), self.normalisation)
         self._validation = torch.from_numpy(x).to(device), torch.from_numpy(y).to(device)
         digest = hashlib.sha256(repr((len(training), len(validation))).encode())
-        for array in (moments.mean, moments.std, x, y):
+        for array in (mean, std, x, y):
             digest.update(array.tobytes())
         self.data = digest.hexdigest()
 
@@ -172,7 +171,7 @@ class _Run:
 
     def checkpoint(self, history: list[Epoch], best: list[Tensors]) -> Checkpoint:
         """The present state."""
-        moments = {
+        adam = {
             f"{index}/{key}": tensor.detach().cpu().numpy().copy()
             for index, entry in self.optimiser.state_dict()["state"].items()
             for key, tensor in entry.items()
@@ -184,7 +183,7 @@ class _Run:
             history=tuple(history),
             best=tuple(best),
             weights=to_tensors(self.network),
-            optimiser=moments,
+            optimiser=adam,
         )
 
     def epoch(self, member: int, number: int, before: list[Epoch]) -> Epoch:
@@ -234,8 +233,8 @@ class _Run:
             part = slice(batch * rows, (batch + 1) * rows)
             masks = None if recipe.dropout is Dropout.NONE else network.draw_masks(rows, generator)
             self.optimiser.zero_grad()
-            loss = _l1(network(x[part], masks), y[part])
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss = (network(x[part], masks) - y[part]).abs().mean()  # L1, over samples and axes
+            loss.backward()
             self.optimiser.step()
             total += loss.detach()
         return float(total) / batches
@@ -275,8 +274,3 @@ class _Run:
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.seed, spawn_key=leaf)))
         size = len(index) if count is None else min(count, len(index))
         return index[rng.choice(len(index), size, replace=False)]
-
-
-def _l1(prediction: Tensor, target: Tensor) -> Tensor:
-    """Mean absolute error over samples and axes."""
-    return (prediction - target).abs().mean()

@@ -15,11 +15,16 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
 from safety_harness.geometry.arrays import Array4x4, Array6
-from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
+from safety_harness.perception.detector import (
+    HAND_COLOUR_RGBA,
+    OBJECT_RGB,
+    SLEEVE_COLOUR_RGBA,
+    TABLE_RGB,
+    object_mask,
+)
 from safety_harness.perception.hand_boxes import rendered_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.raster import mask_moments
-from safety_harness.perception.threshold import OBJECT_RGB, TABLE_RGB, object_mask
 from safety_harness.robot.description import ArmModel, resolved_urdf
 from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.settings import Settings, Vector3

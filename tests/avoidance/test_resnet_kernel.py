@@ -23,8 +23,7 @@ ROUNDING_M = 2e-6
 
 def decided(model: Model, hands: Any, tcps: Any, seeds: Any) -> tuple[NDArray[np.float64], ...]:
     positions, spreads = np.empty(hands.shape), np.empty(hands.shape)
-    places, probability = PLACES[model.dropout], model.dropout_probability
-    decide(fold(model), places, probability, model.passes, hands, tcps, seeds, positions, spreads)
+    decide(fold(model), hands, tcps, seeds, positions, spreads)
     return positions, spreads
 
 

@@ -78,7 +78,8 @@ def test_each_set_lies_in_its_space_and_uses_no_tcp_or_hand_twice(sets: list[Eva
     assert [one.seen for one in sets] == [True, False, False, False]
     for one, name in zip(sets, SPACES, strict=True):
         space = space_named(name, DEFAULTS)
-        assert space.contains(hand_in_base_m=one.hands_in_base, tcp_in_base_m=one.tcps_in_base).all()
+        assert space.hand.contains(one.hands_in_base).all()
+        assert space.tcp.contains(one.tcps_in_base).all()
         for points in (one.hands_in_base, one.tcps_in_base):
             assert len(np.unique(points, axis=0)) == SAMPLES
         assert len(np.unique(one.decision_seeds)) == SAMPLES

@@ -23,7 +23,8 @@ def test_what_is_drawn_from_a_space_belongs_to_it(name: str) -> None:
     space = space_named(name, DEFAULTS)
     assert space.name == name
     hands, tcps = space.hand.draw(rng(), 20_000), space.tcp.draw(rng(), 20_000)
-    assert space.contains(hand_in_base_m=hands, tcp_in_base_m=tcps).all()
+    assert space.hand.contains(hands).all()
+    assert space.tcp.contains(tcps).all()
 
 
 def test_seen_tcps_and_hands_are_the_papers_boxes() -> None:
@@ -60,10 +61,10 @@ def test_a_table_above_the_seen_hands_leaves_the_shell_whole() -> None:
 
 
 def test_nan_is_nowhere() -> None:
-    nowhere, somewhere = np.array([np.nan, 0.0, 0.35]), DESIRED
+    nowhere = np.array([np.nan, 0.0, 0.35])
     assert not SEEN.tcp.contains(nowhere)
     assert not space_named("unseen tcp", DEFAULTS).tcp.contains(nowhere)
-    assert not SEEN.contains(hand_in_base_m=np.full(3, np.nan), tcp_in_base_m=somewhere)
+    assert not SEEN.hand.contains(np.full(3, np.nan))
 
 
 def test_unknown_names_are_refused() -> None:

@@ -4,10 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from safety_harness.perception.detector import HAND_COLOUR_RGBA, SLEEVE_COLOUR_RGBA
-from safety_harness.perception.threshold import (
+from safety_harness.perception.detector import (
+    HAND_COLOUR_RGBA,
     OBJECT_RGB,
     OBJECT_SMALLEST_PX,
+    SLEEVE_COLOUR_RGBA,
     TABLE_RGB,
     object_mask,
 )

@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from safety_harness.avoidance.avoider import (
 )
 from safety_harness.avoidance.isolation.frames import (
     HEADER,
+    MOST_ANSWER_WORDS,
     MOST_QUESTION_BYTES,
     Answered,
     Ask,
@@ -99,7 +101,8 @@ class _Child:
                 self._avoiders.pop(told.number, None)
             else:
                 for k, answer in enumerate(self._answers(told)):
-                    self._write(Answered.of(k, answer))
+                    words = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS].decode(errors="ignore")
+                    self._write(Answered(k, replace(answer, fault=words)))
         os._exit(0)  # the other side is gone
 
     def _write(self, message: Struct) -> None:
@@ -136,7 +139,7 @@ class _Child:
     def _answers(self, told: Ask) -> Iterator[Answer]:
         """All together if that is asked and it can, else each as soon as it is there."""
         avoider, file = self._avoiders[told.number]
-        questions, found = told.asked(), []
+        questions, found = told.questions, []
         if told.together:
             try:
                 found = answers_together(avoider, questions)

@@ -7,14 +7,15 @@ and nothing else.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from operator import methodcaller
 from typing import Annotated
 
+import msgspec
 import numpy as np
 from msgspec import Meta, Struct, msgpack
 
 from safety_harness.avoidance.asking import Answer, Question
-from safety_harness.avoidance.avoider import LARGEST, Proposal, printable
+from safety_harness.avoidance.avoider import LARGEST, Vector
 from safety_harness.scenario.decision_times import LONGEST_S
 
 HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
@@ -22,8 +23,6 @@ MAGIC = b"AVO2"
 MOST_QUESTION_BYTES = 1 << 30
 MOST_ANSWER_BYTES = 131_072
 MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
-
-Position = tuple[float, float, float]
 
 
 class Make(Struct, tag=True):
@@ -35,23 +34,11 @@ class Make(Struct, tag=True):
 
 
 class Ask(Struct, tag=True):
-    """Questions of hand and TCP with seed and limit; ``together``: in one call if the avoider takes many."""
+    """Questions to the avoider of that number; ``together``: in one call if it takes many."""
 
     number: int
-    questions: list[tuple[Position, Position, int, float]]
+    questions: list[Question]
     together: bool
-
-    @classmethod
-    def of(cls, number: int, questions: Sequence[Question], *, together: bool) -> Ask:
-        """To the avoider of that number."""
-        return cls(number, [(hand.tolist(), tcp.tolist(), *rest) for hand, tcp, *rest in questions], together)
-
-    def asked(self) -> list[Question]:
-        """Every array is a copy of its own, so that what is written into it changes nothing."""
-        return [
-            Question(np.array(hand), np.array(tcp), seed, limit_s)
-            for hand, tcp, seed, limit_s in self.questions
-        ]
 
 
 class Drop(Struct, tag=True):
@@ -79,46 +66,26 @@ class Refused(Struct, tag=True):
 
 
 class Answered(Struct, tag=True):
-    """The answer to the question of that number, among those asked for."""
+    """The answer to the question of that number, among those asked for, not yet looked at."""
 
     number: int
-    position_in_base_m: Position
-    spread_m: Position
-    spread_threshold_m: float
-    latency_s: float
-    fault: bytes
+    answer: Answer
 
-    @classmethod
-    def of(cls, number: int, answer: Answer) -> Answered:
-        """As much of the fault as there is room for."""
-        return cls(
-            number,
-            answer.proposal.position_in_base_m.tolist(),
-            answer.proposal.spread_m.tolist(),
-            float(answer.spread_threshold_m),
-            answer.latency_s,
-            answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS],
-        )
 
-    def answer(self) -> Answer:
-        """As it was sent, not yet looked at."""
-        return Answer(
-            Proposal(np.array(self.position_in_base_m), np.array(self.spread_m)),
-            self.spread_threshold_m,
-            printable(self.fault.decode(errors="ignore")),
-            latency_s=self.latency_s,
-        )
+def _vector(kind: type, value: object) -> Vector:
+    """(3,), of its own, so that what is written into it changes nothing."""
+    return np.array(msgspec.convert(value, tuple[float, float, float]))
 
 
 Told = Make | Ask | Drop
 Said = Made | Refused | Answered
-to_the_child: msgpack.Decoder[Told] = msgpack.Decoder(Told)
-from_the_child: msgpack.Decoder[Said] = msgpack.Decoder(Said)
+to_the_child: msgpack.Decoder[Told] = msgpack.Decoder(Told, dec_hook=_vector)
+from_the_child: msgpack.Decoder[Said] = msgpack.Decoder(Said, dec_hook=_vector)
 
 
 def packed(message: Struct) -> bytes:
     """A frame, as bytes."""
-    payload = msgpack.encode(message)
+    payload = msgpack.encode(message, enc_hook=methodcaller("tolist"))
     return HEADER.pack(MAGIC, len(payload)) + payload
 
 

@@ -12,6 +12,7 @@ import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 from msgspec import Struct
@@ -51,18 +52,13 @@ class Host:
     def __init__(self, path: Path, source: bytes) -> None:
         self.path = path
         self.lock = threading.RLock()
+        self.numbers = count(1)  # of avoiders
         self.generation = 0
         self._source = source
         self._process: Process | None = None
-        self._made = 0
         self._dropped: deque[int] = deque()
         self._heard = b""
         self._lines = 0
-
-    def number(self) -> int:
-        """Another avoider's."""
-        self._made += 1
-        return self._made
 
     @property
     def alive(self) -> bool:
@@ -70,10 +66,6 @@ class Host:
         if self._process is not None and self._process.owner != os.getpid():
             self._process = None  # of the process that we were forked from: it talks to it alone
         return self._process is not None
-
-    def has(self, generation: int) -> bool:
-        """Is what was made in that generation still there?"""
-        return self.alive and generation == self.generation
 
     def make(self, number: int, wanted: Wanted) -> Made:
         """An avoider of the file; RefusedError, GoneError."""
@@ -95,12 +87,12 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        process = self._told(Ask.of(number, questions, together=together))
+        process = self._told(Ask(number, questions, together))
         for k, question in enumerate(questions):
             said = process.receive(limit_of(questions) if together else question.limit_s)
             if not isinstance(said, Answered) or said.number != k:
                 raise NonsenseError
-            yield said.answer()
+            yield said.answer
 
     def drop(self, number: int) -> None:
         """Forget an avoider, before the next thing is asked: this may be called amid another message."""

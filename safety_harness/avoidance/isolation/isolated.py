@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
-from safety_harness.avoidance.avoider import Proposal, Vector
+from safety_harness.avoidance.avoider import Proposal, Vector, printable
 from safety_harness.avoidance.isolation.frames import Made
 from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
 from safety_harness.avoidance.isolation.process import GoneError
@@ -42,25 +42,21 @@ ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what
 class IsolatedAvoider(OutOfProcessAvoider):
     """One avoider in the process of its file."""
 
-    @classmethod
-    def of(cls, host: Host, wanted: Wanted) -> IsolatedAvoider:
+    def __init__(self, host: Host, wanted: Wanted) -> None:
         """Make it there; RefusedError, or GoneError if the process does not live to say so."""
-        number = host.number()
+        self._number = next(host.numbers)
         with host.lock:
-            return cls(host, number, wanted, _first_made(host, number, wanted))
-
-    def __init__(self, host: Host, number: int, wanted: Wanted, made: Made) -> None:
+            made = _first_made(host, self._number, wanted)
+            self._generation = host.generation
         self.name = made.name
         self.spread_threshold_m = made.spread_threshold_m
         self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
         self._host = host
-        self._number = number
         self._wanted = wanted
-        self._generation = host.generation
         self._asked = False
         self._rehearsal: Question | None = None  # its first question, if it survived that
-        weakref.finalize(self, host.drop, number).atexit = False
+        weakref.finalize(self, host.drop, self._number).atexit = False
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
@@ -104,7 +100,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
 
     def _be_there(self) -> None:
         """Made anew if need be, and asked its first question again, so that no decision pays for that."""
-        if self._host.has(self._generation):
+        if self._host.alive and self._generation == self._host.generation:
             return
         why = ""
         for _ in range(ATTEMPTS):
@@ -142,7 +138,7 @@ def _looked_at(answer: Answer) -> Answer:
     """What came from there, believed no more than what an avoider returns here."""
     latency_s = answer.latency_s if answer.latency_s >= 0.0 else np.nan
     if answer.fault:
-        return Answer(fault=answer.fault, latency_s=latency_s)
+        return Answer(fault=printable(answer.fault), latency_s=latency_s)
     threshold_m = answer.spread_threshold_m
     if not (np.isnan(threshold_m) or 0.0 <= threshold_m < np.inf):
         return Answer(fault=f"spread_threshold_m must be a length; got {threshold_m}", latency_s=latency_s)
@@ -181,7 +177,7 @@ def _of_file(
 ) -> IsolatedAvoider:
     """The avoider, or the ``error`` at ``place``; without one at the field that the process tells."""
     try:
-        return IsolatedAvoider.of(host_of(path, source), wanted)
+        return IsolatedAvoider(host_of(path, source), wanted)
     except RefusedError as said:
         at = place or Place(file=path, field=said.field or None)
         raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
