@@ -7,7 +7,6 @@ nothing else of it is used.  From tick to tick joints and hands are taken to go 
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
@@ -75,18 +74,12 @@ def _most_moved_m(ticks: NDArray[np.void]) -> NDArray[np.float64]:
     return moved_m
 
 
-@dataclass(eq=False)
 class PyBulletArm:
     """A PyBullet client of its own with the arm of a trace and a body for each of its capsules."""
 
-    trace: Trace
-    _client: int = -1
-    _arm: int = -1
-    _joints: list[int] = field(default_factory=list)
-    _links: list[int] = field(default_factory=list)
-    _capsules: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=list)
-    _hand: int = -1
-    _forearms: dict[float, int] = field(default_factory=dict)
+    def __init__(self, trace: Trace) -> None:
+        self.trace = trace
+        self._forearms: dict[float, int] = {}
 
     def __enter__(self) -> PyBulletArm:
         settings = self.trace.scenario.settings

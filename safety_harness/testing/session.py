@@ -36,11 +36,6 @@ CERTIFY = Profile("certify", 3000, 2000)
 PROFILES = (QUICK, NIGHTLY, CERTIFY)
 
 
-def profile_named(name: str) -> Profile:
-    """The profile of that name; KeyError if there is none."""
-    return {profile.name: profile for profile in PROFILES}[name]
-
-
 @dataclass(frozen=True)
 class Run:
     """What is remembered of a run when its trace is gone; ``sound``: it was whole, and of finite numbers."""
