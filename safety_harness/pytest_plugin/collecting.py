@@ -88,33 +88,46 @@ class ScenarioNode(pytest.Collector):
         return self._items(self)
 
 
+class FileItem(pytest.Item):
+    """One claim of a file, which ``check`` judges."""
+
+    def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **others: Any) -> None:
+        super().__init__(**others)
+        self.claim, self._check = claim, check
+
+    def runtest(self) -> None:
+        """Simulate, unless another claim has just done so, and judge."""
+        self._check(self.stash[TEST])
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """The claim's own line."""
+        return self.path, (self.claim.place.line or 1) - 1, self.name
+
+
+class ClaimItem(FileItem):
+    """One claim of one scenario: passes if its verdict is the one that the file expects."""
+
+
+class SpaceClaimItem(FileItem):
+    """One claim of a space: passes if no draw comes out otherwise than the file expects, and some decide."""
+
+
 def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
     for claim in scenario.claims:
-        yield ClaimItem.from_parent(parent, name=claim.sentence, scenario=scenario, claim=claim)
+        check = partial(_judge, scenario, claim)
+        yield ClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
 def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
     for number, claim in enumerate(runs.claims):
-        yield SpaceClaimItem.from_parent(parent, name=claim.sentence, runs=runs, number=number)
+        check = partial(runs.check, number)
+        yield SpaceClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
-class ClaimItem(pytest.Item):
-    """One claim of one scenario: passes if its verdict is the one that the file expects."""
-
-    def __init__(self, *, scenario: Scenario, claim: Claim, **others: Any) -> None:
-        super().__init__(**others)
-        self.scenario = scenario
-        self.claim = claim
-
-    def runtest(self) -> None:
-        """Simulate, unless another claim of the scenario has just done so, and judge."""
-        trace = simulate(self.scenario)
-        require(property_of(self.claim, trace.scenario).evaluate(trace), self.claim.expected, trace)
-        refuse_fallback(trace)
-
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The claim's own line."""
-        return _where(self, self.claim)
+def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
+    trace = simulate(scenario)
+    require(property_of(claim, trace.scenario).evaluate(trace), claim.expected, trace)
+    refuse_fallback(trace)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,24 +202,3 @@ class SpaceRuns:
             judgement, before = Judgement(run, evaluation, claim.expected), self._shown.get(claim.sentence)
             if before is None or judgement.severity < before[0].severity:
                 self._shown[claim.sentence] = judgement, trace
-
-
-class SpaceClaimItem(pytest.Item):
-    """One claim of a space: passes if no draw comes out otherwise than the file expects, and some decide."""
-
-    def __init__(self, *, runs: SpaceRuns, number: int, **others: Any) -> None:
-        super().__init__(**others)
-        self._runs = runs
-        self._number = number
-
-    def runtest(self) -> None:
-        """Draw, simulate, judge."""
-        self._runs.check(self._number, self.stash[TEST])
-
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The claim's own line."""
-        return _where(self, self._runs.claims[self._number])
-
-
-def _where(item: pytest.Item, claim: Claim) -> tuple[Path, int, str]:
-    return item.path, (claim.place.line or 1) - 1, item.name

@@ -20,7 +20,7 @@ from safety_harness.avoidance.isolation.host import executed
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
+from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
@@ -106,7 +106,7 @@ def complete(
     error = call.excinfo.value if call.excinfo is not None else None
     plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
     if error is not None and (
-        plain or (isinstance(error, SafetyHarnessError) and isinstance(item, ClaimItem | SpaceClaimItem))
+        plain or (isinstance(error, SafetyHarnessError) and isinstance(item, FileItem))
     ):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     if report.passed and not test.draws:  # it expected the failures that did not fail it

@@ -61,19 +61,27 @@ def spoilt(make: Callable[[float], Answers]) -> Seeds:
     return seed_into
 
 
-def answered(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seeded into each answer of the avoider."""
+def asking(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
+    """Seeded into how the avoider is asked."""
     return spoilt(lambda magnitude: partial(answers, magnitude))
+
+
+def answered(change: Callable[[float, Proposal, Vector, Vector, int], Proposal]) -> Seeds:
+    """Seeded into each answer of the avoider."""
+
+    def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+        return change(magnitude, asked(avoider, hand, tcp, seed), hand, tcp, seed)
+
+    return asking(answers)
 
 
 def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
     """Seeded into the displacement (3,) that the avoider proposes."""
 
-    def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-        proposal = asked(avoider, hand, tcp, seed)
+    def displaced(magnitude: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         return Proposal(tcp + change(proposal.position_in_base_m - tcp, magnitude), proposal.spread_m)
 
-    return answered(answers)
+    return answered(displaced)
 
 
 def turned(way: Vector, angle_rad: float) -> Vector:
@@ -130,21 +138,20 @@ def _stale_hand(questions: float) -> Answers:
 
 
 @_avoider("stale TCP", "the answer is for where the tool should be, not for where it is")
-@seeded(answered, (3.0, 1.0, 0.5), "% of the way", 100.0)
+@seeded(asking, (3.0, 1.0, 0.5), "% of the way", 100.0)
 def _stale_tcp(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return asked(avoider, hand, tcp + share * (DESIRED - tcp), seed)
 
 
 @_avoider("constant output", "a network that has collapsed: the same position for every hand")
 @seeded(answered, (0.0, 0.1), "mm above the desired pose", 1e3)
-def _constant(height_m: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    return Proposal(DESIRED + [0.0, 0.0, height_m], asked(avoider, hand, tcp, seed).spread_m)
+def _constant(height_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+    return Proposal(DESIRED + [0.0, 0.0, height_m], proposal.spread_m)
 
 
 @_avoider("towards the hand in one octant", "wrong only for hands from one side, where training had few")
 @seeded(answered, (1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind"))
-def _wrong_octant(conditions: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _wrong_octant(conditions: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     sides = np.array([hand[1] > tcp[1], hand[2] > tcp[2], hand[0] < tcp[0]])
     if not np.all(sides[: int(conditions)]):
         return proposal
@@ -153,15 +160,14 @@ def _wrong_octant(conditions: float, avoider: Avoider, hand: Vector, tcp: Vector
 
 @_avoider("out of reach when unseen", "a network that extrapolates: far answers for hands outside its data")
 @seeded(answered, (20.0, 10.0, 5.0), "times")
-def _far_when_unseen(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _far_when_unseen(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if np.all(np.abs(hand - NOMINAL_HAND) <= 0.3):
         return proposal
     return Proposal(tcp + factor * (proposal.position_in_base_m - tcp), proposal.spread_m)
 
 
 @_avoider("NaN now and then", "no position, and the decision is left to whoever comes after")
-@seeded(answered, (1.0, 0.1, 0.01, 0.001), "of decisions")
+@seeded(asking, (1.0, 0.1, 0.01, 0.001), "of decisions")
 def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 1).random() < share:
         return Proposal(np.full(3, np.nan))
@@ -169,7 +175,7 @@ def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, se
 
 
 @_avoider("an exception now and then", "the same with a program that stops")
-@seeded(answered, (1.0, 0.1, 0.01), "of decisions")
+@seeded(asking, (1.0, 0.1, 0.01), "of decisions")
 def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 3).random() < share:
         raise AvoiderError("no idea")
@@ -178,8 +184,7 @@ def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: in
 
 @_avoider("noise in the answers", "the arm gives way to anywhere")
 @seeded(answered, (0.3, 0.1, 0.03), "mm", 1e3)
-def _noisy(std_m: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     noise_m = std_m * generator(seed, Branch.SELFTEST, 2).standard_normal(3)
     return Proposal(proposal.position_in_base_m + noise_m, proposal.spread_m)
 
@@ -215,23 +220,20 @@ def _remembering(step_m: float) -> Answers:
 
 @_spread("overconfident spread", "the gate lets pass what the network only guesses")
 @seeded(answered, (0.0, 0.1, 0.25, 0.5), "times")
-def _overconfident(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _overconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)
 
 
 @_spread("underconfident spread", "every answer is thrown away; what was tested is not what is used")
 @seeded(answered, (10.0, 4.0, 2.0), "times")
-def _underconfident(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)
 
 
 @_spread("spread of the wrong axis", "the doubt about the most uncertain axis is not seen")
 @seeded(answered, (1.0, 0.5), "% of the largest lost", 100.0)
-def _wrong_spread_axis(weight: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+def _wrong_spread_axis(weight: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     """Two of the axes are put down for the third one, the most uncertain."""
-    proposal = asked(avoider, hand, tcp, seed)
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)

@@ -7,7 +7,7 @@ import numpy as np
 from safety_harness.admission.admit import Admitted
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.avoider_faults import answered, asked
+from safety_harness.selftest.avoider_faults import answered, asked, asking
 from safety_harness.selftest.fault import (
     declared,
     faults_in,
@@ -30,7 +30,7 @@ NOISE_M = 1e-7
 
 @declared(harmless="it is given copies")
 @of_avoider("mutates its inputs", "an avoider that writes into what it is given")
-@seeded(answered)
+@seeded(asking)
 def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     proposal = asked(avoider, hand.copy(), tcp.copy(), seed)
     hand[:], tcp[:] = 0.0, 0.0
@@ -39,7 +39,7 @@ def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) 
 
 @declared(harmless="nothing draws from the global generator")
 @of_avoider("seeds the global generator", "an avoider that changes everybody's random numbers")
-@seeded(answered)
+@seeded(asking)
 def _global_state(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     np.random.seed(0)  # noqa: NPY002 (that it does so is the point)
     return asked(avoider, hand, tcp, seed)
@@ -48,8 +48,7 @@ def _global_state(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: i
 @declared(harmless="ten thousand times less than the arrival tolerance of 1 mm")
 @of_avoider("answers in single precision", "rounding to a tenth of a micrometre")
 @seeded(answered)
-def _single_precision(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _single_precision(_: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m.astype(np.float32), proposal.spread_m)
 
 

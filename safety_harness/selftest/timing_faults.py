@@ -51,13 +51,11 @@ def _missed(pause_s: float, admitted: Admitted) -> Change:
 @seeded(seeing, (0.4, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late_joints(delay_s: float, admitted: Admitted) -> Change:
     cycles = round(delay_s / admitted.scenario.settings.clock.control_period_s)
-    waiting: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque()
+    waiting: deque[tuple[NDArray[np.float64], NDArray[np.float64]]] = deque(maxlen=cycles + 1)
 
     def see(observation: Records) -> Records:
         o = observation[0]
         waiting.append((o["joint_position_rad"].copy(), o["joint_velocity_radps"].copy()))
-        if len(waiting) > cycles + 1:
-            waiting.popleft()
         o["joint_position_rad"], o["joint_velocity_radps"] = waiting[0]
         return observation
 

@@ -31,9 +31,7 @@ class Profile:
 
 
 QUICK = Profile("quick", 50, 60)  # while one works, and on every push
-NIGHTLY = Profile("nightly", 500, 400)
-CERTIFY = Profile("certify", 3000, 2000)
-PROFILES = (QUICK, NIGHTLY, CERTIFY)
+PROFILES = (QUICK, Profile("nightly", 500, 400), Profile("certify", 3000, 2000))
 
 
 @dataclass(frozen=True)
