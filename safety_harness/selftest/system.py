@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,9 +47,7 @@ class ChangedSystem:
         """With a gate of another class or with other fields."""
 
         def edit(pilot: AvoidingServo) -> None:
-            gate = pilot.gate
-            values = {field.name: getattr(gate, field.name) for field in fields(gate)}
-            pilot.gate = cls(**(values | changed))
+            pilot.gate = cls(**(vars(pilot.gate) | changed))
 
         return replace(self, edits=(*self.edits, edit))
 
