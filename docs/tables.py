@@ -14,7 +14,7 @@ from safety_harness.properties.entry import markdown_of_claims
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
 from safety_harness.scenario.schema import scenario_schema
-from safety_harness.selftest.table import markdown as table_of
+from safety_harness.selftest.outcome import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"

@@ -13,30 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusable
-from safety_harness.admission.checks import (
-    check_cameras,
-    check_decision_time,
-    check_faults,
-    check_object,
-    check_restart_delay,
-    check_view,
-)
+from safety_harness.admission.checks import check_decision_time, check_faults, checked_view
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.hands import check_hands
-from safety_harness.admission.poses import (
-    DESIRED,
-    VIEW,
-    check_desired,
-    check_start,
-    kinematics,
-    start_joint_position,
-)
+from safety_harness.admission.poses import DESIRED, VIEW, check_desired, checked_start, kinematics
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
-from safety_harness.controller.desired import view_of
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
@@ -134,7 +119,7 @@ class Looker:
         key = scenario.avoider, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):
-                refuse_unusable(scenario.avoider, scenario, folder=folder_of(scenario))
+                refuse_unusable(scenario)
             self._seen.add(key)
         return checked
 
@@ -152,8 +137,7 @@ def check(scenario: Scenario) -> Checked:
     arm = load_arm(scenario.robot.arm_name)
     with _placed(scenario):
         view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
-        start = start_joint_position(scenario, arm)
-        check_start(scenario, arm, start)
+        start = checked_start(scenario, arm)
         check_hands(scenario, arm, start)
         check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
@@ -187,13 +171,8 @@ class _Cell:
 @lru_cache(maxsize=16)  # many scenarios share a cell
 def _view_of_cell(cell: _Cell) -> DesiredView:
     """The desired view in a cell that can be worked in."""
-    scenario = cell.scenario
-    check_cameras(scenario)
-    check_restart_delay(scenario)
-    check_object(scenario)
-    view = view_of(cell.settings)
-    check_view(scenario, view)
-    check_desired(scenario, load_arm(cell.robot.arm_name))
+    view = checked_view(cell.scenario)
+    check_desired(cell.scenario, load_arm(cell.robot.arm_name))
     return view
 
 

@@ -62,7 +62,7 @@ class Avoiders:
 
     def of(self, scenario: Scenario) -> tuple[Avoider, str]:
         """The avoider that ``scenario.avoider`` names, and its file's hash; errors as ``resolve_avoider``."""
-        path, name = _file_of(scenario.avoider, folder_of(scenario)), file_and_name(scenario.avoider)[1]
+        path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not name:
             return self._others(_Wanted(path or scenario.avoider, scenario.settings, scenario))
         if (path, name) not in self._programs:
@@ -71,57 +71,53 @@ class Avoiders:
 
 
 def _made(scenario: Scenario) -> tuple[Avoider, str]:
-    avoider = resolve_avoider(scenario.avoider, scenario, folder=folder_of(scenario))
-    return avoider, avoider_sha256(scenario)
+    return resolve_avoider(scenario), avoider_sha256(scenario)
 
 
-def resolve_avoider(
-    reference: str, scenario: Scenario, *, folder: Path | None, place: Place | None = None
-) -> Avoider:
-    """The avoider that ``reference`` means, ready to be asked.
+def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
+    """The avoider that the scenario names, ready to be asked.
 
-    A relative file is sought from ``folder`` (None: the working directory).  ``place`` is what
-    errors name; None is where the scenario names its avoider.  InadmissibleError if there is no
+    A relative file is sought from the scenario's folder (without a file: the working directory).  ``place``
+    is what errors name; None is where the scenario names its avoider.  InadmissibleError if there is no
     such avoider or it is none, ModelError if a model file cannot be used.
     """
     place = place or scenario.place("avoider")
-    path = _found(reference, folder, place)
+    path = _found(scenario, place)
+    reference, settings = scenario.avoider, scenario.settings
     if path is None:
         opposite = reference == OPPOSITE
-        settings = scenario.settings
         return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.of(settings)
     name = file_and_name(reference)[1]
     if name:
         return isolated_avoider(path, name, place)
     if reference.endswith(ONNX_SUFFIX):
-        avoider = isolated_onnx(path, scenario.settings)
-        _refuse_foreign_onnx(path, scenario.settings)
+        avoider = isolated_onnx(path, settings)
+        _refuse_foreign_onnx(path, settings)
         return avoider
-    return _from_model_file(path, scenario.settings)
+    return _from_model_file(path, settings)
 
 
-def refuse_unusable(
-    reference: str, scenario: Scenario, *, folder: Path | None, place: Place | None = None
-) -> None:
+def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
     """As ``resolve_avoider`` refuses, as far as can be seen without executing anything of a user's.
 
     A Python file is parsed, of an ONNX file the metadata are read; anything else is resolved.
     """
     place = place or scenario.place("avoider")
-    path, name = _found(reference, folder, place), file_and_name(reference)[1]
+    path, name = _found(scenario, place), file_and_name(scenario.avoider)[1]
     if path is not None and name:
         refuse_undefined(path, name, place)
-    elif path is not None and reference.endswith(ONNX_SUFFIX):
+    elif path is not None and scenario.avoider.endswith(ONNX_SUFFIX):
         _refuse_foreign_onnx(path, scenario.settings)
     else:
-        resolve_avoider(reference, scenario, folder=folder, place=place)
+        resolve_avoider(scenario, place)
 
 
-def _found(reference: str, folder: Path | None, place: Place) -> Path | None:
-    """The file that a reference means, which is there; None for an avoider of ours without one."""
+def _found(scenario: Scenario, place: Place) -> Path | None:
+    """The file of the scenario's avoider, which is there; None for one of ours without a file."""
+    reference = scenario.avoider
     if reference in (OPPOSITE, NEAREST):
         return None
-    path = _file_of(reference, folder)
+    path = _file_of(scenario)
     if path is None:
         near = get_close_matches(reference, NAMES, n=1)
         hint = f"did you mean {near[0]!r}?" if near else ""
@@ -135,7 +131,7 @@ def _found(reference: str, folder: Path | None, place: Place) -> Path | None:
 
 def avoider_sha256(scenario: Scenario) -> str:
     """The hash of the file that the scenario's avoider comes from; empty for one without a file."""
-    path = _file_of(scenario.avoider, folder_of(scenario))
+    path = _file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
@@ -191,12 +187,12 @@ def folder_of(scenario: Scenario) -> Path | None:
     return scenario.file.parent if scenario.file is not None else None
 
 
-def _file_of(reference: str, folder: Path | None) -> Path | None:
-    """The file that a reference means, which need not be there; None if it means none."""
-    if reference in SHIPPED:
-        return shipped_model(reference)
-    file, _ = file_and_name(reference)
-    return resolved((folder or Path()) / os.path.expanduser(file)) if file else None
+def _file_of(scenario: Scenario) -> Path | None:
+    """The file of the scenario's avoider, which need not be there; None for one without."""
+    if scenario.avoider in SHIPPED:
+        return shipped_model(scenario.avoider)
+    file, _ = file_and_name(scenario.avoider)
+    return resolved((folder_of(scenario) or Path()) / os.path.expanduser(file)) if file else None
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:

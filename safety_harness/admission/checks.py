@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider, decision_time_of
+from safety_harness.controller.desired import view_of
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import AvoiderError, InadmissibleError
 from safety_harness.geometry.segments import segment_segment_distance
@@ -42,7 +43,17 @@ _FAULTS = {
 }
 
 
-def check_object(scenario: Scenario) -> None:
+def checked_view(scenario: Scenario) -> DesiredView:
+    """The desired view in a cell that can be worked in, whatever hands and start are."""
+    _check_cameras(scenario)
+    _check_restart_delay(scenario)
+    _check_object(scenario)
+    view = view_of(scenario.settings)
+    _check_view(scenario, view)
+    return view
+
+
+def _check_object(scenario: Scenario) -> None:
     """Refuse an object inside the table, or one whose outline crosses itself or cannot be painted."""
     cell, shape, camera = scenario.settings.cell, scenario.settings.object, scenario.settings.camera
     height_m = shape.position_in_base_m[2]
@@ -69,7 +80,7 @@ def check_object(scenario: Scenario) -> None:
         )
 
 
-def check_view(scenario: Scenario, view: DesiredView) -> None:
+def _check_view(scenario: Scenario, view: DesiredView) -> None:
     """Refuse an object that is nearly as symmetric as one that cannot be servoed on at all."""
     if not view.condition_number <= MOST_CONDITION:
         raise InadmissibleError(
@@ -92,7 +103,7 @@ def _crosses_itself(corners: NDArray[np.float64]) -> bool:
     )
 
 
-def check_restart_delay(scenario: Scenario) -> None:
+def _check_restart_delay(scenario: Scenario) -> None:
     """Refuse a restart before the longest stop is over: the drives would take up a command in one jump."""
     settings = scenario.settings
     braking = settings.braking
@@ -115,7 +126,7 @@ def check_restart_delay(scenario: Scenario) -> None:
         )
 
 
-def check_cameras(scenario: Scenario) -> None:
+def _check_cameras(scenario: Scenario) -> None:
     """Refuse what a camera cannot do: more images than ticks, an ideal one's faults, a second optics."""
     settings = scenario.settings
     most_hz = 1.0 / settings.clock.control_period_s

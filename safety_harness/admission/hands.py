@@ -20,7 +20,8 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[n
     """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
     table_m = scenario.settings.cell.table_height_m
     for number, hand in enumerate(scenario.hands):
-        leader, above_m = scenario.leader(hand), 0.0
+        leader = scenario.leader(hand)
+        above_m = hand.apart_in_base_m[2] if isinstance(hand, JoinedHand) else 0.0
         if leader is None:
             raise InadmissibleError(
                 place=scenario.place(f"hands[{number}].together with"),
@@ -29,14 +30,11 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[n
             )
         if isinstance(hand, MovingHand):
             _check_speeds(scenario, number, hand)
-        if isinstance(hand, JoinedHand):
-            above_m = hand.apart_in_base_m[2]
         for field, words, height_m in _lowest_points(leader, scenario.duration_s):
             if height_m + above_m < table_m:
+                where = "apart" if isinstance(hand, JoinedHand) else field
                 raise InadmissibleError(
-                    place=scenario.place(
-                        f"hands[{number}].{'apart' if isinstance(hand, JoinedHand) else field}"
-                    ),
+                    place=scenario.place(f"hands[{number}].{where}"),
                     expected=f"a hand above the table (z = {table_m * 1e3:.0f} mm)",
                     got=f"z = {(height_m + above_m) * 1e3:.0f} mm{words}",
                 )

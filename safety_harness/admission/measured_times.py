@@ -51,7 +51,7 @@ def measured_times(reference: str, questions: int, seed: int) -> MeasuredTimes:
     if its first answer does not come.
     """
     scenario, place = scenario_of_avoider(reference), Place(field="AVOIDER")
-    avoider = resolve_avoider(reference, scenario, folder=None, place=place)
+    avoider = resolve_avoider(scenario, place)
     if not answers_at_first(avoider, *first_question(DEFAULTS)):
         raise NoAnswerError(avoider.name, FIRST_ANSWER_S)
     times_s, faults = answer_times_s(avoider, questions, seed)

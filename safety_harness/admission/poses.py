@@ -40,6 +40,13 @@ def kinematics(arm_name: str = "ur10") -> InverseKinematics:
     return InverseKinematics(load_arm(arm_name))
 
 
+def checked_start(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
+    """The start's joint angles; one that is singular, too low, or without the object in view is refused."""
+    joints = start_joint_position(scenario, arm)
+    _check_pose(scenario, arm, joints, "TCP start", START)
+    return joints
+
+
 def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
     """The joint angles of the TCP start: given, or by inverse kinematics on the preferred branch."""
     start = scenario.start
@@ -62,11 +69,6 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
         target[:3, 3] += start.offset_in_base_m
     target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
     return _reached(scenario, arm, target, "TCP start", START)
-
-
-def check_start(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
-    """Refuse a start that is singular, below the table's clearance, or without the object in view."""
-    _check_pose(scenario, arm, joint_position_rad, "TCP start", START)
 
 
 def check_desired(scenario: Scenario, arm: ArmModel) -> None:

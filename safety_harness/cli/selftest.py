@@ -41,19 +41,20 @@ def selftest(
     import shlex
 
     from safety_harness.certification.tools import FaultState
-    from safety_harness.selftest.outcome import FaultOutcome, tally_of
-    from safety_harness.selftest.session import DATA, PAGE, SelfTestSession, numbers_of
-    from safety_harness.selftest.suite import SelfTestPlan, profile_named
-    from safety_harness.selftest.table import (
+    from safety_harness.selftest.outcome import (
         HARMLESS_HEAD,
         HEAD,
+        FaultOutcome,
         bad,
         harmless_row,
         in_table,
         lines,
         row,
         summary,
+        tally_of,
     )
+    from safety_harness.selftest.session import DATA, PAGE, SelfTestSession, numbers_of
+    from safety_harness.selftest.suite import SelfTestPlan, profile_named
     from safety_harness.whole_file import writing
 
     again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]

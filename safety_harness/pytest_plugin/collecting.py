@@ -1,23 +1,34 @@
-"""Scenario files as tests: an item for each claim, one simulation for all the claims of a scenario."""
+"""Scenario files as tests: an item for each claim, one simulation for all the claims of a scenario.
+
+The claims of a space see the same draws, and every draw is simulated once for all of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InputError
+from safety_harness.properties.answered import by_default
+from safety_harness.properties.base import Evaluation
 from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.scenario.expand import gather
-from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.read import space_of
-from safety_harness.testing.asserting import SafetyViolation, refuse_fallback, run_of, settle
-from safety_harness.testing.simulating import as_asked, looker, simulate
-from safety_harness.testing.space_runs import SpaceRuns
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.testing.asserting import SafetyViolation, aim, refuse_fallback, require, run_of, settle
+from safety_harness.testing.drawing import drawn
+from safety_harness.testing.session import Judgement, Run, TestRun, session
+from safety_harness.testing.simulating import as_asked, digest_of, looker, simulate
+from safety_harness.testing.watching import kept_for, under_profile, watching
+from safety_harness.trace.trace import Trace
 
 Nodes = Iterator[pytest.Item | pytest.Collector]
 
@@ -77,53 +88,117 @@ class ScenarioNode(pytest.Collector):
         return self._items(self)
 
 
+class FileItem(pytest.Item):
+    """One claim of a file, which ``check`` judges."""
+
+    def __init__(self, *, claim: Claim, check: Callable[[TestRun], None], **others: Any) -> None:
+        super().__init__(**others)
+        self.claim, self._check = claim, check
+
+    def runtest(self) -> None:
+        """Simulate, unless another claim has just done so, and judge."""
+        self._check(self.stash[TEST])
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """The claim's own line."""
+        return self.path, (self.claim.place.line or 1) - 1, self.name
+
+
+class ClaimItem(FileItem):
+    """One claim of one scenario: passes if its verdict is the one that the file expects."""
+
+
+class SpaceClaimItem(FileItem):
+    """One claim of a space: passes if no draw comes out otherwise than the file expects, and some decide."""
+
+
 def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
     for claim in scenario.claims:
-        yield ClaimItem.from_parent(parent, name=claim.sentence, scenario=scenario, claim=claim)
+        check = partial(_judge, scenario, claim)
+        yield ClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
 def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
     for number, claim in enumerate(runs.claims):
-        yield SpaceClaimItem.from_parent(parent, name=claim.sentence, runs=runs, number=number)
+        check = partial(runs.check, number)
+        yield SpaceClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
-class ClaimItem(pytest.Item):
-    """One claim of one scenario: passes if its verdict is the one that the file expects."""
-
-    def __init__(self, *, scenario: Scenario, claim: Claim, **others: Any) -> None:
-        super().__init__(**others)
-        self.scenario = scenario
-        self.claim = claim
-
-    def runtest(self) -> None:
-        """Simulate, unless another claim of the scenario has just done so, and judge."""
-        trace = simulate(self.scenario)
-        evaluation = property_of(self.claim, trace.scenario).evaluate(trace)
-        if not settle(evaluation, run_of(trace), self.claim.expected, trace):
-            raise SafetyViolation(evaluation, trace, self.claim.expected)
-        refuse_fallback(trace)
-
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The claim's own line."""
-        return _where(self, self.claim)
+def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
+    trace = simulate(scenario)
+    require(property_of(claim, trace.scenario).evaluate(trace), claim.expected, trace)
+    refuse_fallback(trace)
 
 
-class SpaceClaimItem(pytest.Item):
-    """One claim of a space: passes if no draw comes out otherwise than the file expects, and some decide."""
-
-    def __init__(self, *, runs: SpaceRuns, number: int, **others: Any) -> None:
-        super().__init__(**others)
-        self._runs = runs
-        self._number = number
-
-    def runtest(self) -> None:
-        """Draw, simulate, judge."""
-        self._runs.check(self._number, self.stash[TEST])
-
-    def reportinfo(self) -> tuple[Path, int, str]:
-        """The claim's own line."""
-        return _where(self, self._runs.claims[self._number])
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    run: Run
+    evaluations: tuple[Evaluation, ...]  # in the order of the claims
+    fallback: Evaluation | None  # that the avoider did not answer, where nobody expects it
 
 
-def _where(item: pytest.Item, claim: Claim) -> tuple[Path, int, str]:
-    return item.path, (claim.place.line or 1) - 1, item.name
+class SpaceRuns:
+    """A space and what came of its draws.
+
+    Each claim's test draws by the same seed and is led by the margins of all claims, so that they all see
+    the same scenarios until one of them fails.  InputError for a space that cannot be tried.
+    """
+
+    def __init__(self, space: ScenarioSpace) -> None:
+        self.space = space
+        self.claims: tuple[Claim, ...] = space.simplest.claims
+        self._strategy = drawn(space)
+        self._judged: dict[str, _Judged] = {}
+        self._shown: dict[str, tuple[Judgement, Trace]] = {}
+
+    def check(self, number: int, test: TestRun) -> None:
+        """Draw scenarios and judge claim ``number`` of them; SafetyViolation with the smallest that fails."""
+        __tracebackhide__ = True
+        for file, scenario in kept_for(test.id):
+            test.replayed.append(file)
+            self._examine(scenario, number)
+
+        def example(scenario: Scenario) -> None:
+            __tracebackhide__ = True
+            self._examine(scenario, number)
+
+        drawing = given(scenario=self._strategy)(watching(example, test))
+        if not session().derandomize:
+            drawing = seed(session().seed)(drawing)
+        drawing._hypothesis_internal_use_settings = under_profile()  # type: ignore[attr-defined]
+        try:
+            drawing()
+        finally:
+            shown = self._shown.get(self.claims[number].sentence)
+            if shown is not None:
+                test.show(*shown)
+
+    def _examine(self, scenario: Scenario, number: int) -> None:
+        __tracebackhide__ = True
+        judged = self._judge(scenario)
+        for claim, evaluation in zip(self.claims, judged.evaluations, strict=True):
+            aim(evaluation, claim.expected)
+        evaluation, expected = judged.evaluations[number], self.claims[number].expected
+        if not settle(evaluation, judged.run, expected, None):
+            raise SafetyViolation(evaluation, simulate(scenario), expected)
+        if judged.fallback is not None and not settle(judged.fallback, judged.run, Verdict.HOLDS, None):
+            raise SafetyViolation(judged.fallback, simulate(scenario), Verdict.HOLDS)
+
+    def _judge(self, scenario: Scenario) -> _Judged:
+        digest = digest_of(scenario)
+        if digest not in self._judged:
+            trace = simulate(scenario)
+            run = run_of(trace)
+            properties = [property_of(claim, trace.scenario) for claim in self.claims]
+            evaluations = tuple(prop.evaluate(trace) for prop in properties)
+            self._judged[digest] = _Judged(run, evaluations, by_default(trace))
+            if session().report is not None:
+                self._remember(run, evaluations, trace)
+        return self._judged[digest]
+
+    def _remember(self, run: Run, evaluations: tuple[Evaluation, ...], trace: Trace) -> None:
+        """The worst run of each claim, for the report."""
+        for claim, evaluation in zip(self.claims, evaluations, strict=True):
+            judgement, before = Judgement(run, evaluation, claim.expected), self._shown.get(claim.sentence)
+            if before is None or judgement.severity < before[0].severity:
+                self._shown[claim.sentence] = judgement, trace

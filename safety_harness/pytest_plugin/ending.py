@@ -92,7 +92,7 @@ class Ending:
     def _fallback(self) -> str:
         """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""
         from safety_harness.properties.answered import ANSWERED, fallback_words
-        from safety_harness.pytest_plugin.sending import judgements
+        from safety_harness.pytest_plugin.running import judgements
         from safety_harness.report.words import count_words
 
         found = {
@@ -107,7 +107,7 @@ class Ending:
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.properties.tally import Judged, tally_claims
-        from safety_harness.pytest_plugin.sending import judgements
+        from safety_harness.pytest_plugin.running import judgements
 
         return tally_claims(
             Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected)

@@ -25,7 +25,6 @@ from safety_harness.testing.session import (
     Session,
     TestRun,
     begin,
-    profile_named,
     session,
 )
 
@@ -69,15 +68,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Begin a session; an avoider that cannot be used ends it at once."""
     name = config.getoption("safety_profile") or config.getini("safety_profile")
-    try:
-        profile = profile_named(name)
-    except KeyError:
-        expected = ", ".join(profile.name for profile in PROFILES)
-        raise pytest.UsageError(f"safety_profile: expected one of {expected}; got {name!r}") from None
+    profiles = {profile.name: profile for profile in PROFILES}
+    if name not in profiles:
+        raise pytest.UsageError(f"safety_profile: expected one of {', '.join(profiles)}; got {name!r}")
     report = config.getoption("safety_report")  # as seen from where pytest was started
     new = Session(
         root=config.rootpath,
-        profile=profile,
+        profile=profiles[name],
         derandomize=config.getoption("safety_derandomize") or config.getini("safety_derandomize"),
         seed=_seed(config),
         avoider=config.getoption("avoider"),
@@ -214,6 +211,6 @@ def refuse_unusable_avoider(reference: str, *, make: bool) -> None:
 
     try:
         look = resolve_avoider if make else refuse_unusable
-        look(reference, scenario_of_avoider(reference), folder=None, place=Place(field="--avoider"))
+        look(scenario_of_avoider(reference), Place(field="--avoider"))
     except InputError as error:
         raise pytest.UsageError(explained(error)) from None

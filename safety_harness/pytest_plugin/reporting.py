@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from safety_harness.properties.answered import AvoiderAnswered, with_expectation
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.pytest_plugin.plugin import explained
-from safety_harness.pytest_plugin.sending import Payload, packed, unpacked
+from safety_harness.pytest_plugin.running import Payload, packed, unpacked
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import write_report
 from safety_harness.report.machine import write_json
@@ -51,15 +51,6 @@ def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
     return found
 
 
-@dataclass(eq=False)
-class _Claims:
-    """What several tests said of one trace."""
-
-    claims: list[Claim] = field(default_factory=list)
-    evaluations: list[Evaluation] = field(default_factory=list)
-    tests: list[str] = field(default_factory=list)
-
-
 def write_reports(
     file: Path, sent: Sequence[Payload], coverage: Sequence[ClaimTally], *, config: pytest.Config, whole: bool
 ) -> str:
@@ -86,25 +77,25 @@ def write_reports(
 
 def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
     """One judged run for each trace, with all the claims that were made of it."""
-    by_file: dict[str, _Claims] = {}
+    by_file: dict[str, list[tuple[str, Verdict, Evaluation]]] = {}
     for one in sent:
         for name, expected, evaluation in one["traces"]:
-            of_trace = by_file.setdefault(name, _Claims())
-            if one["test"] not in of_trace.tests:
-                of_trace.tests.append(one["test"])
-            judged = unpacked(evaluation)
-            if judged.sentence not in [claim.sentence for claim in of_trace.claims]:
-                of_trace.claims.append(Claim(sentence=judged.sentence, expected=Verdict(expected)))
-                of_trace.evaluations.append(judged)
-    for name, of_trace in by_file.items():
+            judged = one["test"], Verdict(expected), unpacked(evaluation)
+            by_file.setdefault(name, []).append(judged)
+    for name, said in by_file.items():
         trace = load_trace(Path(name))
-        claims = with_expectation(tuple(of_trace.claims), trace.scenario)
-        more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(of_trace.claims) :]]
+        first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
+        for _, expected, evaluation in said:
+            claim = Claim(sentence=evaluation.sentence, expected=expected)
+            first.setdefault(evaluation.sentence, (claim, evaluation))
+        claims = with_expectation(tuple(claim for claim, _ in first.values()), trace.scenario)
+        more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(first) :]]
+        tests = dict.fromkeys(test for test, _, _ in said)
         scenario = replace(trace.scenario, claims=claims)
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
-            evaluations=(*of_trace.evaluations, *more),
+            evaluations=(*(evaluation for _, evaluation in first.values()), *more),
             replay_command=replay_command(scenario, Path(name)),
             trace_file=Path(name),
-            notes=(*notes_of(scenario), *(f"judged by {test}" for test in of_trace.tests)),
+            notes=(*notes_of(scenario), *(f"judged by {test}" for test in tests)),
         )

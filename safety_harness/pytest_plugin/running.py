@@ -1,4 +1,7 @@
-"""One test that judges runs: watched while it runs, and what came of it put into its report."""
+"""One test that judges runs: watched while it runs, and what came of it put into its report.
+
+There it is plain data: a report of xdist can carry nothing else.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,26 @@ import re
 import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from safety_harness.avoidance.isolation.host import executed
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
 from safety_harness.properties.answered import ANSWERED
-from safety_harness.pytest_plugin.collecting import ClaimItem, SpaceClaimItem
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST, explained
-from safety_harness.pytest_plugin.sending import junit_properties, payload
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
+from safety_harness.testing.drawing import gives_scenarios
 from safety_harness.testing.failure_text import in_store
-from safety_harness.testing.kept import keep
-from safety_harness.testing.session import Judgement, TestRun, session
+from safety_harness.testing.session import Judgement, Run, TestRun, session
+from safety_harness.testing.watching import keep, watched
 
+Payload = dict[str, Any]
 _OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
 
 
@@ -37,8 +44,6 @@ def watch(item: pytest.Item) -> Iterator[None]:
     try:
         with ExitStack() as stack:
             if function is not None and _is_about_scenarios(item, function):
-                from safety_harness.testing.watching import watched
-
                 stack.enter_context(watched(function, test))
             yield
         refuse_untested(test)
@@ -72,9 +77,8 @@ def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
     while step is not None:
         frames.append(step)
         step = step.tb_next
-    within = [
-        k for k, one in enumerate(frames) if "hypothesis" in Path(one.tb_frame.f_code.co_filename).parts
-    ]
+    files = [Path(one.tb_frame.f_code.co_filename) for one in frames]
+    within = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
     if within and within[-1] + 1 < len(frames):
         # The frame before the first is the function that @given made, which looks like the test itself.
         before = frames[max(within[0] - 2, 0)]
@@ -101,7 +105,9 @@ def complete(
     """Add what was judged to the report, and leave our own frames out of it."""
     error = call.excinfo.value if call.excinfo is not None else None
     plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
-    if error is not None and (plain or (isinstance(error, SafetyHarnessError) and _is_ours(item))):
+    if error is not None and (
+        plain or (isinstance(error, SafetyHarnessError) and isinstance(item, FileItem))
+    ):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     if report.passed and not test.draws:  # it expected the failures that did not fail it
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
@@ -125,10 +131,6 @@ def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
     return [f"  asked for at {near}:{lines[-1]}"] if lines and not named else []
 
 
-def _is_ours(item: pytest.Item) -> bool:
-    return isinstance(item, ClaimItem | SpaceClaimItem)
-
-
 def _hypothesis_function(item: pytest.Item) -> Any:
     """The function with ``@given``, below a bound method; None for any other item."""
     function = getattr(item, "obj", None)
@@ -138,7 +140,74 @@ def _hypothesis_function(item: pytest.Item) -> Any:
 
 def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
     """Does a test with ``@given`` take scenarios of ours, or simulate?"""
-    from safety_harness.testing.drawing import gives_scenarios
-
     given = function.hypothesis._given_kwargs.values()
     return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
+
+
+def payload(test: TestRun) -> Payload:
+    """Everything that the end of the session needs of ``test``."""
+    return {
+        "test": test.id,
+        "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
+        "kept": None if test.kept is None else str(test.kept),
+        "replayed": [str(file) for file in test.replayed],
+        "draws": test.draws,
+        "computing": [list(astuple(one)) for one in test.computing_times],
+        "traces": [],
+        "executed": list(executed.values()),
+        "failed": False,
+    }
+
+
+def judgements(sent: Payload) -> list[Judgement]:
+    """The judgements of a payload."""
+    return [
+        Judgement(Run(*run), unpacked(evaluation), Verdict(expected))
+        for *run, expected, evaluation in sent["judged"]
+    ]
+
+
+def packed(evaluation: Evaluation) -> dict[str, Any]:
+    """An evaluation as plain values."""
+    e = evaluation
+    return vars(e) | {
+        "verdict": e.verdict.value,
+        "unit": e.unit.name,
+        "margin": None if e.margin is None else float(e.margin),
+        "worst_time_s": None if e.worst_time_s is None else float(e.worst_time_s),
+        "exercised": int(e.exercised),
+        "parts": list(map(packed, e.parts)),
+    }
+
+
+def unpacked(values: dict[str, Any]) -> Evaluation:
+    """The evaluation of such values."""
+    parts = tuple(map(unpacked, values["parts"]))
+    typed = {"verdict": Verdict(values["verdict"]), "unit": Unit[values["unit"]], "parts": parts}
+    return Evaluation(**values | typed)
+
+
+def junit_properties(test: TestRun) -> list[tuple[str, object]]:
+    """For each claim its worst judgement; those of a second claim have names that end in 2, and so on."""
+    found: list[tuple[str, object]] = []
+    by_sentence: dict[str, list[Judgement]] = {}
+    for judgement in test.judgements:
+        by_sentence.setdefault(judgement.evaluation.sentence, []).append(judgement)
+    for number, (sentence, several) in enumerate(by_sentence.items(), start=1):
+        worst = test.worst[sentence]
+        evaluation, end = worst.evaluation, "" if number == 1 else f" {number}"
+        margin, when = evaluation.margin, evaluation.worst_time_s
+        values = {
+            "claim": sentence,
+            "verdict": evaluation.verdict.value,
+            "margin": "" if margin is None else f"{margin * evaluation.unit.per_si:.6g}",
+            "unit": evaluation.unit.symbol,
+            "worst time": "" if when is None else f"{when:.6g} s",
+            "exercised": sum(j.evaluation.exercised for j in several),
+            "runs": len(several),
+            "scenario": worst.run.name,
+            "avoider": worst.run.avoider,
+            "seed": worst.run.seed,
+        }
+        found += [(name + end, value) for name, value in values.items()]
+    return found

@@ -16,15 +16,7 @@ import numpy as np
 from safety_harness.avoidance.avoider import Avoider, AvoiderAround, Proposal, Vector
 from safety_harness.exceptions import AvoiderError
 from safety_harness.seeds import Branch, generator
-from safety_harness.selftest.fault import (
-    FaultyPart,
-    Precondition,
-    Seeds,
-    SeverityLevels,
-    fault_of,
-    faults_in,
-    seeded,
-)
+from safety_harness.selftest.fault import Precondition, Seeds, faults_in, of_avoider, seeded
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.settings import DEFAULTS, GateKind
 
@@ -36,8 +28,8 @@ PLAIN_GATE = Precondition(
 DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 NOMINAL_HAND = np.array(DEFAULTS.avoidance.nominal_hand_position_in_base_m)
 
-_avoider = partial(fault_of, FaultyPart.AVOIDER, circumstance=PLAIN_GATE)
-_spread = partial(fault_of, FaultyPart.AVOIDER, of_spread=True)
+_avoider = partial(of_avoider, circumstance=PLAIN_GATE)
+_spread = partial(of_avoider, of_spread=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,19 +60,27 @@ def spoilt(make: Callable[[float], Answers]) -> Seeds:
     return seed_into
 
 
-def answered(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seeded into each answer of the avoider."""
+def asking(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
+    """Seeded into how the avoider is asked."""
     return spoilt(lambda magnitude: partial(answers, magnitude))
+
+
+def answered(change: Callable[[float, Proposal, Vector, Vector, int], Proposal]) -> Seeds:
+    """Seeded into each answer of the avoider."""
+
+    def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+        return change(magnitude, asked(avoider, hand, tcp, seed), hand, tcp, seed)
+
+    return asking(answers)
 
 
 def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
     """Seeded into the displacement (3,) that the avoider proposes."""
 
-    def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-        proposal = asked(avoider, hand, tcp, seed)
+    def displaced(magnitude: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         return Proposal(tcp + change(proposal.position_in_base_m - tcp, magnitude), proposal.spread_m)
 
-    return answered(answers)
+    return answered(displaced)
 
 
 def turned(way: Vector, angle_rad: float) -> Vector:
@@ -90,13 +90,13 @@ def turned(way: Vector, angle_rad: float) -> Vector:
 
 
 @_avoider("sign flip", "the arm goes to the hand instead of away from it")
-@seeded(moved, SeverityLevels((1.0, 0.75, 0.6, 0.5), "% of the way turned", 100.0))
+@seeded(moved, (1.0, 0.75, 0.6, 0.5), "% of the way turned", 100.0)
 def _flipped(way: Vector, weight: float) -> Vector:
     return (1.0 - 2.0 * weight) * way
 
 
 @_avoider("mirrored axis", "a left-handed frame: away along two axes, towards along the third")
-@seeded(moved, SeverityLevels((2.0, 3.0, 1.0), names=("y", "z", "x")))
+@seeded(moved, (2.0, 3.0, 1.0), names=("y", "z", "x"))
 def _mirrored(way: Vector, axis: float) -> Vector:
     """A displacement (3,) with one coordinate mirrored: 1, 2, 3 for x, y, z."""
     signs = np.ones(3)
@@ -107,25 +107,25 @@ def _mirrored(way: Vector, axis: float) -> Vector:
 @_avoider(
     "wrong frame", "the answer is in the frame of the tool, not of the base: the arm gives way to the side"
 )
-@seeded(moved, SeverityLevels((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi))
+@seeded(moved, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_frame(way: Vector, angle_rad: float) -> Vector:
     return turned(way, angle_rad)
 
 
 @_avoider("millimetres for metres", "a position a thousand times too far: the arm is stretched to its limits")
-@seeded(moved, SeverityLevels((1000.0, 10.0, 5.0, 2.0), "times"))
+@seeded(moved, (1000.0, 10.0, 5.0, 2.0), "times")
 def _too_far(way: Vector, factor: float) -> Vector:
     return factor * way
 
 
 @_avoider("metres for millimetres", "the arm stays where it is, before the hand")
-@seeded(moved, SeverityLevels((0.001, 0.02, 0.1, 0.5), "times"))
+@seeded(moved, (0.001, 0.02, 0.1, 0.5), "times")
 def _too_near(way: Vector, factor: float) -> Vector:
     return factor * way
 
 
 @_avoider("stale hand", "the arm gives way to where the hand was at an earlier question")
-@seeded(spoilt, SeverityLevels((3.0, 1.0), "questions old"))
+@seeded(spoilt, (3.0, 1.0), "questions old")
 def _stale_hand(questions: float) -> Answers:
     seen: list[Vector] = []
 
@@ -137,21 +137,20 @@ def _stale_hand(questions: float) -> Answers:
 
 
 @_avoider("stale TCP", "the answer is for where the tool should be, not for where it is")
-@seeded(answered, SeverityLevels((3.0, 1.0, 0.5), "% of the way", 100.0))
+@seeded(asking, (3.0, 1.0, 0.5), "% of the way", 100.0)
 def _stale_tcp(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return asked(avoider, hand, tcp + share * (DESIRED - tcp), seed)
 
 
 @_avoider("constant output", "a network that has collapsed: the same position for every hand")
-@seeded(answered, SeverityLevels((0.0, 0.1), "mm above the desired pose", 1e3))
-def _constant(height_m: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    return Proposal(DESIRED + [0.0, 0.0, height_m], asked(avoider, hand, tcp, seed).spread_m)
+@seeded(answered, (0.0, 0.1), "mm above the desired pose", 1e3)
+def _constant(height_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+    return Proposal(DESIRED + [0.0, 0.0, height_m], proposal.spread_m)
 
 
 @_avoider("towards the hand in one octant", "wrong only for hands from one side, where training had few")
-@seeded(answered, SeverityLevels((1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind")))
-def _wrong_octant(conditions: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+@seeded(answered, (1.0, 2.0, 3.0), names=("left", "left, above", "left, above, behind"))
+def _wrong_octant(conditions: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     sides = np.array([hand[1] > tcp[1], hand[2] > tcp[2], hand[0] < tcp[0]])
     if not np.all(sides[: int(conditions)]):
         return proposal
@@ -159,16 +158,15 @@ def _wrong_octant(conditions: float, avoider: Avoider, hand: Vector, tcp: Vector
 
 
 @_avoider("out of reach when unseen", "a network that extrapolates: far answers for hands outside its data")
-@seeded(answered, SeverityLevels((20.0, 10.0, 5.0), "times"))
-def _far_when_unseen(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+@seeded(answered, (20.0, 10.0, 5.0), "times")
+def _far_when_unseen(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if np.all(np.abs(hand - NOMINAL_HAND) <= 0.3):
         return proposal
     return Proposal(tcp + factor * (proposal.position_in_base_m - tcp), proposal.spread_m)
 
 
 @_avoider("NaN now and then", "no position, and the decision is left to whoever comes after")
-@seeded(answered, SeverityLevels((1.0, 0.1, 0.01, 0.001), "of decisions"))
+@seeded(asking, (1.0, 0.1, 0.01, 0.001), "of decisions")
 def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 1).random() < share:
         return Proposal(np.full(3, np.nan))
@@ -176,7 +174,7 @@ def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, se
 
 
 @_avoider("an exception now and then", "the same with a program that stops")
-@seeded(answered, SeverityLevels((1.0, 0.1, 0.01), "of decisions"))
+@seeded(asking, (1.0, 0.1, 0.01), "of decisions")
 def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 3).random() < share:
         raise AvoiderError("no idea")
@@ -184,15 +182,14 @@ def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: in
 
 
 @_avoider("noise in the answers", "the arm gives way to anywhere")
-@seeded(answered, SeverityLevels((0.3, 0.1, 0.03), "mm", 1e3))
-def _noisy(std_m: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+@seeded(answered, (0.3, 0.1, 0.03), "mm", 1e3)
+def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     noise_m = std_m * generator(seed, Branch.SELFTEST, 2).standard_normal(3)
     return Proposal(proposal.position_in_base_m + noise_m, proposal.spread_m)
 
 
 @_avoider("unseeded randomness", "no run of it can be repeated, so that no finding can be looked into")
-@seeded(spoilt, SeverityLevels((0.1, 1e-3, 1e-9), "mm", 1e3))
+@seeded(spoilt, (0.1, 1e-3, 1e-9), "mm", 1e3)
 def _unseeded(std_m: float) -> Answers:
     own = np.random.Generator(np.random.PCG64())  # the fault itself: entropy of the machine's
 
@@ -207,7 +204,7 @@ def _unseeded(std_m: float) -> Answers:
     "memory between episodes",
     "what it does depends on what was tried before: tests in another order say something else",
 )
-@seeded(spoilt, SeverityLevels((1e-2, 1e-3, 1e-6), "mm a question", 1e3))
+@seeded(spoilt, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
 def _remembering(step_m: float) -> Answers:
     """Drifts by the same step with every question that it has ever been asked."""
     questions = count()
@@ -221,24 +218,21 @@ def _remembering(step_m: float) -> Answers:
 
 
 @_spread("overconfident spread", "the gate lets pass what the network only guesses")
-@seeded(answered, SeverityLevels((0.0, 0.1, 0.25, 0.5), "times"))
-def _overconfident(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+@seeded(answered, (0.0, 0.1, 0.25, 0.5), "times")
+def _overconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)
 
 
 @_spread("underconfident spread", "every answer is thrown away; what was tested is not what is used")
-@seeded(answered, SeverityLevels((10.0, 4.0, 2.0), "times"))
-def _underconfident(factor: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+@seeded(answered, (10.0, 4.0, 2.0), "times")
+def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m, factor * proposal.spread_m)
 
 
 @_spread("spread of the wrong axis", "the doubt about the most uncertain axis is not seen")
-@seeded(answered, SeverityLevels((1.0, 0.5), "% of the largest lost", 100.0))
-def _wrong_spread_axis(weight: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+@seeded(answered, (1.0, 0.5), "% of the largest lost", 100.0)
+def _wrong_spread_axis(weight: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     """Two of the axes are put down for the third one, the most uncertain."""
-    proposal = asked(avoider, hand, tcp, seed)
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)

@@ -14,8 +14,17 @@ from typing import Any
 
 from safety_harness.certification.tools import FaultState
 from safety_harness.report.page_parts import render_page
-from safety_harness.selftest.outcome import FaultOutcome, tally_of
-from safety_harness.selftest.table import HARMLESS_HEAD, HEAD, bad, harmless_row, in_table, row, summary
+from safety_harness.selftest.outcome import (
+    HARMLESS_HEAD,
+    HEAD,
+    FaultOutcome,
+    bad,
+    harmless_row,
+    in_table,
+    row,
+    summary,
+    tally_of,
+)
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"

@@ -2,14 +2,14 @@
 
 A file of faults declares each where it says what is wrong, by two decorators:
 
-    @_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
-    @seeded(told, SeverityLevels((4.0, 1.5, 1.1, 1.02), "times"))
+    @of_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
+    @seeded(told, (4.0, 1.5, 1.1, 1.02), "times")
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor
 
-``seeded`` says where the change is made (here in what the arm is told) and at which magnitudes; the other
-one, a ``fault_of`` its part, makes a SeededFault of it, which ``faults_in`` the file finds.  ``ONLY`` is the
-ladder of one that is there or not.
+``seeded`` says where the change is made (here in what the arm is told), at which magnitudes, the gravest
+first, and how people read them; without magnitudes it is there or not.  The other one, of the part, makes a
+SeededFault of it, which ``faults_in`` the file finds.
 """
 
 from __future__ import annotations
@@ -94,8 +94,15 @@ class SeededFault:
 Graded = tuple[Seeds, SeverityLevels]
 
 
-def seeded(where: Callable[[What], Seeds], ladder: SeverityLevels = ONLY) -> Callable[[What], Graded]:
-    """Decorates what is wrong, with the place in the system where it is seeded and its magnitudes."""
+def seeded(
+    where: Callable[[What], Seeds],
+    values: tuple[float, ...] = (),
+    unit: str = "",
+    per_si: float = 1.0,
+    names: tuple[str, ...] = (),
+) -> Callable[[What], Graded]:
+    """Decorates what is wrong, with where it is seeded and the SeverityLevels; ``ONLY`` without values."""
+    ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
     return lambda what: (where(what), ladder)
 
 
@@ -104,6 +111,14 @@ def fault_of(
 ) -> Callable[[Graded], SeededFault]:
     """Makes a fault of what is ``seeded``."""
     return lambda graded: SeededFault(part, name, hazard, *graded, circumstance, of_spread)
+
+
+of_avoider = partial(fault_of, FaultyPart.AVOIDER)
+of_gate = partial(fault_of, FaultyPart.GATE)
+of_motion = partial(fault_of, FaultyPart.MOTION)
+of_perception = partial(fault_of, FaultyPart.PERCEPTION)
+of_servoing = partial(fault_of, FaultyPart.SERVOING)
+of_timing = partial(fault_of, FaultyPart.TIMING)
 
 
 def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:

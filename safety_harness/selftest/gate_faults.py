@@ -19,23 +19,12 @@ from safety_harness.avoidance.gate import Gate, GateDecision, Query
 from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.selftest.avoider_faults import FaultyAvoider, turned
-from safety_harness.selftest.fault import (
-    FaultyPart,
-    Precondition,
-    Seeds,
-    SeverityLevels,
-    fault_of,
-    faults_in,
-    outright,
-    seeded,
-)
+from safety_harness.selftest.fault import Precondition, Seeds, faults_in, of_gate, outright, seeded
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
 SURE_BELOW_M = 0.02  # the threshold of the avoiders below
 Rule = Callable[[Answer, Query], GateDecision]  # of the sound gate
-
-_gate = partial(fault_of, FaultyPart.GATE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,8 +128,8 @@ def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
     return replace(ruling, outcome=outcome, chosen_position_in_base_m=chosen)
 
 
-@_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
-@seeded(ruled, SeverityLevels((np.inf, 4.0, 2.0, 1.6), "times the threshold"))
+@of_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
+@seeded(ruled, (np.inf, 4.0, 2.0, 1.6), "times the threshold")
 def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """The ruling says the true threshold all the same."""
     true_m = proposed.spread_threshold_m
@@ -148,14 +137,16 @@ def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecis
     return replace(rule(lax, query), spread_threshold_m=true_m)
 
 
-@_gate("off by some cycles", "the refusal comes late: meanwhile the arm heads for what was refused", IN_DOUBT)
-@seeded(outright, SeverityLevels((40.0, 20.0, 10.0, 5.0, 3.0), "cycles"))
+@of_gate(
+    "off by some cycles", "the refusal comes late: meanwhile the arm heads for what was refused", IN_DOUBT
+)
+@seeded(outright, (40.0, 20.0, 10.0, 5.0, 3.0), "cycles")
 def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
     return system.with_pilot(lambda pilot: LateRefusal(pilot, cycles))
 
 
-@_gate("wrong pose handed over", "one position is checked and another one is gone to")
-@seeded(ruled, SeverityLevels((np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi))
+@of_gate("wrong pose handed over", "one position is checked and another one is gone to")
+@seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """Turned about the TCP; the ruling tells what was handed over."""
     ruling = rule(proposed, query)
@@ -164,41 +155,41 @@ def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) ->
     return replace(ruling, chosen_position_in_base_m=wrong)
 
 
-@_gate("checks the end and not the way", "the arm stops half-way, or bumps into itself", ACROSS)
+@of_gate("checks the end and not the way", "the arm stops half-way, or bumps into itself", ACROSS)
 @seeded(outright)
 def _blind_to_the_way(system: ChangedSystem, _: float) -> ChangedSystem:
     way = Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF
     return system.with_gate(BlindGate, to=way)
 
 
-@_gate("reach not checked", "the arm is stretched to its limits and stops before the hand", TOO_FAR)
+@of_gate("reach not checked", "the arm is stretched to its limits and stops before the hand", TOO_FAR)
 @seeded(outright)
 def _blind_to_reach(system: ChangedSystem, _: float) -> ChangedSystem:
     reach = Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT
     return system.with_gate(BlindGate, to=reach)
 
 
-@_gate("table not checked", "what is held is crushed between arm and table", TO_THE_TABLE)
+@of_gate("table not checked", "what is held is crushed between arm and table", TO_THE_TABLE)
 @seeded(outright)
 def _blind_to_the_table(system: ChangedSystem, _: float) -> ChangedSystem:
     table = Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF
     return system.with_gate(BlindGate, to=table)
 
 
-@_gate("direction not checked", "the arm goes to the hand that it gives way to", TO_THE_HAND)
+@of_gate("direction not checked", "the arm goes to the hand that it gives way to", TO_THE_HAND)
 @seeded(outright)
 def _blind_to_direction(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND)
 
 
-@_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
+@of_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """As if there were only the nearest."""
     return rule(proposed, replace(query, hands_in_base_m=query.hand_position_in_base_m[None]))
 
 
-@_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
+@of_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
 @seeded(ruled)
 def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """NaN is neither above a threshold nor out of reach."""
@@ -206,7 +197,7 @@ def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDec
     return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
 
 
-@_gate("lets no proposal pass", "the system in use is not the one whose avoider was tested", CERTAIN)
+@of_gate("lets no proposal pass", "the system in use is not the one whose avoider was tested", CERTAIN)
 @seeded(ruled)
 def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     """A usable proposal gives way only to an opposite pose that can be used too."""
@@ -215,22 +206,22 @@ def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> Gat
     return _taking(ruling, DecisionOutcome.OPPOSITE) if usable else ruling
 
 
-@_gate("stops where it could fall back", "an arm that stands still before a hand that comes", IN_DOUBT)
+@of_gate("stops where it could fall back", "an arm that stands still before a hand that comes", IN_DOUBT)
 @seeded(ruled)
 def _stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     ruling = rule(proposed, query)
     return _taking(ruling, DecisionOutcome.STOP) if ruling.outcome is DecisionOutcome.OPPOSITE else ruling
 
 
-@_gate("never stops", "the arm heads for where it cannot go")
+@of_gate("never stops", "the arm heads for where it cannot go")
 @seeded(ruled)
 def _never_stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
     ruling = rule(proposed, query)
     return _taking(ruling, DecisionOutcome.OPPOSITE) if ruling.outcome is DecisionOutcome.STOP else ruling
 
 
-@_gate("fallback towards the hand", "doubt ends in the worst of all places", IN_DOUBT)
-@seeded(outright, SeverityLevels((0.2, 0.1, 0.03), "mm", 1e3))
+@of_gate("fallback towards the hand", "doubt ends in the worst of all places", IN_DOUBT)
+@seeded(outright, (0.2, 0.1, 0.03), "mm", 1e3)
 def _to_the_hand(system: ChangedSystem, way_m: float) -> ChangedSystem:
     fallback = Erring((0.0, 0.0, 0.0), way_m)
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND, fallback=fallback)

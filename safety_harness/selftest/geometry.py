@@ -7,7 +7,6 @@ nothing else of it is used.  From tick to tick joints and hands are taken to go 
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
@@ -75,18 +74,12 @@ def _most_moved_m(ticks: NDArray[np.void]) -> NDArray[np.float64]:
     return moved_m
 
 
-@dataclass(eq=False)
 class PyBulletArm:
     """A PyBullet client of its own with the arm of a trace and a body for each of its capsules."""
 
-    trace: Trace
-    _client: int = -1
-    _arm: int = -1
-    _joints: list[int] = field(default_factory=list)
-    _links: list[int] = field(default_factory=list)
-    _capsules: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=list)
-    _hand: int = -1
-    _forearms: dict[float, int] = field(default_factory=dict)
+    def __init__(self, trace: Trace) -> None:
+        self.trace = trace
+        self._forearms: dict[float, int] = {}
 
     def __enter__(self) -> PyBulletArm:
         settings = self.trace.scenario.settings
@@ -103,13 +96,10 @@ class PyBulletArm:
         self._joints = [by_joint[name] for name in arm.joint_names]
         capsules = cell_capsules(load_capsules(arm.name), settings)
         names = (*arm.link_names, TCP_LINK)
-        self._links = [by_link.get(names[link], -1) for link in capsules.link_index]
-        self._capsules = [
-            (self._capsule(float(np.linalg.norm(end - start)), float(radius)), start, end)
-            for start, end, radius in zip(
-                capsules.start_in_link, capsules.end_in_link, capsules.radius_m, strict=True
-            )
-        ]
+        sizes = zip(capsules.start_in_link, capsules.end_in_link, capsules.radius_m, strict=True)
+        bodies = [(self._capsule(float(np.linalg.norm(b - a)), float(r)), a, b) for a, b, r in sizes]
+        links = [by_link.get(names[link], -1) for link in capsules.link_index]
+        self._capsules = list(zip(links, bodies, strict=True))
         self._hand = self._body(pybullet.GEOM_SPHERE, radius=settings.hand.radius_m)
         return self
 
@@ -128,8 +118,8 @@ class PyBulletArm:
     def _place_arm(self, joint_position_rad: NDArray[np.float64]) -> None:
         for joint, angle in zip(self._joints, joint_position_rad, strict=True):
             pybullet.resetJointState(self._arm, joint, float(angle), physicsClientId=self._client)
-        frames = {link: self._frame(link) for link in set(self._links)}
-        for link, (body, start, end) in zip(self._links, self._capsules, strict=True):
+        frames = {link: self._frame(link) for link in {link for link, _ in self._capsules}}
+        for link, (body, start, end) in self._capsules:
             rotation, origin = frames[link]
             self._lay(body, rotation @ start + origin, rotation @ end + origin)
 
@@ -147,7 +137,7 @@ class PyBulletArm:
         self._lay(forearm, hand, elbow)
         points = [
             point
-            for body, _, _ in self._capsules
+            for _, (body, _, _) in self._capsules
             for other in (self._hand, forearm)
             for point in pybullet.getClosestPoints(body, other, FAR_M, physicsClientId=self._client)
         ]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.selftest.avoider_faults import answered, asked
+from safety_harness.selftest.avoider_faults import answered, asked, asking
 from safety_harness.selftest.fault import (
-    FaultyPart,
     declared,
-    fault_of,
     faults_in,
     known,
+    of_avoider,
+    of_motion,
+    of_perception,
+    of_servoing,
     outright,
     seeded,
     seen,
@@ -27,15 +27,10 @@ from safety_harness.servoing.features import ALPHA
 
 NOISE_M = 1e-7
 
-_of_avoider = partial(fault_of, FaultyPart.AVOIDER)
-_of_servoing = partial(fault_of, FaultyPart.SERVOING)
-_of_motion = partial(fault_of, FaultyPart.MOTION)
-_of_perception = partial(fault_of, FaultyPart.PERCEPTION)
-
 
 @declared(harmless="it is given copies")
-@_of_avoider("mutates its inputs", "an avoider that writes into what it is given")
-@seeded(answered)
+@of_avoider("mutates its inputs", "an avoider that writes into what it is given")
+@seeded(asking)
 def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     proposal = asked(avoider, hand.copy(), tcp.copy(), seed)
     hand[:], tcp[:] = 0.0, 0.0
@@ -43,30 +38,29 @@ def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) 
 
 
 @declared(harmless="nothing draws from the global generator")
-@_of_avoider("seeds the global generator", "an avoider that changes everybody's random numbers")
-@seeded(answered)
+@of_avoider("seeds the global generator", "an avoider that changes everybody's random numbers")
+@seeded(asking)
 def _global_state(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     np.random.seed(0)  # noqa: NPY002 (that it does so is the point)
     return asked(avoider, hand, tcp, seed)
 
 
 @declared(harmless="ten thousand times less than the arrival tolerance of 1 mm")
-@_of_avoider("answers in single precision", "rounding to a tenth of a micrometre")
+@of_avoider("answers in single precision", "rounding to a tenth of a micrometre")
 @seeded(answered)
-def _single_precision(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand, tcp, seed)
+def _single_precision(_: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     return Proposal(proposal.position_in_base_m.astype(np.float32), proposal.spread_m)
 
 
 @declared(harmless="an axis has no head: the error of alpha is taken modulo pi")
-@_of_servoing("direction of the object off by half a turn", "alpha off by pi")
+@of_servoing("direction of the object off by half a turn", "alpha off by pi")
 @seeded(known)
 def _turned_half(records: ControllerRecords, magnitude: float) -> None:
     records.parameters["desired_features"][0, ALPHA] += np.pi
 
 
 @declared(harmless="the control law multiplies by its pseudoinverse, which is kept apart")
-@_of_servoing("matrix that is not used", "L* is lost")
+@of_servoing("matrix that is not used", "L* is lost")
 @seeded(known)
 def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
     if records.parameters["choice"][0] == DESIRED:
@@ -74,7 +68,7 @@ def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
 
 
 @declared(harmless="the pose is the same, and the joint stays within its limits of two turns")
-@_of_motion("wrist a whole turn on", "another joint position for the same pose")
+@of_motion("wrist a whole turn on", "another joint position for the same pose")
 @seeded(outright)
 def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
@@ -83,9 +77,7 @@ def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
 
 
 @declared(harmless="the drives carry a stop through, whatever is asked for")
-@_of_motion(
-    "demand during a protective stop", "the controller asks for motion while the arm is being stopped"
-)
+@of_motion("demand during a protective stop", "the controller asks for motion while the arm is being stopped")
 @seeded(told)
 def _stopped_and_told(magnitude: float, command: Records) -> None:
     if command[0]["protective_stop"]:
@@ -93,7 +85,7 @@ def _stopped_and_told(magnitude: float, command: Records) -> None:
 
 
 @declared(harmless="boxes are paired with tracks by where they are")
-@_of_perception("boxes in another order", "the hands change places in the frame")
+@of_perception("boxes in another order", "the hands change places in the frame")
 @seeded(seen)
 def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
@@ -101,7 +93,7 @@ def _other_order(admitted: Admitted, magnitude: float, observation: Records) -> 
 
 
 @declared(harmless="only as many boxes are read as are counted")
-@_of_perception("rubbish behind the last box", "memory that nobody cleared")
+@of_perception("rubbish behind the last box", "memory that nobody cleared")
 @seeded(seen)
 def _rubbish_behind(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
@@ -109,7 +101,7 @@ def _rubbish_behind(admitted: Admitted, magnitude: float, observation: Records) 
 
 
 @declared(harmless="boxes are read when a frame is new")
-@_of_perception("rubbish between frames", "no new frame, and what stands in the old one is overwritten")
+@of_perception("rubbish between frames", "no new frame, and what stands in the old one is overwritten")
 @seeded(seen)
 def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
@@ -118,7 +110,7 @@ def _stale_boxes(admitted: Admitted, magnitude: float, observation: Records) -> 
 
 
 @declared(harmless="what is not finite is passed over")
-@_of_perception("a box that is no measurement", "a detector that returns no number beside the hands")
+@of_perception("a box that is no measurement", "a detector that returns no number beside the hands")
 @seeded(seen)
 def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) -> None:
     o = observation[0]
@@ -128,7 +120,7 @@ def _no_measurement(admitted: Admitted, magnitude: float, observation: Records) 
 
 
 @declared(harmless="less than any limit of a claim can tell")
-@_of_perception("extrinsics off by a tenth of a micrometre", "rounding in a calibration file")
+@of_perception("extrinsics off by a tenth of a micrometre", "rounding in a calibration file")
 @seeded(known)
 def _tiny(records: ControllerRecords, magnitude: float) -> None:
     records.parameters["transform_sensor_to_base"][0, :3, 3] += NOISE_M

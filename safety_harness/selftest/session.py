@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -152,12 +152,8 @@ def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[Faul
         yield from (try_out(trials, EVERY[number]) for number in numbers)
         return
     with pool(jobs, partial(_begin, plan)) as processes:
-        running: set[Future[FaultOutcome]] = {processes.submit(_try, number) for number in numbers}
-        while running:
-            finished = wait(running, return_when=FIRST_COMPLETED).done
-            running -= finished
-            for future in finished:
-                yield future.result()
+        for future in as_completed([processes.submit(_try, number) for number in numbers]):
+            yield future.result()
 
 
 def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:

@@ -63,11 +63,10 @@ PROFILES = (QUICK, NIGHTLY)
 
 def profile_named(name: str) -> SelfTestProfile:
     """One of them; ScenarioError for any other name."""
-    for profile in PROFILES:
-        if profile.name == name:
-            return profile
-    names = " or ".join(profile.name for profile in PROFILES)
-    raise ScenarioError(place=Place(field="--profile"), expected=names, got=repr(name))
+    profiles = {profile.name: profile for profile in PROFILES}
+    if name not in profiles:
+        raise ScenarioError(place=Place(field="--profile"), expected=" or ".join(profiles), got=repr(name))
+    return profiles[name]
 
 
 @dataclass(frozen=True)

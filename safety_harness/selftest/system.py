@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,9 +47,7 @@ class ChangedSystem:
         """With a gate of another class or with other fields."""
 
         def edit(pilot: AvoidingServo) -> None:
-            gate = pilot.gate
-            values = {field.name: getattr(gate, field.name) for field in fields(gate)}
-            pilot.gate = cls(**(values | changed))
+            pilot.gate = cls(**(vars(pilot.gate) | changed))
 
         return replace(self, edits=(*self.edits, edit))
 
@@ -115,31 +113,22 @@ class Delayed:
 
 
 class WorldWrapper:
-    """A world whose observations or commands are changed on their way."""
+    """A world whose observations or commands are changed on their way; all else is the world's own.
+
+    So are ``acted_faults``: they are of the scenario; what is seeded from outside has no bit.
+    """
+
+    name: str
+    time_s: float
+    acted_faults: int
+    records: Any  # of the world within, for those who edit them
 
     def __init__(self, world: World, *, see: Change | None = None, obey: Change | None = None) -> None:
         self.world = world
         self._see, self._obey = see, obey
 
-    @property
-    def name(self) -> str:
-        """The world's own."""
-        return self.world.name
-
-    @property
-    def time_s(self) -> float:
-        """The world's own."""
-        return self.world.time_s
-
-    @property
-    def acted_faults(self) -> int:
-        """Of the scenario; what is seeded from outside has no bit."""
-        return self.world.acted_faults
-
-    @property
-    def records(self) -> Any:
-        """Of the world within, for those who edit them."""
-        return self.world.records  # type: ignore[attr-defined]
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.world, name)
 
     def true_state(self, tick: Records) -> None:
         """The truth stays the truth."""

@@ -66,8 +66,7 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     except InputError as error:
         raise error.with_traceback(None) from None
     aim(evaluation, Verdict.HOLDS)
-    if not settle(evaluation, run_of(trace), Verdict.HOLDS, trace):
-        raise SafetyViolation(evaluation, trace, Verdict.HOLDS)
+    require(evaluation, Verdict.HOLDS, trace)
     refuse_fallback(trace)
     return evaluation
 
@@ -76,8 +75,15 @@ def refuse_fallback(trace: Trace) -> None:
     """SafetyViolation if the avoider did not answer in the run, and its scenario does not expect that."""
     __tracebackhide__ = True
     evaluation = by_default(trace)
-    if evaluation is not None and not settle(evaluation, run_of(trace), Verdict.HOLDS, trace):
-        raise SafetyViolation(evaluation, trace, Verdict.HOLDS)
+    if evaluation is not None:
+        require(evaluation, Verdict.HOLDS, trace)
+
+
+def require(evaluation: Evaluation, expected: Verdict, trace: Trace) -> None:
+    """SafetyViolation if the test that is running has to fail for what is said of the run."""
+    __tracebackhide__ = True
+    if not settle(evaluation, run_of(trace), expected, trace):
+        raise SafetyViolation(evaluation, trace, expected)
 
 
 def run_of(trace: Trace) -> Run:

@@ -1,19 +1,36 @@
-"""A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched."""
+"""A Hypothesis test under a safety profile: its settings, its kept failures first, every example watched.
+
+Failures are kept as scenario files: written where a person finds them, read back and tried first next time.
+Hypothesis's own database holds choices as bytes, which mean nothing once a space, a strategy or
+Hypothesis has changed; a scenario file goes on meaning the same.
+"""
 
 from __future__ import annotations
 
 import functools
+import hashlib
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from math import inf
+from pathlib import Path
 from typing import Any
 
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import HealthCheck, Phase, example, settings
 from hypothesis.errors import BackendCannotProceed, HypothesisException
 from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
 
-from safety_harness.testing.kept import kept_for
+from safety_harness.admission.avoiders import as_seen_from
+from safety_harness.admission.claims import property_of
+from safety_harness.exceptions import InputError, OutputError
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.read import read_scenario
+from safety_harness.scenario.write import write_scenario
+from safety_harness.testing.asserting import SafetyViolation
 from safety_harness.testing.session import TestRun, session
+from safety_harness.testing.simulating import digest_of
+from safety_harness.whole_file import write_whole
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
 # A simulation takes as long as it takes, and which draws can be tried is not up to the test.
@@ -23,6 +40,8 @@ OFF = (
     HealthCheck.data_too_large,
     HealthCheck.large_base_example,
 )
+ANY = Claim(sentence="trace finite and monotone", expected=Verdict.HOLDS)  # a file has to claim something
+_LONGEST = 60  # characters of a part of a path
 
 
 def under_profile(own: settings | None = None, *, fixed: bool = False) -> settings:
@@ -75,7 +94,7 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
     """``inner``, one example, telling ``test`` of its failure."""
 
     @functools.wraps(inner)
-    def example(*args: Any, **kwargs: Any) -> None:
+    def watched_example(*args: Any, **kwargs: Any) -> None:
         __tracebackhide__ = True
         test.simulated.clear()
         test.examples += 1
@@ -87,19 +106,66 @@ def watching(inner: Callable[..., object], test: TestRun) -> Callable[..., None]
             test.fail(error)
             raise
 
-    return example
+    return watched_example
 
 
 def _kept(function: Any, test: TestRun) -> Iterator[Any]:
     """The test's kept failures as explicit examples; none for a test that draws more than a scenario."""
-    from hypothesis import example
-
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
     for file, scenario in kept_for(test.id):
         test.replayed.append(file)
         yield example(**{names[0]: scenario})._this_example
+
+
+def folder_of(test_id: str) -> Path:
+    """Where the failures of a test are kept."""
+    path, *names = test_id.split("::")
+    return session().failures.joinpath(*path.split("/"), *map(_slug, names))
+
+
+def keep(test_id: str, violation: SafetyViolation) -> Path:
+    """Write the scenario of ``violation``; returns the file.  OutputError if it cannot be written."""
+    folder = folder_of(test_id)
+    scenario, evaluation = violation.scenario, violation.evaluation
+    file = folder / f"{_slug(evaluation.sentence)}-{digest_of(scenario)[:6]}.yaml"
+    claim = Claim(sentence=evaluation.sentence, expected=violation.expected)
+    claims = (claim,) if _is_known(claim, scenario) else scenario.claims or (ANY,)
+    moved = replace(as_seen_from(folder, scenario), claims=claims)
+    head = [
+        f"A failure of {test_id}",
+        f"{evaluation.sentence}: {evaluation.verdict.value}, margin {evaluation.margin_text()}",
+        f"avoider {violation.trace.provenance.avoider}",
+        "It is tried first whenever that test runs; delete this file when it need not be any more.",
+    ]
+    try:
+        write_whole(file, "".join(f"# {line}\n" for line in head) + write_scenario(moved))
+    except OSError as error:
+        raise OutputError.of(file, error) from error
+    return file
+
+
+def kept_for(test_id: str) -> list[tuple[Path, Scenario]]:
+    """The failures that are kept of a test, in the order of their names; InputError for a spoilt file."""
+    return [
+        (file, read_scenario(file)) for file in sorted(folder_of(test_id).glob("*.yaml")) if file.is_file()
+    ]
+
+
+def _is_known(claim: Claim, scenario: Scenario) -> bool:
+    """Can the sentence be read back?  That of a property that a user made need not."""
+    try:
+        property_of(claim, scenario)
+    except InputError:
+        return False
+    return True
+
+
+def _slug(text: str) -> str:
+    short = re.sub(r"[^\w.]+", "-", text).strip("-.")[:_LONGEST] or "test"
+    same = re.sub(r"[^\w.]+", "-", text) == short
+    return short if same else f"{short}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
 
 NAME = "safety-harness"

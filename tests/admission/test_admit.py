@@ -10,8 +10,8 @@ import pytest
 from examples import TowardsTheHand, hand, scenario
 
 from safety_harness import admit
-from safety_harness.admission.admit import start_joint_position
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.poses import start_joint_position
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.catalogue import CATALOGUE

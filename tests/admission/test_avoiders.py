@@ -63,12 +63,12 @@ def up(avoider: Avoider) -> float:
 
 @pytest.mark.parametrize("name", sorted(set(NAMES) - set(SHIPPED)))
 def test_a_name_of_ours_is_the_avoider_of_that_name(name: str) -> None:
-    assert resolve_avoider(name, scenario(), folder=None).name == name
+    assert resolve_avoider(scenario(avoider=name)).name == name
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_name_of_a_shipped_network_is_that_network_calibrated(name: str) -> None:
-    avoider = resolve_avoider(name, scenario(), folder=None)
+    avoider = resolve_avoider(scenario(avoider=name))
     assert isinstance(avoider, LearnedAvoider)
     assert avoider.spread_threshold_m is not None
     assert avoider.model.card["recipe"]["name"] == name
@@ -101,8 +101,8 @@ def test_a_scenarios_file_is_sought_beside_it_and_a_command_lines_in_the_working
     stands_there = named("mine.py:Mine", there)
     assert admit(stands_there).avoider.name == "there"
     assert admit(named("../here/mine.py:Mine", there)).avoider.name == "here"
-    assert resolve_avoider("mine.py:Mine", stands_there, folder=None).name == "here"
-    assert resolve_avoider(f"{there}/mine.py:Mine", stands_there, folder=None).name == "there"
+    assert resolve_avoider(scenario(avoider="mine.py:Mine")).name == "here"
+    assert resolve_avoider(scenario(avoider=f"{there}/mine.py:Mine")).name == "there"
 
 
 def test_two_files_of_the_same_name_do_not_hide_each_other_nor_the_library(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.admission.admit import kinematics, start_joint_position
+from safety_harness.admission.poses import kinematics, start_joint_position
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, GateDecision, Query, leads_away
 from safety_harness.avoidance.own_body import own_distance

@@ -153,7 +153,7 @@ def test_a_model_that_has_seen_another_workspace_is_refused(tmp_path: Path) -> N
     elsewhere = asdict(replace(SEEN, tcp_low_m=(0.71, -0.15, 0.25)))
     path = written(tmp_path, counts_kept(exported(seen=elsewhere)))
     with pytest.raises(ModelError, match="another workspace"):
-        resolve_avoider(path.name, scenario(), folder=tmp_path)
+        resolve_avoider(replace(scenario(avoider=path.name), file=tmp_path / "f.yaml"))
 
 
 def test_a_file_that_is_not_there_or_too_large_is_refused_unread(

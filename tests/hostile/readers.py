@@ -14,8 +14,8 @@ from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, load_checkpoint, save_checkpoint
 from safety_harness.learning.recipes import OURS_DETERMINISTIC
 from safety_harness.scenario.read import read_scenario
-from safety_harness.testing.kept import kept_for
 from safety_harness.testing.session import begin, session
+from safety_harness.testing.watching import kept_for
 
 
 def onnx_read(path: Path) -> object:

@@ -26,11 +26,10 @@ from made_up_faults import (
 from safety_harness.certification.tools import FaultState
 from safety_harness.exceptions import ScenarioError
 from safety_harness.selftest.document import document, render, write_document
-from safety_harness.selftest.outcome import FaultOutcome, tally_of
-from safety_harness.selftest.suite import NIGHTLY, QUICK, profile_named
-from safety_harness.selftest.table import (
+from safety_harness.selftest.outcome import (
     HARMLESS_HEAD,
     HEAD,
+    FaultOutcome,
     bad,
     harmless_row,
     in_table,
@@ -38,7 +37,9 @@ from safety_harness.selftest.table import (
     markdown,
     row,
     summary,
+    tally_of,
 )
+from safety_harness.selftest.suite import NIGHTLY, QUICK, profile_named
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from examples import VISIT, hand, run, scenario
 
-from safety_harness.admission.admit import admit, kinematics, start_joint_position
+from safety_harness.admission.admit import admit
+from safety_harness.admission.poses import kinematics, start_joint_position
 from safety_harness.controller.desired import view_of
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.perception.camera import transform_camera_to_tcp

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from examples import hand, scenario
 
-from safety_harness.admission.admit import kinematics, start_joint_position
+from safety_harness.admission.poses import kinematics, start_joint_position
 from safety_harness.controller.records import OBSERVATION, overhead_transform_sensor_to_base
 from safety_harness.exceptions import SettingsError
 from safety_harness.geometry.transforms import inverse_transform
