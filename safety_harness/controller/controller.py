@@ -214,16 +214,13 @@ class AvoidingServo:
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
         record["trigger"] = self.records.state["trigger"]
-        record["seed"] = query.seed
-        record["hand_position_in_base_m"] = query.hand_position_in_base_m
-        record["tcp_position_in_base_m"] = query.tcp_position_in_base_m
-        record["joint_position_rad"] = query.joint_position_rad
+        for name in ("seed", "hand_position_in_base_m", "tcp_position_in_base_m", "joint_position_rad"):
+            record[name] = getattr(query, name)
+        for name in ("spread_threshold_m", "chosen_position_in_base_m", "outcome"):
+            record[name] = getattr(ruling, name)
         record["proposed_position_in_base_m"] = ruling.proposed.position_in_base_m
         record["proposed_spread_m"] = ruling.proposed.spread_m
-        record["spread_threshold_m"] = ruling.spread_threshold_m
         record["opposite_position_in_base_m"] = ruling.opposite.position_in_base_m
-        record["chosen_position_in_base_m"] = ruling.chosen_position_in_base_m
-        record["outcome"] = ruling.outcome
         record["proposed_failed"] = ruling.proposed_failed
         record["opposite_failed"] = ruling.opposite_failed
         record["fault"] = ruling.fault[:FAULT_CHARACTERS]
