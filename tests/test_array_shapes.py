@@ -1,4 +1,4 @@
-"""Every array of floats that a function takes says its shape, beside the parameter or in the docstring.
+"""Every array of floats that a function takes says its shape: in its type, beside it or in the docstring.
 
 ends: NDArray[np.float64],  # (n, 2, 3) [m], both ends of each
 '''Distance [m] from ``point`` (3,) to the segment from ``start`` to ``end``, (3,) both.'''
@@ -81,6 +81,14 @@ FLOAT = "NDArray[np.float64]"
 )
 def test_the_test_tells_a_shape_from_none(parameters: str, docstring: str, missing: list[str]) -> None:
     assert without_shape(HEAD.format(parameters, docstring)) == missing
+
+
+def test_a_type_that_says_its_shape_needs_no_more() -> None:
+    source = (PACKAGE / "geometry" / "arrays.py").read_text(encoding="utf-8")
+    types = re.findall(r"^(\w+) = NDArray.*?(#.*)?$", source, re.MULTILINE)
+    assert len(types) > 1
+    assert all(re.search("#.*" + SHAPE, beside) for _, beside in types)
+    assert not FLOATS & {name for name, _ in types}
 
 
 def test_the_test_looks_at_kernels_of_any_name_and_at_constructors() -> None:

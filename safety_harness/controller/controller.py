@@ -51,28 +51,23 @@ class Controller(Protocol):
     @property
     def name(self) -> str:
         """How traces and reports call it."""
-        ...
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call.
 
         ``observation`` (1,) OBSERVATION.
         """
-        ...
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Write what was perceived and decided into ``tick`` (1,) TICK, for the trace."""
-        ...
 
     @property
     def decisions(self) -> NDArray[np.void]:
         """(m,) DECISION: every decision so far."""
-        ...
 
     @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """(m,) how long each of them took on the wall's clock."""
-        ...
 
 
 class AvoidingServo:
@@ -127,7 +122,7 @@ class AvoidingServo:
             held, self._held = self._held, None
             gate = self.gate
             self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
-        elif self._on_the_clock:
+        elif r.question[0]["open"] and np.isnan(r.question[0]["decision_time_s"]):  # by the wall's clock
             self._ask_now(observation)
         act(*r[4:], o)
         return r.command
@@ -148,12 +143,6 @@ class AvoidingServo:
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
         return np.array(self._latencies_s, dtype=np.float64)
-
-    @property
-    def _on_the_clock(self) -> bool:
-        """Has a question been asked whose answer costs what it takes on the wall's clock?"""
-        question = self.records.question[0]
-        return bool(question["open"]) and bool(np.isnan(question["decision_time_s"]))
 
     def _ask_now(self, observation: NDArray[np.void]) -> None:
         """Ask, take the time, and let the answer count when that much simulated time is over."""
@@ -204,16 +193,13 @@ class AvoidingServo:
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
         record["trigger"] = self.records.state["trigger"]
-        record["seed"] = query.seed
-        record["hand_position_in_base_m"] = query.hand_position_in_base_m
-        record["tcp_position_in_base_m"] = query.tcp_position_in_base_m
-        record["joint_position_rad"] = query.joint_position_rad
+        for name in ("seed", "hand_position_in_base_m", "tcp_position_in_base_m", "joint_position_rad"):
+            record[name] = getattr(query, name)
+        for name in ("spread_threshold_m", "chosen_position_in_base_m", "outcome"):
+            record[name] = getattr(ruling, name)
         record["proposed_position_in_base_m"] = ruling.proposed.position_in_base_m
         record["proposed_spread_m"] = ruling.proposed.spread_m
-        record["spread_threshold_m"] = ruling.spread_threshold_m
         record["opposite_position_in_base_m"] = ruling.opposite.position_in_base_m
-        record["chosen_position_in_base_m"] = ruling.chosen_position_in_base_m
-        record["outcome"] = ruling.outcome
         record["proposed_failed"] = ruling.proposed_failed
         record["opposite_failed"] = ruling.opposite_failed
         record["fault"] = ruling.fault[:FAULT_CHARACTERS]

@@ -30,8 +30,7 @@ from safety_harness.scenario.faults import FaultKind
 from safety_harness.trace.records import Mode
 
 PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
-LATE, SILENT = np.int64(FaultKind.AVOIDER_LATE), np.int64(FaultKind.AVOIDER_SILENT)
-NAN = np.int64(FaultKind.AVOIDER_NAN)
+LATE, SILENT, NAN = FaultKind.AVOIDER_LATE, FaultKind.AVOIDER_SILENT, FaultKind.AVOIDER_NAN
 
 Records = NDArray[np.void]
 

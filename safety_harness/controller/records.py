@@ -141,11 +141,8 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
     p["prediction_horizon_s"] = settings.hand_filter.prediction_horizon_s
     p["dense"] = settings.servo.object_kind is ObjectKind.DENSE
     p["choice"] = choice_code(settings.servo.interaction)
-    p["desired_area"] = view.area
-    p["desired_depth_m"] = view.depth_m
-    p["desired_features"] = view.features
-    p["desired_interaction"] = view.interaction
-    p["desired_interaction_pinv"] = view.interaction_pinv
+    for name in ("area", "depth_m", "features", "interaction", "interaction_pinv"):
+        p[f"desired_{name}"] = getattr(view, name)
     for group in (settings.servo, settings.motion, settings.avoidance):
         for name in PARAMETERS.names or ():
             if hasattr(group, name):

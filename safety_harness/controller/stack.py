@@ -20,6 +20,7 @@ from safety_harness.controller.records import (
     StateRecords,
     TrackRecords,
 )
+from safety_harness.geometry.arrays import Array3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
@@ -110,7 +111,7 @@ def see_hands(
     s.nearest_track = -1
     for i in range(MAX_TRACKS):
         if s.track_valid[i]:
-            distance = hand_to_tcp(states, i)
+            distance = way_to_tcp(states, s.predicted_hand_in_base_m[i])
             # a NaN counts as nearest, and nothing is nearer: it must not hide
             if not (distance >= s.predicted_distance_m or np.isnan(s.predicted_distance_m)):
                 s.predicted_distance_m = distance
@@ -123,16 +124,17 @@ def see_hands(
 @inlined
 def hand_inside(parameters: ParameterRecords, states: StateRecords, track: int) -> bool:
     """Is a tracked hand within the critical distance, |h - t| < d_crit?  One whose distance is NaN is."""
-    return not hand_to_tcp(states, track) >= parameters[0].critical_distance_m
+    way_m = way_to_tcp(states, states[0].predicted_hand_in_base_m[track])
+    return not way_m >= parameters[0].critical_distance_m
 
 
 @inlined
-def hand_to_tcp(states: StateRecords, track: int) -> float:
-    """|h - t| [m] of the predicted centre h of a tracked hand and the TCP t, both in the base frame."""
+def way_to_tcp(states: StateRecords, position_in_base_m: Array3) -> float:
+    """|p - t| [m] of a position p, a hand's predicted centre say, and the TCP t, both in the base frame."""
     s = states[0]
     total = 0.0
     for i in range(3):
-        difference = s.predicted_hand_in_base_m[track, i] - s.transform_tcp_to_base[i, 3]
+        difference = position_in_base_m[i] - s.transform_tcp_to_base[i, 3]
         total += difference * difference
     return float(np.sqrt(total))
 
@@ -159,7 +161,7 @@ def decide_mode(
         if still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
             s.mode = SERVOING
     if s.mode == REPULSING:
-        if arrived(parameters, states):
+        if way_to_tcp(states, s.target_in_base_m) <= p.arrival_tolerance_m:
             if inside:
                 s.trigger = HAND_STILL_THERE
                 return True
@@ -173,17 +175,6 @@ def decide_mode(
             return True
         s.mode = SERVOING if s.object_visible else OBJECT_LOST
     return False
-
-
-@inlined
-def arrived(parameters: ParameterRecords, states: StateRecords) -> bool:
-    """Is the TCP within the arrival tolerance of the repulsive position?"""
-    p, s = parameters[0], states[0]
-    total = 0.0
-    for i in range(3):
-        difference = s.target_in_base_m[i] - s.transform_tcp_to_base[i, 3]
-        total += difference * difference
-    return bool(np.sqrt(total) <= p.arrival_tolerance_m)
 
 
 @njit_no_nrt

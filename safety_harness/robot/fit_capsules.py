@@ -133,16 +133,15 @@ def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
         radius = farthest(hull, ends[:3], ends[3:])
         return float(np.pi * radius**2 * (np.linalg.norm(ends[3:] - ends[:3]) + 4.0 / 3.0 * radius)) * 1e6
 
-    best = None
+    answers = []
     for guess in [np.concatenate(start[:2])] if start is not None else _axis_guesses(hull):
         simplex = np.vstack((guess, guess + 0.01 * np.eye(6)))
         for _ in range(1 if start is not None else 2):
             options = {"initial_simplex": simplex, "maxiter": 600, "xatol": 1e-6, "fatol": 1e-5}
             answer = minimize(volume, guess, method="Nelder-Mead", options=options)
             simplex = np.vstack((answer.x, answer.x + 0.003 * np.eye(6)))
-        if best is None or answer.fun < best.fun:
-            best = answer
-    assert best is not None
+        answers.append(answer)
+    best = min(answers, key=lambda one: one.fun)
     return best.x[:3], best.x[3:], farthest(hull, best.x[:3], best.x[3:])
 
 

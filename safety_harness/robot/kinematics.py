@@ -35,15 +35,12 @@ def forward_kinematics(chain: Chain, joint_position_rad: Array6, transforms_out:
         _compose(transforms_out, joint, chain.joint_origins[joint])
         x, y, z = chain.joint_axes[joint, 0], chain.joint_axes[joint, 1], chain.joint_axes[joint, 2]
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_entries(x, y, z, joint_position_rad[joint])
+        k = joint + 1
         for i in range(3):
-            x, y, z = (
-                transforms_out[joint + 1, i, 0],
-                transforms_out[joint + 1, i, 1],
-                transforms_out[joint + 1, i, 2],
-            )
-            transforms_out[joint + 1, i, 0] = x * r00 + y * r10 + z * r20
-            transforms_out[joint + 1, i, 1] = x * r01 + y * r11 + z * r21
-            transforms_out[joint + 1, i, 2] = x * r02 + y * r12 + z * r22
+            x, y, z = transforms_out[k, i, 0], transforms_out[k, i, 1], transforms_out[k, i, 2]
+            transforms_out[k, i, 0] = x * r00 + y * r10 + z * r20
+            transforms_out[k, i, 1] = x * r01 + y * r11 + z * r21
+            transforms_out[k, i, 2] = x * r02 + y * r12 + z * r22
     _compose(transforms_out, 6, chain.flange)
 
 

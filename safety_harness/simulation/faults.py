@@ -24,30 +24,18 @@ from safety_harness.simulation.cameras import RING, HandFrames, ObjectFrames, Se
 from safety_harness.simulation.exact_views import hand_box, sensor_pose
 from safety_harness.simulation.hand_motion import HandRecords
 
-HAND_SENSOR_BLIND = np.int64(FaultKind.HAND_SENSOR_BLIND)
-HAND_SENSOR_FROZEN = np.int64(FaultKind.HAND_SENSOR_FROZEN)
-HAND_SENSOR_LATE = np.int64(FaultKind.HAND_SENSOR_LATE)
-HAND_SENSOR_OFF = np.int64(FaultKind.HAND_SENSOR_OFF)
-FALSE_HAND = np.int64(FaultKind.FALSE_HAND)
-CAMERA_BLIND = np.int64(FaultKind.CAMERA_BLIND)
-CAMERA_FROZEN = np.int64(FaultKind.CAMERA_FROZEN)
-CAMERA_LATE = np.int64(FaultKind.CAMERA_LATE)
-CAMERA_KNOCKED = np.int64(FaultKind.CAMERA_KNOCKED)
-CAMERA_HIDDEN = np.int64(FaultKind.CAMERA_HIDDEN)
-JOINT_STUCK = np.int64(FaultKind.JOINT_STUCK)
-
 
 @compiled
 def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
     """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
     s = sensors[0]
-    bits = acting(faults, CAMERA_KNOCKED, time_s)
+    bits = acting(faults, FaultKind.CAMERA_KNOCKED, time_s)
     copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
     if bits == 0:
         return 0
     before = np.empty((3, 3))
     for k in range(faults.shape[0]):
-        if not acts(faults, k, CAMERA_KNOCKED, time_s):
+        if not acts(faults, k, FaultKind.CAMERA_KNOCKED, time_s):
             continue
         copy_matrix(s.transform_camera_to_tcp[:3, :3], before)
         turned = rotation_from_vector(faults[k].turned_rad.copy())
@@ -74,22 +62,22 @@ def spoil_object_frame(
     s = sensors[0]
     frame = frames[(s.object_frames - 1) % RING]
     bits = 0
-    hidden = acting(faults, CAMERA_HIDDEN, time_s)
+    hidden = acting(faults, FaultKind.CAMERA_HIDDEN, time_s)
     if hidden and hides_object(sensors, polygon_in_base_m, hands, transform_tcp_to_base):
         frame.visible = False
         bits |= hidden
-    blind = acting(faults, CAMERA_BLIND, time_s)
+    blind = acting(faults, FaultKind.CAMERA_BLIND, time_s)
     if blind:
         frame.visible = False
-    frozen = acting(faults, CAMERA_FROZEN, time_s)
+    frozen = acting(faults, FaultKind.CAMERA_FROZEN, time_s)
     if frozen:
         frame.visible = False
         if s.object_frames > 1:
             before = frames[(s.object_frames - 2) % RING]
             frame.visible = before.visible
             copy_vector(before.moments, frame.moments)
-    frame.late_s = delay_s(faults, CAMERA_LATE, time_s)
-    return bits | blind | frozen | acting(faults, CAMERA_LATE, time_s)
+    frame.late_s = delay_s(faults, FaultKind.CAMERA_LATE, time_s)
+    return bits | blind | frozen | acting(faults, FaultKind.CAMERA_LATE, time_s)
 
 
 @compiled
@@ -127,33 +115,34 @@ def spoil_hand_frame(
     """
     s = sensors[0]
     frame = frames[(s.hand_frames - 1) % RING]
-    off, false = acting(faults, HAND_SENSOR_OFF, time_s), acting(faults, FALSE_HAND, time_s)
-    bits = off | acting(faults, HAND_SENSOR_LATE, time_s)
+    off = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s)
+    false = acting(faults, FaultKind.FALSE_HAND, time_s)
+    bits = off | acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     if off or false:
         pose = sensor_pose(sensors, transform_tcp_to_base)
         base_to_sensor = inverse_transform(pose)
         for k in range(faults.shape[0]):
-            if acts(faults, k, HAND_SENSOR_OFF, time_s):
+            if acts(faults, k, FaultKind.HAND_SENSOR_OFF, time_s):
                 frame.count = shift_boxes(sensors, pose, faults[k].vector_m.copy(), frame.boxes, frame.count)
         for k in range(faults.shape[0]):
             if (
-                acts(faults, k, FALSE_HAND, time_s)
+                acts(faults, k, FaultKind.FALSE_HAND, time_s)
                 and frame.count < MAX_DETECTIONS
                 and hand_box(sensors, base_to_sensor, faults[k].vector_m.copy(), frame.boxes[frame.count])
             ):
                 frame.count += 1
                 bits |= 1 << k
-    blind = acting(faults, HAND_SENSOR_BLIND, time_s)
+    blind = acting(faults, FaultKind.HAND_SENSOR_BLIND, time_s)
     if blind:
         frame.count = 0
-    frozen = acting(faults, HAND_SENSOR_FROZEN, time_s)
+    frozen = acting(faults, FaultKind.HAND_SENSOR_FROZEN, time_s)
     if frozen:
         frame.count = 0
         if s.hand_frames > 1:
             before = frames[(s.hand_frames - 2) % RING]
             frame.count = before.count
             copy_matrix(before.boxes, frame.boxes)
-    frame.late_s = delay_s(faults, HAND_SENSOR_LATE, time_s)
+    frame.late_s = delay_s(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
 
 
@@ -195,6 +184,6 @@ def shift_boxes(
 def hold_joints(faults: FaultRecords, velocity_radps: Array6, time_s: float) -> int:
     """Set what the motors of stuck joints are told to zero."""
     for k in range(faults.shape[0]):
-        if acts(faults, k, JOINT_STUCK, time_s):
+        if acts(faults, k, FaultKind.JOINT_STUCK, time_s):
             velocity_radps[faults[k].joint] = 0.0
-    return acting(faults, JOINT_STUCK, time_s)
+    return acting(faults, FaultKind.JOINT_STUCK, time_s)

@@ -7,26 +7,13 @@ turns its velocity towards it (``pursue``), and whoever is stopped brakes along 
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import njit_no_nrt
 from safety_harness.geometry.arrays import Array3
 
-
-class MoveKind(IntEnum):
-    """What a compiled move does."""
-
-    LEG = 0
-    WAIT = 1
-    REACH_FOR_TCP = 2
-    FOLLOW_TCP = 3
-
-
-LEG, WAIT = int(MoveKind.LEG), int(MoveKind.WAIT)
-REACH_FOR_TCP, FOLLOW_TCP = int(MoveKind.REACH_FOR_TCP), int(MoveKind.FOLLOW_TCP)
+LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # what a compiled move does
 
 # A move of a scenario is a group of one or more of these, with one time limit.
 MOVE = np.dtype(

@@ -27,10 +27,13 @@ from safety_harness.scenario.moves import (
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Vector3
 from safety_harness.simulation.hand_motion import (
+    FOLLOW_TCP,
     HAND,
+    LEG,
     MOVE,
+    REACH_FOR_TCP,
+    WAIT,
     HandRecords,
-    MoveKind,
     MoveRecords,
     advance_hands,
 )
@@ -54,7 +57,7 @@ class Hands:
 class Step(NamedTuple):
     """One entry of a program: a MOVE, in the order of its fields."""
 
-    kind: int = int(MoveKind.LEG)
+    kind: int = LEG
     target_in_base_m: Vector3 = NOWHERE
     speed_mps: float = 0.0
     distance_m: float = 0.0
@@ -112,7 +115,7 @@ def _program(hand: MovingHand, number: int, scenario: Scenario) -> list[Step]:
     program: list[Step] = []
     least_s = hand.delay_s
     if hand.delay_s > 0.0:
-        program.append(Step(int(MoveKind.WAIT), duration_s=hand.delay_s, after=1))
+        program.append(Step(WAIT, duration_s=hand.delay_s, after=1))
     for index, move in enumerate(hand.moves):
         if least_s > scenario.duration_s:
             break
@@ -131,18 +134,12 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
     """The steps of one move, but for a wander."""
     shift = hand.shift_in_base_m
     if isinstance(move, Wait):
-        return [Step(int(MoveKind.WAIT), duration_s=move.duration_s)]
+        return [Step(WAIT, duration_s=move.duration_s)]
     if isinstance(move, ReachForTcp | ReachForObject):
         return _reach(move, scenario.settings.object.position_in_base_m)
     if isinstance(move, FollowTcp):
-        return [
-            Step(
-                int(MoveKind.FOLLOW_TCP),
-                speed_mps=move.speed_mps,
-                distance_m=move.distance_m,
-                within_s=move.duration_s,
-            )
-        ]
+        speed_mps, near_m = move.speed_mps, move.distance_m
+        return [Step(FOLLOW_TCP, speed_mps=speed_mps, distance_m=near_m, within_s=move.duration_s)]
     if isinstance(move, Sweep):
         there = Step(target_in_base_m=shifted(move.from_in_base_m, shift), speed_mps=move.speed_mps)
         aside = Step(target_in_base_m=shifted(move.to_in_base_m, shift), speed_mps=move.speed_mps)
@@ -153,17 +150,11 @@ def _group(move: HandMove, hand: MovingHand, scenario: Scenario) -> list[Step]:
 
 def _reach(move: Reach, object_position_in_base_m: Vector3) -> list[Step]:
     """To the TCP or to the object, in one go or with a hesitation on the way."""
-    kind = MoveKind.REACH_FOR_TCP if isinstance(move, ReachForTcp) else MoveKind.LEG
-    go = Step(
-        int(kind),
-        object_position_in_base_m,
-        move.speed_mps,
-        distance_m=move.until_distance_m,
-        within_s=move.at_most_s,
-    )
+    kind, near_m = REACH_FOR_TCP if isinstance(move, ReachForTcp) else LEG, move.until_distance_m
+    go = Step(kind, object_position_in_base_m, move.speed_mps, near_m, within_s=move.at_most_s)
     if move.hesitation is None:
         return [go]
-    wait = Step(int(MoveKind.WAIT), duration_s=move.hesitation.duration_s, within_s=move.at_most_s)
+    wait = Step(WAIT, duration_s=move.hesitation.duration_s, within_s=move.at_most_s)
     return [go._replace(distance_m=move.hesitation.distance_m), wait, go]
 
 

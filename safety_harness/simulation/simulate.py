@@ -48,11 +48,19 @@ def simulate(
                 on_tick(done)
     except KeyboardInterrupt:
         ended = INTERRUPTED
+    # no copy of the ticks: that would fill the padding between fields with anything
+    return _trace(scenario, world, controller, ticks[:done], ended)
+
+
+def _trace(
+    scenario: Scenario, world: World, controller: Controller, ticks: NDArray[np.void], ended: str = "complete"
+) -> Trace:
+    """What happened in ``ticks`` (n,) TICK."""
     decisions = controller.decisions
-    decisions = decisions[decisions["tick"] < done]  # not one of a tick that Ctrl-C cut short
+    decisions = decisions[decisions["tick"] < len(ticks)]  # not one of a tick that Ctrl-C cut short
     return Trace(
         scenario=scenario,
-        ticks=ticks[:done],  # no copy: that would fill the padding between fields with anything
+        ticks=ticks,
         decisions=decisions,
         decision_latency_s=controller.decision_latencies_s[: len(decisions)],
         provenance=provenance(world.name, controller.name),
@@ -81,13 +89,7 @@ class Episode:
 
     def trace(self) -> Trace:
         """What happened, when it has come to its end."""
-        return Trace(
-            scenario=self.scenario,
-            ticks=self.ticks,
-            decisions=self.controller.decisions,
-            decision_latency_s=self.controller.decision_latencies_s,
-            provenance=provenance(self.world.name, self.controller.name),
-        )
+        return _trace(self.scenario, self.world, self.controller, self.ticks)
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
 from functools import reduce
 from operator import or_
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,22 +19,12 @@ from safety_harness.compiled import compiled
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
-from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger
+from safety_harness.trace.records import DECISION, TICK_COMPILED, Check, DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace, once_a_trace
 
-BOOLEANS = ("hand_present", "object_visible", "track_valid")
-OTHERS = (
-    "hand_distance_capsule",
-    "tcp_speed_mps",
-    "sse",
-    "predicted_distance_m",
-    "mode",
-    "limits",
-    "faults",
-    "decision",
-)
+BOOLEANS, A_FLAG = ("hand_present", "object_visible", "track_valid"), "0 or 1"
 MODES = tuple(int(mode) for mode in Mode)
-LIMITS = reduce(or_, (int(limit) for limit in Limit))  # every flag
+LIMITS, FAILURES = (reduce(or_, (int(flag) for flag in flags)) for flags in (Limit, Check))  # all of them
 CHECKS = 13  # of the ticks
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
@@ -89,23 +77,9 @@ def _length(trace: Trace) -> Iterator[Inconsistency]:
 
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     scenario, ticks = trace.scenario, trace.ticks
-    raw = [ticks[name].view(np.uint8) for name in BOOLEANS]
-    values: list[NDArray[Any]] = [trace.time_s, *raw, *(ticks[name] for name in OTHERS)]
-    time_s, present, visible, tracked, capsule, speed, sse, near, mode, limits, faults, decision = values
     first = _first_wrong(
-        time_s,
-        present,
-        visible,
-        tracked,
-        capsule,
-        speed,
-        sse,
-        near,
-        ticks["predicted_hand_in_base_m"],
-        mode,
-        limits,
-        faults,
-        decision,
+        ticks.view(TICK_COMPILED),
+        ticks["object_visible"].view(np.uint8),
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
@@ -115,7 +89,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         return
     checks = (  # in the order of ``_first_wrong``
         ("time_s", "tick times the period"),
-        *((name, "0 or 1") for name in BOOLEANS),
+        *((name, A_FLAG) for name in BOOLEANS),
         ("hand_present", f"the {len(scenario.hands)} hands of the scenario"),
         ("hand_distance_capsule", "a part for each hand, else -1"),
         ("tcp_speed_mps", "a speed, which is never negative"),
@@ -126,9 +100,9 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         ("faults", "faults of that time"),
         ("decision", "the number of the decision made then, else -1"),
     )
-    shown = (*values[:4], ticks["hand_present"], *values[4:])
-    for (field, expected), found, index in zip(checks, shown, first.tolist(), strict=True):
+    for (field, expected), index in zip(checks, first.tolist(), strict=True):
         if index < len(ticks):
+            found = ticks[field].view(np.uint8) if expected == A_FLAG else ticks[field]
             yield Inconsistency(field, "tick", index, expected, " ".join(str(found[index]).split()))
 
 
@@ -141,54 +115,43 @@ def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
 
 @compiled
 def _first_wrong(
-    time_s: NDArray[np.float64],  # (n,), as all that follows; fields of the ticks
-    present: NDArray[np.uint8],  # (n, hands)
-    visible: NDArray[np.uint8],
-    tracked: NDArray[np.uint8],  # (n, tracks)
-    capsule: NDArray[np.int64],  # (n, hands)
-    speed: NDArray[np.float64],
-    sse: NDArray[np.float64],
-    near: NDArray[np.float64],
-    predicted: NDArray[np.float64],  # (n, tracks, 3)
-    mode: NDArray[np.int64],
-    limits: NDArray[np.int64],
-    faults: NDArray[np.int64],
-    decision: NDArray[np.int64],
+    ticks: NDArray[np.void],  # (n,) TICK_COMPILED
+    visible: NDArray[np.uint8],  # (n,) ``object_visible``, as its bytes are
     decided: NDArray[np.int64],  # (m,) ticks of the decisions
     period_s: float,
     hands: int,
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
     """(13,) the first tick that fails each check, n if none does."""
-    n = time_s.shape[0]
+    n = ticks.shape[0]
     first = np.full(CHECKS, n)
     made = np.full(n, -1)
     for number in range(decided.shape[0]):
         if 0 <= decided[number] < n:
             made[decided[number]] = number
     for k in range(n - 1, -1, -1):
-        possible = 0
+        tick, possible = ticks[k], 0
         for fault in range(fault_times_s.shape[0]):
-            acts = (time_s[k] >= fault_times_s[fault, 0]) & (time_s[k] < fault_times_s[fault, 1])
+            acts = (tick.time_s >= fault_times_s[fault, 0]) & (tick.time_s < fault_times_s[fault, 1])
             possible |= int(acts) << fault
-        wrong = int(time_s[k] != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
-        for hand in range(present.shape[1]):
+        wrong = int(tick.time_s != k * period_s) | (int(visible[k] > 1) << 2)  # a bit for each check
+        for hand in range(tick.hand_present.shape[0]):
             there = hand < hands
-            wrong |= int(present[k, hand] > 1) << 1
-            wrong |= int((present[k, hand] != 0) != there) << 4
-            wrong |= int((capsule[k, hand] < 0) == there) << 5
-        for track in range(tracked.shape[1]):
-            wrong |= int(tracked[k, track] > 1) << 3
-            x, y, z = predicted[k, track, 0], predicted[k, track, 1], predicted[k, track, 2]
-            somewhere = tracked[k, track] != 0 and abs(x) + abs(y) + abs(z) < np.inf
-            wrong |= int(somewhere and near[k] == np.inf) << 8
-        wrong |= int(speed[k] < 0.0) << 6
-        wrong |= int(sse[k] < 0.0) << 7
-        wrong |= int(near[k] < 0.0) << 8
-        wrong |= int(mode[k] not in MODES) << 9
-        wrong |= int(limits[k] & ~LIMITS != 0) << 10
-        wrong |= int(faults[k] & ~possible != 0) << 11
-        wrong |= int(decision[k] != made[k]) << 12
+            wrong |= int(tick.hand_present[hand] > 1) << 1
+            wrong |= int((tick.hand_present[hand] != 0) != there) << 4
+            wrong |= int((tick.hand_distance_capsule[hand] < 0) == there) << 5
+        for track in range(tick.track_valid.shape[0]):
+            wrong |= int(tick.track_valid[track] > 1) << 3
+            at = tick.predicted_hand_in_base_m[track]
+            somewhere = tick.track_valid[track] != 0 and abs(at[0]) + abs(at[1]) + abs(at[2]) < np.inf
+            wrong |= int(somewhere and tick.predicted_distance_m == np.inf) << 8
+        wrong |= int(tick.tcp_speed_mps < 0.0) << 6
+        wrong |= int(tick.sse < 0.0) << 7
+        wrong |= int(tick.predicted_distance_m < 0.0) << 8
+        wrong |= int(tick.mode not in MODES) << 9
+        wrong |= int(tick.limits & ~LIMITS != 0) << 10
+        wrong |= int(tick.faults & ~possible != 0) << 11
+        wrong |= int(tick.decision != made[k]) << 12
         if wrong != 0:
             for check in range(CHECKS):
                 if (wrong >> check) & 1:
@@ -209,13 +172,16 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     at_tick = trace.ticks["time_s"][np.clip(tick, 0, count - 1)] if count else time_s
     yield from at_first(time_s != at_tick, "time_s", "decision", "the time of its tick", time_s)
     yield from _costs(trace)
-    yield from _enumerated(decisions["trigger"], "trigger", "decision", Trigger)
-    yield from _enumerated(decisions["outcome"], "outcome", "decision", DecisionOutcome)
+    for name, members in (("trigger", Trigger), ("outcome", DecisionOutcome)):
+        codes = [int(member) for member in members]
+        values = decisions[name]
+        yield from at_first(~np.isin(values, codes), name, "decision", f"one of {codes}", values)
     spread_m = decisions["proposed_spread_m"]
     no_spread = (spread_m < 0.0) | np.isinf(spread_m)  # NaN: none was given
     yield from at_first(no_spread, "proposed_spread_m", "decision", "a spread, which is finite", spread_m)
     for name in ("proposed_failed", "opposite_failed"):
-        yield from _flags(decisions[name], name, "decision", Check)
+        failed = decisions[name]
+        yield from at_first((failed & ~FAILURES) != 0, name, "decision", f"flags within {FAILURES}", failed)
     for name in (name for name in DECISION.names or () if DECISION[name].kind == "U"):
         letters = np.ascontiguousarray(decisions[name]).view(np.uint32)
         letters = letters.reshape(len(decisions), DECISION[name].itemsize // 4)
@@ -237,20 +203,3 @@ def _costs(trace: Trace) -> Iterator[Inconsistency]:
     delayed = any(isinstance(fault, AvoiderFault) for fault in trace.scenario.faults)
     wrong = tick - asked < waits if delayed else tick - asked != waits
     yield from at_first(wrong, "decision_time_s", "decision", "the ticks from question to answer", cost_s)
-
-
-def _enumerated(
-    values: NDArray[np.int64], field: str, what: str, members: type[IntEnum]
-) -> Iterator[Inconsistency]:
-    codes = [int(member) for member in members]
-    wrong = np.ones(len(values), np.bool_)
-    for code in codes:
-        wrong &= values != code
-    yield from at_first(wrong, field, what, f"one of {codes}", values)
-
-
-def _flags(
-    values: NDArray[np.int64], field: str, what: str, members: type[IntFlag]
-) -> Iterator[Inconsistency]:
-    every = reduce(or_, (int(member) for member in members))
-    yield from at_first((values & ~every) != 0, field, what, f"flags within {every}", values)

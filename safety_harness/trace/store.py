@@ -14,7 +14,7 @@ import json
 import os
 import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError, Place, TraceError
+from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.files import refuse_no_file, told
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
@@ -31,18 +32,21 @@ from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.old_decisions import DECISION_3, as_now
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Line, Provenance, Trace
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
-BEFORE = "safety-harness trace 3"
+BEFORE = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
 MOST_PARTS = 6 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
+NEW = ("asked_tick", "decision_time_s")
+DECISION_3 = np.dtype(
+    [(name, field[0]) for name, field in (DECISION.fields or {}).items() if name not in NEW], align=True
+)
 
 
 T = TypeVar("T")
@@ -284,3 +288,23 @@ class _Reader:
 
 def _words(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+
+
+def as_now(decisions: NDArray[np.void], ticks: NDArray[np.void], faults: Sequence[Fault]) -> NDArray[np.void]:
+    """(m,) DECISION_3 as (m,) DECISION.  No decision cost anything then but by a fault of the scenario."""
+    now = np.zeros(len(decisions), DECISION)
+    for name in DECISION_3.names or ():
+        now[name] = decisions[name]
+    now["asked_tick"] = _asked(decisions["tick"], ticks["faults"], faults)
+    return now
+
+
+def _asked(made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[Fault]) -> NDArray[np.int64]:
+    """(m,) the tick of each question: a fault that delays its answer is marked from there to the decision."""
+    slow = sum(1 << k for k, fault in enumerate(faults) if isinstance(fault, AvoiderLate | AvoiderSilent))
+    waiting = (acted & slow) != 0
+    if len(made) == 0 or made.min() < 0 or made.max() >= len(waiting):
+        return made  # refused later, in words
+    begun = np.maximum.accumulate(np.where(waiting, -1, np.arange(len(waiting)))) + 1
+    after_the_one_before = np.concatenate([[0], made[:-1] + 1])
+    return np.where(waiting[made], np.maximum(begun[made], after_the_one_before), made)

@@ -30,7 +30,7 @@ from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Tremor
 from safety_harness.settings import DEFAULTS
-from safety_harness.trace.old_decisions import DECISION_3, as_now
+from safety_harness.trace.store import DECISION_3, as_now
 from safety_harness.trace.trace import Trace
 
 RADIUS_M = DEFAULTS.avoidance.radius_m

@@ -22,9 +22,8 @@ from safety_harness.exceptions import TraceError
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.old_decisions import DECISION_3
 from safety_harness.trace.records import Check, DecisionOutcome
-from safety_harness.trace.store import load_trace, save_trace
+from safety_harness.trace.store import DECISION_3, load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
 STAYS = hand(MoveTo(position_in_base_m=(0.79, -0.27, 0.3), speed_mps=1.0), Wait(duration_s=9.0))
