@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 Sample = Callable[[Trace], Sampled]
+Listed = TypeVar("Listed", bound=Signal)
 SIGNALS: list[Signal] = []  # in the order of the pages
 
 
@@ -46,37 +48,21 @@ def measure(
     dimension: Dimension,
     meaning: str,
     between: Interpolation = Interpolation.BOUNDED,
-    *,
-    least: float = 0.0,
-    endless: bool = False,
+    **more: Any,
 ) -> Callable[[Sample], Measure]:
     """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
-
-    def made(sample: Sample) -> Measure:
-        signal = Measure(
-            words=words,
-            dimension=dimension,
-            meaning=meaning,
-            between=between,
-            least=least,
-            endless=endless,
-            sample=sample,
-        )
-        SIGNALS.append(signal)
-        return signal
-
-    return made
+    said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
+    return lambda sample: _listed(said(sample=sample))
 
 
 def flag(words: str, meaning: str) -> Callable[[Sample], Flag]:
     """The same for what is true or false."""
+    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample))
 
-    def made(sample: Sample) -> Flag:
-        signal = Flag(words=words, meaning=meaning, sample=sample)
-        SIGNALS.append(signal)
-        return signal
 
-    return made
+def _listed(signal: Listed) -> Listed:
+    SIGNALS.append(signal)
+    return signal
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:

@@ -25,7 +25,6 @@ from safety_harness.properties.separation import (
     farthest_steps,
     least_separation,
     lengths,
-    separation_terms,
 )
 from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
 from safety_harness.scenario.units import SPEED
@@ -122,14 +121,8 @@ class ProtectiveSeparation:
             hand_speed_mps=hand_mps,
             reaction_time_s=float(reaction_s[tick]),
             stop_time_s=float(stop_s[tick]),
-            terms=separation_terms(
-                hand_speed_mps=hand_mps,
-                robot_speed_mps=robot_mps,
-                reaction_time_s=float(reaction_s[tick]),
-                stop_time_s=float(stop_s[tick]),
-                hand_moves_m=hand_moves_m,
-                robot_moves_m=robot_moves_m,
-            ),
+            hand_moves_m=hand_moves_m,
+            robot_moves_m=robot_moves_m,
         )
 
     def largest_m(self, settings: Settings) -> float:
