@@ -27,11 +27,10 @@ from safety_harness.formulas.signal import (
     turned_rad,
 )
 from safety_harness.properties.base import times_begun
-from safety_harness.properties.consistency import TOLERANCE
 from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.properties.true_motion import HandPaths, arm_of, hand_bend_m
+from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension

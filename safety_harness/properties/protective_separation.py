@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import (
+    OF_HANDS,
     Evaluation,
     Unit,
     inconclusive,
@@ -69,14 +70,7 @@ class ProtectiveSeparation:
         """The v_h that is taken where the hands' own speeds are not."""
         return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
 
-    @readable(
-        "joint_position_rad",
-        "joint_velocity_radps",
-        "tcp_speed_mps",
-        "hand_position_in_base_m",
-        "elbow_position_in_base_m",
-        "hand_distance_m",
-    )
+    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps", *OF_HANDS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the pair that has least to spare."""
         if not trace.scenario.hands:

@@ -102,16 +102,13 @@ def split(
     chance = chance_of_each(confidence, 2)
     judged = _Judged(margins)
     settings = how or Splitting()
-    levels, lengths = _pilot(judged, dimensions, settings, generator(seed, Branch.STATISTICS, 2, 0))
+    shape = (settings.particles, dimensions)
+    pilot, *rngs, last = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 2))
+    levels, lengths = _pilot(_Particles(judged, shape, pilot), settings)
     replicates = np.array(
-        [
-            _replication(
-                judged, dimensions, settings, levels, lengths, generator(seed, Branch.STATISTICS, 2, r)
-            )
-            for r in range(1, settings.replications + 1)
-        ]
+        [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
     )
-    low, high = interval_of(replicates, chance, generator(seed, Branch.STATISTICS, 2, len(replicates) + 1))
+    low, high = interval_of(replicates, chance, last)
     return RareEstimate(
         value=float(replicates.mean()),
         low=low,
@@ -161,14 +158,11 @@ def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> 
     return low, math.exp(min(float(np.quantile(pivots, 1.0 - chance)), 0.0))
 
 
-def _pilot(
-    judged: _Judged, dimensions: int, how: Splitting, rng: np.random.Generator
-) -> tuple[list[float], list[float]]:
+def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
     """Levels down to 0, each as the particles suggest, and the step length for each but the last.
 
     A plateau that no quantile gets below makes 0 the next level.
     """
-    particles = _Particles(judged, (how.particles, dimensions), rng)
     levels: list[float] = []
     lengths: list[float] = []
     length = 0.5
@@ -196,23 +190,15 @@ def _next_level(found: Floats, survivors: float) -> float:
     return level if math.isfinite(level) else 0.0
 
 
-def _replication(
-    judged: _Judged,
-    dimensions: int,
-    how: Splitting,
-    levels: list[float],
-    lengths: list[float],
-    rng: np.random.Generator,
-) -> float:
+def _replication(particles: _Particles, steps: int, levels: list[float], lengths: list[float]) -> float:
     """The product of the shares that survive each level; 0 once none does."""
-    particles = _Particles(judged, (how.particles, dimensions), rng)
     product = 1.0
     for number, level in enumerate(levels):
         product *= float((particles.margins < level).mean())
         if product == 0.0 or number == len(lengths):
             break
         particles.resample(level)
-        for _ in range(how.steps):
+        for _ in range(steps):
             particles.move(level, lengths[number])
     return product
 
