@@ -42,11 +42,8 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
     nearest = int(np.argmin(apart))
     if not apart[nearest] > 0.0:
         return np.full(3, np.nan)
-    away: NDArray[np.float64] = tcp_in_base - hands[nearest]
-    opposite: NDArray[np.float64] = (
-        tcp_in_base + trace.scenario.settings.avoidance.radius_m / apart[nearest] * away
-    )
-    return opposite
+    share = trace.scenario.settings.avoidance.radius_m / apart[nearest]
+    return np.asarray(tcp_in_base + share * (tcp_in_base - hands[nearest]))
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
@@ -73,12 +70,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
         spare = min(spare, away / apart if apart > 0.0 else spare)
     if spare < 0.0:
         return spare
-    joints_rad = straight_way(
-        load_arm(trace.scenario.robot.arm_name),
-        tick["joint_position_rad"],
-        position_in_base_m,
-        step_m=WAY_STEP_M,
-    )
+    arm = load_arm(trace.scenario.robot.arm_name)
+    joints_rad = straight_way(arm, tick["joint_position_rad"], position_in_base_m, step_m=WAY_STEP_M)
     own_m = clearances_m(trace, joints_rad)[:, 2]
     return min(spare, float(own_m.min() - min(OWN_CLEARANCE_M, own_m[0])))
 

@@ -323,27 +323,20 @@ def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     distance_m, angle_rad = pose_errors(trace)
     error = np.hypot(distance_m, angle_rad)
     done_below = float(np.sqrt(settings.servo.gain_switch_sse))
-    lost = np.zeros(len(error), np.int64)
-    _lose(
-        error,
-        history(trace, "mode") == Mode.SERVOING,
-        done_below,
-        LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s,
-        lost,
-    )
+    least_share = LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s
+    lost = _lost(error, history(trace, "mode") == Mode.SERVOING, done_below, least_share)
     return lost, error >= done_below
 
 
 @compiled
-def _lose(
+def _lost(
     error: NDArray[np.float64],  # (n,)
     servoing: NDArray[np.bool_],  # (n,)
     done_below: float,
     least_share: float,  # of the error, in one tick
-    lost: NDArray[np.int64],  # (n,), written
-) -> None:
-    """Count the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
-    best = error[0]
+) -> NDArray[np.int64]:
+    """(n,) the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
+    best, lost = error[0], np.zeros(error.shape[0], np.int64)
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
             best, lost[k] = done_below, 0
@@ -352,6 +345,7 @@ def _lose(
         else:
             on = servoing[k] and error[k - 1] - error[k] >= least_share * error[k]
             lost[k] = lost[k - 1] + (not on)
+    return lost
 
 
 NEVER_STARVED = CatalogueEntry(

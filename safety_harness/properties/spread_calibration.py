@@ -130,10 +130,7 @@ def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> N
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:
         fresh = seed(int(decision["seed"]), Branch.DECISION, 1)
-        label: NDArray[np.float64] = oracle.propose(
-            hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh
-        ).position_in_base_m
-        return label
+        label = oracle.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh)
+        return label.position_in_base_m
     optimum = continuous_optimum(settings, tcp[None])[0]
-    exact: NDArray[np.float64] = optimum + oracle.hand_pull * (tcp - hand)
-    return exact
+    return np.asarray(optimum + oracle.hand_pull * (tcp - hand))
