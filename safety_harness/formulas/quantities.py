@@ -7,13 +7,7 @@ from dataclasses import dataclass, field
 from numbers import Real
 
 from safety_harness.exceptions import FormulaError, Place
-from safety_harness.scenario.units import (
-    NUMBER,
-    TIME,
-    Dimension,
-    normal_unit,
-    parse_quantity,
-)
+from safety_harness.scenario.units import NUMBER, TIME, Dimension, normal_unit, parse_quantity
 
 
 @dataclass(frozen=True)

@@ -164,10 +164,8 @@ def fixed_length(sample: object) -> IndependentSample:
     """An IndependentSample whose length was fixed beforehand; StatisticsError for one that may stop early."""
     known = independent(sample)
     if known.declaration.stop_early:
-        wanted, hint = (
-            f"a stream of fixed length ({known.name})",
-            "bounds that hold at every time are in statistics.sequential",
-        )
+        wanted = f"a stream of fixed length ({known.name})"
+        hint = "bounds that hold at every time are in statistics.sequential"
         raise refusal("stop early", wanted, "one that may stop at any time", hint)
     return known
 
