@@ -16,7 +16,7 @@ from safety_harness.controller.controller import Controller
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
-from safety_harness.properties.consistency import refuse_contradictions
+from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.simulation.simulate import Episode, simulate, simulate_many
 from safety_harness.simulation.world import BatchWorld

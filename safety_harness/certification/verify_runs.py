@@ -23,7 +23,7 @@ from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verdicts import percent
 from safety_harness.certification.verify_files import Examination, few, kept
 from safety_harness.exceptions import CampaignError, InputError, SafetyHarnessError
-from safety_harness.properties.consistency import refuse_contradictions
+from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.worlds import world_of_trace

@@ -114,15 +114,13 @@ class _Asked:
     def period_s(self) -> float:
         return self.trace.scenario.settings.clock.control_period_s
 
-    def open(self, reason: str, exercised: int = 0) -> Evaluation:
-        """No evidence either way, and no margin."""
-        return Evaluation(
-            sentence=str(self.part),
-            verdict=Verdict.INCONCLUSIVE,
-            unit=unit_of(self.part),
-            reason=reason,
-            exercised=exercised,
-        )
+    @property
+    def sentence(self) -> str:
+        return str(self.part)
+
+    @property
+    def unit(self) -> Unit:
+        return unit_of(self.part)
 
     def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
         value = _whole_run(self.sampled[atom.signal].value, self.trace)
@@ -169,7 +167,8 @@ class _Asked:
             told = self.told(Verdict.INCONCLUSIVE, between, exercised)
             why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
             return replace(told, reason=why)
-        return self.open(self.unknown(witness(at_ticks, 0, self.period_s, low=True)), exercised)
+        why = self.unknown(witness(at_ticks, 0, self.period_s, low=True))
+        return inconclusive(self, why, exercised=exercised)
 
     def unknown(self, found: Witness) -> str:
         """What is not known: at the tick that would decide, else the first thing of all."""
@@ -187,12 +186,12 @@ class _Asked:
     def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
         """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
         found = witness(seen, 0, self.period_s, low=low)
-        margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), unit_of(self.part)
+        margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
         margin = 0.0 if margin == LEAST else margin
         if not np.isfinite(margin):
             margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
         told = replace(
-            self.open("what comes after the run decides", exercised),
+            inconclusive(self, "what comes after the run decides", exercised=exercised),
             verdict=verdict,
             unit=unit,
             margin=margin,
@@ -218,7 +217,7 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     for signal, one in sampled.items():
         why = one.absent or _impossible(signal, one, trace)
         if why:
-            return asked.open(why)
+            return inconclusive(asked, why)
     at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
     exercised, untried = asked.exercised(at_ticks)
@@ -230,7 +229,7 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     if low < 0.0:
         return asked.undecided(at_ticks, between, exercised)
     if exercised == 0 and np.isinf(low):  # nothing was asked at all
-        return asked.open(f"never exercised: {untried}")
+        return inconclusive(asked, f"never exercised: {untried}")
     told = asked.told(Verdict.HOLDS, between, exercised)
     if exercised == 0:
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")

@@ -44,6 +44,9 @@ class Relation(Enum):
 class Formula:
     """Any formula; the classes below are all there are."""
 
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
     @property
     def parts(self) -> tuple[Formula, ...]:
         """The formulas that it is directly made of."""
@@ -113,9 +116,6 @@ class _Over(Formula):
 
     body: Formula
 
-    def __post_init__(self) -> None:
-        _refuse_what_stands_at_the_top(self)
-
     @property
     def parts(self) -> tuple[Formula, ...]:
         """What it is said of."""
@@ -177,6 +177,9 @@ class _Several(Formula):
 class And(_Several):
     """All of them hold: the least margin."""
 
+    def __post_init__(self) -> None:
+        """It joins what stands at the top, whatever that is."""
+
     def __str__(self) -> str:
         return " and ".join(joined(part) for part in self.members)
 
@@ -184,9 +187,6 @@ class And(_Several):
 @dataclass(frozen=True)
 class Or(_Several):
     """One of them holds: the largest margin."""
-
-    def __post_init__(self) -> None:
-        _refuse_what_stands_at_the_top(self)
 
     def __str__(self) -> str:
         return " or ".join(joined(part) for part in self.members)
@@ -199,9 +199,6 @@ class Until(Formula):
     first: Formula
     second: Formula
     span: Span | None = None
-
-    def __post_init__(self) -> None:
-        _refuse_what_stands_at_the_top(self)
 
     @property
     def parts(self) -> tuple[Formula, ...]:
@@ -219,9 +216,6 @@ class Globally(Formula):
 
     trigger: Formula
     response: Formula
-
-    def __post_init__(self) -> None:
-        _refuse_what_stands_at_the_top(self)
 
     @property
     def parts(self) -> tuple[Formula, ...]:

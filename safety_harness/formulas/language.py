@@ -6,24 +6,7 @@ from dataclasses import dataclass
 
 from safety_harness.formulas.formula import Always, Eventually, Formula, Globally, Initially, formula_of
 from safety_harness.formulas.parse import parse_formula
-from safety_harness.formulas.quantities import (
-    Quantity,
-    Window,
-    cm,
-    cm_per_s,
-    deg,
-    deg_per_s,
-    m,
-    m_per_s,
-    minutes,
-    mm,
-    mm_per_s,
-    ms,
-    rad,
-    rad_per_s,
-    s,
-    span_of,
-)
+from safety_harness.formulas.quantities import Quantity, Window, quantity, span_of
 from safety_harness.formulas.signal import Signal
 from safety_harness.formulas.signals import (
     angle_to_desired_pose,
@@ -48,6 +31,7 @@ from safety_harness.formulas.signals import (
     tcp_height,
     tcp_speed,
 )
+from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, SPEED, TIME
 
 __all__ = [
     "Formula",
@@ -93,6 +77,71 @@ __all__ = [
     "tcp_speed",
     "whenever",
 ]
+
+
+def mm(number: float) -> Quantity:
+    """Millimetres."""
+    return quantity(number, "mm", LENGTH)
+
+
+def cm(number: float) -> Quantity:
+    """Centimetres."""
+    return quantity(number, "cm", LENGTH)
+
+
+def m(number: float) -> Quantity:
+    """Metres."""
+    return quantity(number, "m", LENGTH)
+
+
+def deg(number: float) -> Quantity:
+    """Degrees."""
+    return quantity(number, "deg", ANGLE)
+
+
+def rad(number: float) -> Quantity:
+    """Radians."""
+    return quantity(number, "rad", ANGLE)
+
+
+def s(number: float) -> Quantity:
+    """Seconds."""
+    return quantity(number, "s", TIME)
+
+
+def ms(number: float) -> Quantity:
+    """Milliseconds."""
+    return quantity(number, "ms", TIME)
+
+
+def minutes(number: float) -> Quantity:
+    """Minutes."""
+    return quantity(number, "min", TIME)
+
+
+def mm_per_s(number: float) -> Quantity:
+    """Millimetres a second."""
+    return quantity(number, "mm/s", SPEED)
+
+
+def cm_per_s(number: float) -> Quantity:
+    """Centimetres a second."""
+    return quantity(number, "cm/s", SPEED)
+
+
+def m_per_s(number: float) -> Quantity:
+    """Metres a second."""
+    return quantity(number, "m/s", SPEED)
+
+
+def deg_per_s(number: float) -> Quantity:
+    """Degrees a second."""
+    return quantity(number, "deg/s", ANGULAR_SPEED)
+
+
+def rad_per_s(number: float) -> Quantity:
+    """Radians a second."""
+    return quantity(number, "rad/s", ANGULAR_SPEED)
 
 
 def always(formula: Formula, *, within: Window = None) -> Formula:

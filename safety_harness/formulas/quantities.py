@@ -7,17 +7,7 @@ from dataclasses import dataclass, field
 from numbers import Real
 
 from safety_harness.exceptions import FormulaError, Place
-from safety_harness.scenario.units import (
-    ANGLE,
-    ANGULAR_SPEED,
-    LENGTH,
-    NUMBER,
-    SPEED,
-    TIME,
-    Dimension,
-    normal_unit,
-    parse_quantity,
-)
+from safety_harness.scenario.units import NUMBER, TIME, Dimension, normal_unit, parse_quantity
 
 
 @dataclass(frozen=True)
@@ -76,71 +66,6 @@ def read_quantity(text: str, dimension: Dimension, place: Place) -> Quantity:
             number = number.rstrip("0").removesuffix(".")
     unit = normal_unit(unit)
     return Quantity(value, dimension, f"{number} {unit}" if unit else number)
-
-
-def mm(number: float) -> Quantity:
-    """Millimetres."""
-    return quantity(number, "mm", LENGTH)
-
-
-def cm(number: float) -> Quantity:
-    """Centimetres."""
-    return quantity(number, "cm", LENGTH)
-
-
-def m(number: float) -> Quantity:
-    """Metres."""
-    return quantity(number, "m", LENGTH)
-
-
-def deg(number: float) -> Quantity:
-    """Degrees."""
-    return quantity(number, "deg", ANGLE)
-
-
-def rad(number: float) -> Quantity:
-    """Radians."""
-    return quantity(number, "rad", ANGLE)
-
-
-def s(number: float) -> Quantity:
-    """Seconds."""
-    return quantity(number, "s", TIME)
-
-
-def ms(number: float) -> Quantity:
-    """Milliseconds."""
-    return quantity(number, "ms", TIME)
-
-
-def minutes(number: float) -> Quantity:
-    """Minutes."""
-    return quantity(number, "min", TIME)
-
-
-def mm_per_s(number: float) -> Quantity:
-    """Millimetres a second."""
-    return quantity(number, "mm/s", SPEED)
-
-
-def cm_per_s(number: float) -> Quantity:
-    """Centimetres a second."""
-    return quantity(number, "cm/s", SPEED)
-
-
-def m_per_s(number: float) -> Quantity:
-    """Metres a second."""
-    return quantity(number, "m/s", SPEED)
-
-
-def deg_per_s(number: float) -> Quantity:
-    """Degrees a second."""
-    return quantity(number, "deg/s", ANGULAR_SPEED)
-
-
-def rad_per_s(number: float) -> Quantity:
-    """Radians a second."""
-    return quantity(number, "rad/s", ANGULAR_SPEED)
 
 
 def plain(number: float) -> Quantity:

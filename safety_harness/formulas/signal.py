@@ -161,17 +161,12 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
     low, high = at_tick.copy(), at_tick.copy()
     low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
     high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
-    value, low, high, mean = (_largest(a) for a in (at_tick, low, high, mean))
+    within_a_row = tuple(range(1, at_tick.ndim))
+    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
     moves = value > MOVING
     moves[:-1] |= mean > MOVING
     count = int(np.count_nonzero(moves))
     return Sampled(value=value, low=low, high=high, occasions=count, untried=f"{of} never moves")
-
-
-def _largest(values: Values) -> Values:
-    """(n,) of each row of (n, ...), of which there may be none."""
-    largest: Values = values.max(axis=tuple(range(1, values.ndim)))
-    return largest
 
 
 def bounded(value: Values, way: Values) -> Sampled:

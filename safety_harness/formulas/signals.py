@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from functools import lru_cache
+from functools import lru_cache, partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +27,10 @@ from safety_harness.formulas.signal import (
     turned_rad,
 )
 from safety_harness.properties.base import times_begun
-from safety_harness.properties.consistency import TOLERANCE
 from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.properties.true_motion import HandPaths, arm_of, hand_bend_m
+from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
@@ -38,6 +38,7 @@ from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 Sample = Callable[[Trace], Sampled]
+Listed = TypeVar("Listed", bound=Signal)
 SIGNALS: list[Signal] = []  # in the order of the pages
 
 
@@ -46,37 +47,21 @@ def measure(
     dimension: Dimension,
     meaning: str,
     between: Interpolation = Interpolation.BOUNDED,
-    *,
-    least: float = 0.0,
-    endless: bool = False,
+    **more: Any,
 ) -> Callable[[Sample], Measure]:
     """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
-
-    def made(sample: Sample) -> Measure:
-        signal = Measure(
-            words=words,
-            dimension=dimension,
-            meaning=meaning,
-            between=between,
-            least=least,
-            endless=endless,
-            sample=sample,
-        )
-        SIGNALS.append(signal)
-        return signal
-
-    return made
+    said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
+    return lambda sample: _listed(said(sample=sample))
 
 
 def flag(words: str, meaning: str) -> Callable[[Sample], Flag]:
     """The same for what is true or false."""
+    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample))
 
-    def made(sample: Sample) -> Flag:
-        signal = Flag(words=words, meaning=meaning, sample=sample)
-        SIGNALS.append(signal)
-        return signal
 
-    return made
+def _listed(signal: Listed) -> Listed:
+    SIGNALS.append(signal)
+    return signal
 
 
 def in_force(trace: Trace) -> NDArray[np.int64]:

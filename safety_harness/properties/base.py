@@ -10,7 +10,7 @@ truncation is still a violation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import wraps
 from math import isclose, isfinite
@@ -96,25 +96,26 @@ class Evaluation:
         return self.unit.margin_text(self.margin)
 
 
-class Property(Protocol):
-    """A safety property.  ``sentence`` is how the catalogue and the reports write it."""
+class Said(Protocol):
+    """What an evaluation is of."""
 
     @property
     def sentence(self) -> str:
-        """As the catalogue writes it."""
-        ...
+        """As the catalogue and the reports write it."""
 
     @property
     def unit(self) -> Unit:
         """What its margins are shown in."""
-        ...
+
+
+class Property(Said, Protocol):
+    """A safety property."""
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge one trace."""
-        ...
 
 
-def inconclusive(prop: Property, reason: str, *, exercised: int = 0) -> Evaluation:
+def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
     """No evidence either way, and why."""
     return Evaluation(
         sentence=prop.sentence,
@@ -256,12 +257,5 @@ def judged(
         verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {reason}"
     elif not trace.complete:
         verdict, reason = Verdict.INCONCLUSIVE, f"the run was cut short ({trace.ended}): {reason}"
-    return Evaluation(
-        sentence=prop.sentence,
-        verdict=verdict,
-        unit=prop.unit,
-        margin=float(margin),
-        worst_time_s=float(worst_time_s),
-        reason=reason,
-        exercised=exercised,
-    )
+    found = inconclusive(prop, reason, exercised=exercised)
+    return replace(found, verdict=verdict, margin=float(margin), worst_time_s=float(worst_time_s))

@@ -84,12 +84,9 @@ class ClearWays:
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
     """The straight way to the position that decision ``number`` chose.  ``reach_m`` (6,)."""
     decision = trace.decisions[number]
-    joints_rad = straight_way(
-        load_arm(trace.scenario.robot.arm_name),
-        trace.ticks["joint_position_rad"][decision["tick"]],
-        decision["chosen_position_in_base_m"],
-        step_m=STEP_M,
-    )
+    arm = load_arm(trace.scenario.robot.arm_name)
+    start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
+    joints_rad = straight_way(arm, start_rad, decision["chosen_position_in_base_m"], step_m=STEP_M)
     moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
     least_m, _ = _least(clearances_m(trace, joints_rad), moved_m)
     return Way(f"planned way of decision {number}", least_m, np.full(3, decision["time_s"]))
@@ -142,13 +139,9 @@ def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.fl
     stand there, and end where the forearm begins.  From the robot itself: wrist and camera from base,
     shoulder and upper arm.
     """
-    settings = trace.scenario.settings
-    return _clearances(
-        arm_of(trace),
-        np.ascontiguousarray(joints_rad),
-        settings.cell.table_height_m,
-        object_polygon_in_base(settings),
-    )
+    settings, joints_rad = trace.scenario.settings, np.ascontiguousarray(joints_rad)
+    table_m, polygon = settings.cell.table_height_m, object_polygon_in_base(settings)
+    return _clearances(arm_of(trace), joints_rad, table_m, polygon)
 
 
 @compiled

@@ -116,11 +116,6 @@ def _mark(
                 bad[k] |= there and not abs(rows[k, column]) < ENDLESS
 
 
-def _rows(wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n, ...) to (n,): is anything wrong in the record?"""
-    return np.asarray(wrong.any(axis=tuple(range(1, wrong.ndim))))
-
-
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions with something that is no number, or no later than the decision before."""
     decisions, latency_s = trace.decisions, trace.decision_latency_s
@@ -136,7 +131,8 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     for name in DECISION.names or ():
         if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
             continue
-        bad |= _rows(~(np.abs(decisions[name]) < ENDLESS)) & expected.get(name.split("_")[0], np.True_)
+        wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
+        bad |= wrong & expected.get(name.split("_")[0], np.True_)
     return bad
 
 

@@ -42,11 +42,8 @@ def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
     nearest = int(np.argmin(apart))
     if not apart[nearest] > 0.0:
         return np.full(3, np.nan)
-    away: NDArray[np.float64] = tcp_in_base - hands[nearest]
-    opposite: NDArray[np.float64] = (
-        tcp_in_base + trace.scenario.settings.avoidance.radius_m / apart[nearest] * away
-    )
-    return opposite
+    share = trace.scenario.settings.avoidance.radius_m / apart[nearest]
+    return np.asarray(tcp_in_base + share * (tcp_in_base - hands[nearest]))
 
 
 def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
@@ -73,12 +70,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
         spare = min(spare, away / apart if apart > 0.0 else spare)
     if spare < 0.0:
         return spare
-    joints_rad = straight_way(
-        load_arm(trace.scenario.robot.arm_name),
-        tick["joint_position_rad"],
-        position_in_base_m,
-        step_m=WAY_STEP_M,
-    )
+    arm = load_arm(trace.scenario.robot.arm_name)
+    joints_rad = straight_way(arm, tick["joint_position_rad"], position_in_base_m, step_m=WAY_STEP_M)
     own_m = clearances_m(trace, joints_rad)[:, 2]
     return min(spare, float(own_m.min() - min(OWN_CLEARANCE_M, own_m[0])))
 
@@ -177,13 +170,8 @@ def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     known, key = _reaches_m(trace), (int(decision["tick"]), position_in_base_m.tobytes())
     if key not in known:
         tick = trace.ticks[decision["tick"]]
-        known[key] = reach_margin(
-            tick["joint_position_rad"],
-            tick["transform_tcp_to_base"][:3, 3],
-            position_in_base_m,
-            trace.scenario.settings.motion.min_singular_value,
-            trace.scenario.robot.arm_name,
-        )
+        way = position_in_base_m - tick["transform_tcp_to_base"][:3, 3]
+        known[key] = _beyond_m(trace, tick["joint_position_rad"], way)
     return known[key]
 
 
@@ -193,22 +181,15 @@ def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
     return {}
 
 
-def reach_margin(
-    joint_position_rad: NDArray[np.float64],  # (6,)
-    tcp_position_in_base_m: NDArray[np.float64],  # (3,)
-    position_in_base_m: NDArray[np.float64],  # (3,)
-    min_singular_value: float,
-    arm_name: str = "ur10",
-) -> float:
-    """How far beyond (or, negative, short of) ``position_in_base_m`` the straight way goes [m]."""
-    way = position_in_base_m - tcp_position_in_base_m
+def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
+    """How far beyond (or, negative, short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,)."""
     length_m = float(np.linalg.norm(way))
     if length_m == 0.0:
         return 0.0
-    reach_m = _kinematics(arm_name).reach_along(
-        joint_position_rad, way / length_m, length_m + BEYOND_M, min_singular_value=min_singular_value
-    )
-    return reach_m - length_m
+    least = trace.scenario.settings.motion.min_singular_value
+    kinematics = _kinematics(trace.scenario.robot.arm_name)
+    far_m = length_m + BEYOND_M
+    return kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least) - length_m
 
 
 REPULSIVE_POSES = CatalogueEntry(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import (
+    OF_HANDS,
     Evaluation,
     Unit,
     inconclusive,
@@ -25,7 +26,6 @@ from safety_harness.properties.separation import (
     farthest_steps,
     least_separation,
     lengths,
-    separation_terms,
 )
 from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
 from safety_harness.scenario.units import SPEED
@@ -70,14 +70,7 @@ class ProtectiveSeparation:
         """The v_h that is taken where the hands' own speeds are not."""
         return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
 
-    @readable(
-        "joint_position_rad",
-        "joint_velocity_radps",
-        "tcp_speed_mps",
-        "hand_position_in_base_m",
-        "elbow_position_in_base_m",
-        "hand_distance_m",
-    )
+    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps", *OF_HANDS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the pair that has least to spare."""
         if not trace.scenario.hands:
@@ -122,14 +115,8 @@ class ProtectiveSeparation:
             hand_speed_mps=hand_mps,
             reaction_time_s=float(reaction_s[tick]),
             stop_time_s=float(stop_s[tick]),
-            terms=separation_terms(
-                hand_speed_mps=hand_mps,
-                robot_speed_mps=robot_mps,
-                reaction_time_s=float(reaction_s[tick]),
-                stop_time_s=float(stop_s[tick]),
-                hand_moves_m=hand_moves_m,
-                robot_moves_m=robot_moves_m,
-            ),
+            hand_moves_m=hand_moves_m,
+            robot_moves_m=robot_moves_m,
         )
 
     def largest_m(self, settings: Settings) -> float:

@@ -26,7 +26,7 @@ from safety_harness.properties.base import (
     times_begun,
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
-from safety_harness.properties.true_motion import nearest_hand_m
+from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH, TIME
 from safety_harness.settings import Settings
@@ -42,22 +42,14 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
     return given
 
 
-def predicted_near(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) is any predicted hand within the critical distance of the true TCP?"""
-    return _predictions(trace)[0]
+def predicted_near(trace: Trace) -> tuple[NDArray[np.bool_], int]:
+    """(n,) is any predicted hand within the critical distance of the true TCP?
 
-
-def _predictions(trace: Trace) -> tuple[NDArray[np.bool_], int]:
-    """``predicted_near``, and the first tick with a prediction that is nowhere, or -1."""
-    ticks, near = trace.ticks, np.zeros(len(trace.ticks), np.bool_)
-    unknown = _predicted_near(
-        ticks["transform_tcp_to_base"][:, :3, 3],
-        ticks["track_valid"],
-        ticks["predicted_hand_in_base_m"],
-        trace.scenario.settings.avoidance.critical_distance_m,
-        near,
-    )
-    return near, unknown
+    And the first tick with a prediction that is nowhere, or -1.
+    """
+    tcp_m, critical_m = true_motion(trace).tcp_m, trace.scenario.settings.avoidance.critical_distance_m
+    ticks = trace.ticks
+    return _predicted_near(tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"], critical_m)
 
 
 @compiled
@@ -66,10 +58,9 @@ def _predicted_near(
     tracked: NDArray[np.bool_],  # (n, tracks)
     predicted_m: NDArray[np.float64],  # (n, tracks, 3)
     critical_m: float,
-    near: NDArray[np.bool_],  # (n,), written
-) -> int:
-    """Fill ``near``; the first tick at which a prediction is nowhere, or -1."""
-    unknown = -1
+) -> tuple[NDArray[np.bool_], int]:
+    """(n,) ``predicted_near``, and the first tick at which a prediction is nowhere, or -1."""
+    near, unknown = np.zeros(tcp_m.shape[0], np.bool_), -1
     for k in range(near.shape[0]):
         for track in range(tracked.shape[1]):
             if not tracked[k, track]:
@@ -81,7 +72,7 @@ def _predicted_near(
             near[k] |= sqrt(total) < critical_m
             if unknown < 0 and not somewhere:
                 unknown = k
-    return unknown
+    return near, unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +99,7 @@ class GivesWay:
     @readable("transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
-        near, unknown = _predictions(trace)
+        near, unknown = predicted_near(trace)
         if unknown >= 0:
             return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
         found = []

@@ -52,7 +52,8 @@ class Separation:
     """One pair at one tick: how far apart it is and has to be.
 
     ``robot_speed_mps`` and ``hand_speed_mps`` are those towards each other that the terms use;
-    ``reaction_time_s`` and ``stop_time_s`` what is left of them.
+    ``reaction_time_s`` and ``stop_time_s`` what is left of them; ``hand_moves_m`` and ``robot_moves_m``
+    how far the nearest points move within half a tick.
     """
 
     tick: int
@@ -64,7 +65,24 @@ class Separation:
     hand_speed_mps: float
     reaction_time_s: float
     stop_time_s: float
-    terms: tuple[Term, ...]
+    hand_moves_m: float
+    robot_moves_m: float
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The six of S_p, in the order of ``ASSUMED``."""
+        found = lengths(
+            self.hand_speed_mps,
+            self.robot_speed_mps,
+            self.reaction_time_s,
+            self.stop_time_s,
+            self.hand_moves_m,
+            self.robot_moves_m,
+        )
+        return tuple(
+            Term(symbol=symbol, length_m=length, assumption=assumption)
+            for (symbol, assumption), length in zip(ASSUMED, found, strict=True)
+        )
 
     @property
     def required_m(self) -> float:
@@ -75,25 +93,6 @@ class Separation:
     def margin_m(self) -> float:
         """How much farther apart the pair is than it has to be."""
         return self.distance_m - self.required_m
-
-
-def separation_terms(
-    *,
-    hand_speed_mps: float,
-    robot_speed_mps: float,
-    reaction_time_s: float,
-    stop_time_s: float,
-    hand_moves_m: float = 0.0,
-    robot_moves_m: float = 0.0,
-) -> tuple[Term, ...]:
-    """The six terms; the last two arguments are how far the nearest points move within half a tick."""
-    found = lengths(
-        hand_speed_mps, robot_speed_mps, reaction_time_s, stop_time_s, hand_moves_m, robot_moves_m
-    )
-    return tuple(
-        Term(symbol=symbol, length_m=length, assumption=assumption)
-        for (symbol, assumption), length in zip(ASSUMED, found, strict=True)
-    )
 
 
 @compiled

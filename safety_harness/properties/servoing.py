@@ -99,9 +99,8 @@ def angle_errors_rad(trace: Trace, poses: NDArray[np.float64]) -> NDArray[np.flo
 
 def was_off(trace: Trace) -> bool:
     """Was the TCP ever farther from the desired pose than one that has converged?"""
-    if np.any(position_errors_m(trace) > CONVERGED_POSITION_M):
-        return True
-    return bool(np.any(pose_errors(trace)[1] > CONVERGED_ANGLE_RAD))
+    away = np.any(position_errors_m(trace) > CONVERGED_POSITION_M)
+    return bool(away or np.any(pose_errors(trace)[1] > CONVERGED_ANGLE_RAD))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,22 +138,19 @@ class GainSwitchReached:
             allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
         below = np.flatnonzero(np.isfinite(sse) & (sse < servo.gain_switch_sse))
         above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
+        took = int(below[0]) if len(below) else len(trace.ticks) - 1 - first  # in ticks
+        took_s, left_s = float(trace.time_s[took]), time_left_s(trace, allowed_s, took)
         if len(below):
-            took = int(below[0])  # in ticks
-            took_s = float(trace.time_s[took])
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
             if not above.any():
                 reason = "below the switch already when the hands had left"
         else:
-            took = len(trace.ticks) - 1 - first
-            took_s = float(trace.time_s[took])
-            if time_left_s(trace, allowed_s, took) >= 0.0:
+            if left_s >= 0.0:
                 reason = (
                     f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
                 )
                 return inconclusive(self, reason)
             reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
-        left_s = time_left_s(trace, allowed_s, took)
         return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised=int(above.any()))
 
 
@@ -327,27 +323,20 @@ def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     distance_m, angle_rad = pose_errors(trace)
     error = np.hypot(distance_m, angle_rad)
     done_below = float(np.sqrt(settings.servo.gain_switch_sse))
-    lost = np.zeros(len(error), np.int64)
-    _lose(
-        error,
-        history(trace, "mode") == Mode.SERVOING,
-        done_below,
-        LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s,
-        lost,
-    )
+    least_share = LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s
+    lost = _lost(error, history(trace, "mode") == Mode.SERVOING, done_below, least_share)
     return lost, error >= done_below
 
 
 @compiled
-def _lose(
+def _lost(
     error: NDArray[np.float64],  # (n,)
     servoing: NDArray[np.bool_],  # (n,)
     done_below: float,
     least_share: float,  # of the error, in one tick
-    lost: NDArray[np.int64],  # (n,), written
-) -> None:
-    """Count the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
-    best = error[0]
+) -> NDArray[np.int64]:
+    """(n,) the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
+    best, lost = error[0], np.zeros(error.shape[0], np.int64)
     for k in range(1, error.shape[0]):
         if error[k] < done_below:
             best, lost[k] = done_below, 0
@@ -356,6 +345,7 @@ def _lose(
         else:
             on = servoing[k] and error[k - 1] - error[k] >= least_share * error[k]
             lost[k] = lost[k - 1] + (not on)
+    return lost
 
 
 NEVER_STARVED = CatalogueEntry(

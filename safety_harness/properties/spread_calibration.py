@@ -7,7 +7,7 @@ independently of what came out (draws of a space, say); runs that a search picke
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -17,7 +17,7 @@ from safety_harness.avoidance.candidates import continuous_optimum
 from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate
-from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.properties.base import Evaluation, Unit, inconclusive
 from safety_harness.proportions import Proportion
 from safety_harness.scenario.model import Verdict
 from safety_harness.seeds import Branch, seed
@@ -84,41 +84,28 @@ class SpreadCalibration:
         every = list(traces)
         avoiders = {trace.scenario.avoider for trace in every}
         if len(avoiders) > 1:
-            return self._open(f"runs of several avoiders: {', '.join(sorted(avoiders))}")
+            return inconclusive(self, f"runs of several avoiders: {', '.join(sorted(avoiders))}")
         wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
         if wrong is not None:
-            return self._open(f"a trace contradicts itself: {wrong}")
+            return inconclusive(self, f"a trace contradicts itself: {wrong}")
         intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
         if intervals is None:
-            return self._open("the avoider states no intervals")
+            return inconclusive(self, "the avoider states no intervals")
         covered = np.array([c for trace in every if (c := first_covered(trace, intervals)) is not None], bool)
         if len(covered) < LEAST_DECISIONS:
-            return self._open(
-                f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed", len(covered)
-            )
+            reason = f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed"
+            return inconclusive(self, reason, exercised=len(covered))
         share = Proportion.of(covered)
         words = (
             f"{share.count} of {share.trials} hold {intervals.target.value}: "
             f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
         )
+        found = inconclusive(self, words, exercised=len(covered))
         if share.low >= self.at_least:
-            return self._said(Verdict.HOLDS, words, len(covered), share.low - self.at_least)
+            return replace(found, verdict=Verdict.HOLDS, margin=share.low - self.at_least)
         if share.high < self.at_least:
-            return self._said(Verdict.VIOLATED, words, len(covered), share.high - self.at_least)
-        return self._open(f"too few to tell: {words}", len(covered))
-
-    def _open(self, reason: str, exercised: int = 0) -> Evaluation:
-        return self._said(Verdict.INCONCLUSIVE, reason, exercised)
-
-    def _said(self, verdict: Verdict, reason: str, exercised: int, margin: float | None = None) -> Evaluation:
-        return Evaluation(
-            sentence=self.sentence,
-            verdict=verdict,
-            unit=self.unit,
-            margin=margin,
-            reason=reason,
-            exercised=exercised,
-        )
+            return replace(found, verdict=Verdict.VIOLATED, margin=share.high - self.at_least)
+        return replace(found, reason=f"too few to tell: {words}")
 
 
 def _shipped(avoider: str) -> IntervalRule | None:
@@ -143,10 +130,7 @@ def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> N
     hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
     if target is Target.LABEL:
         fresh = seed(int(decision["seed"]), Branch.DECISION, 1)
-        label: NDArray[np.float64] = oracle.propose(
-            hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh
-        ).position_in_base_m
-        return label
+        label = oracle.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh)
+        return label.position_in_base_m
     optimum = continuous_optimum(settings, tcp[None])[0]
-    exact: NDArray[np.float64] = optimum + oracle.hand_pull * (tcp - hand)
-    return exact
+    return np.asarray(optimum + oracle.hand_pull * (tcp - hand))

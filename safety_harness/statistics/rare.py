@@ -102,16 +102,13 @@ def split(
     chance = chance_of_each(confidence, 2)
     judged = _Judged(margins)
     settings = how or Splitting()
-    levels, lengths = _pilot(judged, dimensions, settings, generator(seed, Branch.STATISTICS, 2, 0))
+    shape = (settings.particles, dimensions)
+    pilot, *rngs, last = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 2))
+    levels, lengths = _pilot(_Particles(judged, shape, pilot), settings)
     replicates = np.array(
-        [
-            _replication(
-                judged, dimensions, settings, levels, lengths, generator(seed, Branch.STATISTICS, 2, r)
-            )
-            for r in range(1, settings.replications + 1)
-        ]
+        [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
     )
-    low, high = interval_of(replicates, chance, generator(seed, Branch.STATISTICS, 2, len(replicates) + 1))
+    low, high = interval_of(replicates, chance, last)
     return RareEstimate(
         value=float(replicates.mean()),
         low=low,
@@ -161,27 +158,23 @@ def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> 
     return low, math.exp(min(float(np.quantile(pivots, 1.0 - chance)), 0.0))
 
 
-def _pilot(
-    judged: _Judged, dimensions: int, how: Splitting, rng: np.random.Generator
-) -> tuple[list[float], list[float]]:
+def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
     """Levels down to 0, each as the particles suggest, and the step length for each but the last.
 
     A plateau that no quantile gets below makes 0 the next level.
     """
-    points = rng.standard_normal((how.particles, dimensions))
-    found = judged(points)
     levels: list[float] = []
     lengths: list[float] = []
     length = 0.5
     while True:
-        level = _next_level(found, how.survivors)
+        level = _next_level(particles.margins, how.survivors)
         if level <= 0.0 or len(levels) == _MOST_LEVELS or (levels and level >= levels[-1]):
             levels.append(0.0)
             return levels, lengths
         levels.append(level)
-        points, found = _resampled(points, found, found < level, rng)
+        particles.resample(level)
         for _ in range(how.steps):
-            points, found, moved = _moved(judged, points, found, level, length, rng)
+            moved = particles.move(level, length)
             length = float(np.clip(length * math.exp(moved - 0.4), 0.01, 0.99))
         lengths.append(length)
 
@@ -197,49 +190,41 @@ def _next_level(found: Floats, survivors: float) -> float:
     return level if math.isfinite(level) else 0.0
 
 
-def _replication(
-    judged: _Judged,
-    dimensions: int,
-    how: Splitting,
-    levels: list[float],
-    lengths: list[float],
-    rng: np.random.Generator,
-) -> float:
+def _replication(particles: _Particles, steps: int, levels: list[float], lengths: list[float]) -> float:
     """The product of the shares that survive each level; 0 once none does."""
-    points = rng.standard_normal((how.particles, dimensions))
-    found = judged(points)
     product = 1.0
     for number, level in enumerate(levels):
-        alive = found < level
-        product *= float(alive.mean())
+        product *= float((particles.margins < level).mean())
         if product == 0.0 or number == len(lengths):
             break
-        points, found = _resampled(points, found, alive, rng)
-        for _ in range(how.steps):
-            points, found, _ = _moved(judged, points, found, level, lengths[number], rng)
+        particles.resample(level)
+        for _ in range(steps):
+            particles.move(level, lengths[number])
     return product
 
 
-def _resampled(
-    points: Floats, found: Floats, alive: np.ndarray, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """``points`` (n, d) with their margins ``found`` (n,), drawn again from those ``alive`` (n,)."""
-    chosen = rng.choice(np.flatnonzero(alive), len(points))
-    return points[chosen], found[chosen]
+class _Particles:
+    """Points (n, d) of standard normal space, drawn from it at first, and their margins (n,)."""
 
+    def __init__(self, judged: _Judged, shape: tuple[int, int], rng: np.random.Generator) -> None:
+        self._judged, self._rng = judged, rng
+        self.points: Floats = rng.standard_normal(shape)
+        self.margins = judged(self.points)
 
-def _moved(
-    judged: _Judged, points: Floats, found: Floats, level: float, length: float, rng: np.random.Generator
-) -> tuple[Floats, Floats, float]:
-    """One Metropolis step of every particle below the level, and the share that moved.
+    def resample(self, level: float) -> None:
+        """Draw them again from those below the level."""
+        chosen = self._rng.choice(np.flatnonzero(self.margins < level), len(self.points))
+        self.points, self.margins = self.points[chosen], self.margins[chosen]
 
-    ``points`` (n, d), z, go to sqrt(1 - b^2) z + b x, b the ``length``; ``found`` (n,) are their margins.
-    """
-    proposed = math.sqrt(1.0 - length**2) * points + length * rng.standard_normal(points.shape)
-    margins = judged(proposed)
-    accepted = margins < level
-    return (
-        np.where(accepted[:, None], proposed, points),
-        np.where(accepted, margins, found),
-        float(accepted.mean()),
-    )
+    def move(self, level: float, length: float) -> float:
+        """One Metropolis step of every particle below the level, and the share that moved.
+
+        The points z go to sqrt(1 - b^2) z + b x, b the ``length``.
+        """
+        drawn = self._rng.standard_normal(self.points.shape)
+        proposed = math.sqrt(1.0 - length**2) * self.points + length * drawn
+        margins = self._judged(proposed)
+        accepted = margins < level
+        self.points = np.where(accepted[:, None], proposed, self.points)
+        self.margins = np.where(accepted, margins, self.margins)
+        return float(accepted.mean())

@@ -164,12 +164,9 @@ def fixed_length(sample: object) -> IndependentSample:
     """An IndependentSample whose length was fixed beforehand; StatisticsError for one that may stop early."""
     known = independent(sample)
     if known.declaration.stop_early:
-        raise refusal(
-            "stop early",
-            f"a stream of fixed length ({known.name})",
-            "one that may stop at any time",
-            "bounds that hold at every time are in statistics.sequential",
-        )
+        wanted = f"a stream of fixed length ({known.name})"
+        hint = "bounds that hold at every time are in statistics.sequential"
+        raise refusal("stop early", wanted, "one that may stop at any time", hint)
     return known
 
 
@@ -212,25 +209,20 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
     """Episodes 0 to n - 1, once each, and as many as the declaration says."""
     n, planned = len(numbers), declaration.planned
     where = f"of stratum {declaration.stratum!r}"
+    wanted = f"the {planned} planned episodes {where}"
     if n == 0:
         raise refusal("episodes", f"at least one episode {where}", "none")
     if n > planned:
-        raise refusal(
-            "episodes", f"the {planned} planned episodes {where}", str(n), "more were run than declared"
-        )
+        raise refusal("episodes", wanted, str(n), "more were run than declared")
     found = np.unique(numbers)
     if len(found) < n:
         twice = int(numbers.size - found.size)
         raise refusal("episodes", f"every episode {where} once", f"{twice} more than once")
     if found[0] != 0 or found[-1] != n - 1:
-        got = f"{n} episodes from {found[0]} to {found[-1]}"
-        raise refusal(
-            "episodes", f"episodes 0 to {n - 1} {where}", got, "some are missing: a choice was made"
-        )
+        wanted, got = f"episodes 0 to {n - 1} {where}", f"{n} episodes from {found[0]} to {found[-1]}"
+        raise refusal("episodes", wanted, got, "some are missing: a choice was made")
     if n < planned and not declaration.stop_early:
-        raise refusal(
-            "episodes", f"the {planned} planned episodes {where}", f"{n}: incomplete", "run the rest"
-        )
+        raise refusal("episodes", wanted, f"{n}: incomplete", "run the rest")
 
 
 def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: NDArray[np.integer]) -> None:

@@ -19,7 +19,7 @@ from safety_harness.formulas.signal import Flag, Measure, Signal
 from safety_harness.formulas.signals import SIGNALS, predicted_hand_distance, tcp_speed
 from safety_harness.properties.base import Evaluation, Property
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.consistency import DERIVED
+from safety_harness.properties.true_motion import DERIVED
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Trace

@@ -27,8 +27,8 @@ from safety_harness.formulas.formula import (
     Truth,
     conjunction,
 )
-from safety_harness.formulas.language import hand_distance, tcp_speed
-from safety_harness.formulas.quantities import Span, mm, mm_per_s, ms
+from safety_harness.formulas.language import hand_distance, mm, mm_per_s, ms, tcp_speed
+from safety_harness.formulas.quantities import Span
 from safety_harness.formulas.semantics import LEAST
 
 ABOVE_0 = Comparison(X, Relation.ABOVE, mm(0))

@@ -32,7 +32,8 @@ from safety_harness.formulas.formula import (
     conjunction,
     disjunction,
 )
-from safety_harness.formulas.quantities import Span, mm, ms
+from safety_harness.formulas.language import mm, ms
+from safety_harness.formulas.quantities import Span
 from safety_harness.formulas.semantics import LEAST
 
 anything = formulas(comparisons | truths)

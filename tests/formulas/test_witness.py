@@ -18,7 +18,8 @@ from safety_harness.formulas.formula import (
     Truth,
     Until,
 )
-from safety_harness.formulas.quantities import Span, mm, ms
+from safety_harness.formulas.language import mm, ms
+from safety_harness.formulas.quantities import Span
 from safety_harness.formulas.semantics import Witness, witness
 
 ABOVE_0 = Comparison(X, Relation.ABOVE, mm(0))

@@ -15,7 +15,7 @@ from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.consistency import first_untruth
+from safety_harness.properties.true_motion import first_untruth
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.store import save_trace

@@ -9,7 +9,7 @@ import pytest
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
 from safety_harness.properties.protective_separation import ProtectiveSeparation, times_left_s
-from safety_harness.properties.separation import separation_terms
+from safety_harness.properties.separation import Separation
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
@@ -31,9 +31,19 @@ OWN = ProtectiveSeparation(own_speeds=True)
 def test_the_stop_times_of_a_ur10_give_the_distances_computed_by_hand(
     robot_mps: float, stop_s: float, needed_m: float
 ) -> None:
-    terms = separation_terms(
-        hand_speed_mps=1.6, robot_speed_mps=robot_mps, reaction_time_s=0.1, stop_time_s=stop_s
-    )
+    terms = Separation(
+        tick=0,
+        hand=0,
+        capsule=0,
+        forearm=False,
+        distance_m=0.0,
+        hand_speed_mps=1.6,
+        robot_speed_mps=robot_mps,
+        reaction_time_s=0.1,
+        stop_time_s=stop_s,
+        hand_moves_m=0.0,
+        robot_moves_m=0.0,
+    ).terms
     assert [term.symbol for term in terms] == ["S_h", "S_r", "S_s", "C", "Z_d", "Z_r"]
     assert all(term.assumption for term in terms)
     assert sum(term.length_m for term in terms) == pytest.approx(needed_m, abs=1e-12)

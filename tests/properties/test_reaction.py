@@ -32,7 +32,7 @@ IN_TRUTH = GivesWayToTrueHand(within_s=0.1)
 def reacting_from(trace: Trace, late: int, until: int | None = None) -> Trace:
     """The same run, but the controller gives way only from ``late`` ticks after the hand came near on."""
     ticks = trace.ticks.copy()
-    near = np.flatnonzero(predicted_near(trace))
+    near = np.flatnonzero(predicted_near(trace)[0])
     ticks["mode"] = Mode.SERVOING
     ticks["mode"][near[0] + late : until] = Mode.REPULSING
     return replace(trace, ticks=ticks)
@@ -42,7 +42,7 @@ def test_the_system_reacts_in_the_very_tick(visit: Trace) -> None:
     evaluation = IN_TIME.evaluate(visit)
     assert (evaluation.verdict, evaluation.margin) == (Verdict.HOLDS, 0.1)
     assert evaluation.exercised == 1
-    near = np.flatnonzero(predicted_near(visit))
+    near = np.flatnonzero(predicted_near(visit)[0])
     assert gives_way(visit)[near].all()
     assert np.all(visit.ticks["predicted_distance_m"][near] < 0.4)
 
@@ -74,7 +74,7 @@ def test_losing_the_object_is_none(visit: Trace) -> None:
 
 
 def test_going_back_to_servoing_beside_the_hand_counts_as_not_reacting(visit: Trace) -> None:
-    near = np.flatnonzero(predicted_near(visit))
+    near = np.flatnonzero(predicted_near(visit)[0])
     stops_early = reacting_from(visit, 0, until=int(near[0]) + 10)
     assert len(near) > 30
     evaluation = IN_TIME.evaluate(stops_early)
@@ -83,7 +83,7 @@ def test_going_back_to_servoing_beside_the_hand_counts_as_not_reacting(visit: Tr
 
 
 def test_a_run_that_ends_before_the_time_allowed_is_no_evidence(visit: Trace) -> None:
-    first = int(np.flatnonzero(predicted_near(visit))[0])
+    first = int(np.flatnonzero(predicted_near(visit)[0])[0])
     late = reacting_from(visit, 500)
     scene = replace(visit.scenario, duration_s=float(visit.time_s[first + 5]))
     keep = visit.decisions["tick"] < first + 6
@@ -104,7 +104,7 @@ def test_a_hand_that_is_near_from_the_first_tick_on_counts_once(visit: Trace) ->
 
 @pytest.mark.parametrize("field", ["transform_tcp_to_base", "predicted_hand_in_base_m"])
 def test_what_is_no_number_is_inconclusive_and_the_reason_says_from_when(field: str, visit: Trace) -> None:
-    at = int(np.flatnonzero(predicted_near(visit))[3])
+    at = int(np.flatnonzero(predicted_near(visit)[0])[3])
     ticks = visit.ticks.copy()
     ticks[field][at:] = np.nan
     evaluation = IN_TIME.evaluate(replace(visit, ticks=ticks))
