@@ -46,6 +46,17 @@ def scalar_text(text: str) -> str:
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
 
 
+def in_a_line(tree: Tree) -> str | None:
+    """A text, a list of texts such as ``[0.1 m, 0.0 m]`` or an empty mapping on one line; None for others."""
+    if isinstance(tree, str):
+        return tree
+    if isinstance(tree, Mapping):
+        return None if tree else "{}"
+    parts = [None if isinstance(item, Mapping) else in_a_line(item) for item in tree]
+    texts = [part for part in parts if part is not None]
+    return f"[{', '.join(texts)}]" if len(texts) == len(parts) else None
+
+
 @dataclass(frozen=True)
 class QuantityValue:
     """A number with a unit, within bounds in SI; ``or_word`` may stand in its place, and is None."""
@@ -105,15 +116,10 @@ class QuantityValue:
 
 @dataclass(frozen=True, kw_only=True)
 class _Formed:
-    """A value whose ``form`` says in words of what kind it is, and ``expected`` in those of a message."""
+    """A value whose ``words`` say of what kind it is, and ``expected`` in those of a message."""
 
-    form: str
+    words: str
     expected: str = ""
-
-    @property
-    def words(self) -> str:
-        """As written."""
-        return self.form
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,10 +185,9 @@ class Several(_Formed):
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
         return tuple(self.of.read(item) for item in items)
 
-    def write(self, values: Sequence[Any]) -> Any:
-        """A list on one line, ``[0.1 m, 0.0 m, -0.2 m]``, or of mappings below its key."""
-        parts: list[Any] = [self.of.write(value) for value in values]
-        return f"[{', '.join(parts)}]" if parts and isinstance(parts[0], str) else parts
+    def write(self, values: Sequence[Any]) -> list[Tree]:
+        """The members' texts or mappings."""
+        return [self.of.write(value) for value in values]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +197,7 @@ class Below(_Formed):
     Which table is meant is told by its ``told_by``; ``order`` is in which a message lists these.
     """
 
-    form: str = "mapping"
+    words: str = "mapping"
     tables: tuple[KeyTable, ...]
     noun: str = ""
     order: tuple[str, ...] = ()
@@ -297,14 +302,14 @@ class Key:
 
 @dataclass(frozen=True, kw_only=True)
 class KeyTable:
-    """The keys of one kind of mapping.  ``where`` completes "the key ... of"; ``name`` is for the page.
+    """The keys of one kind of mapping.  ``name`` is for the page; ``where`` (the same) completes "of ...".
 
     ``beside`` are the tables of objects, by the fields that hold them, whose keys stand in the same
     mapping: all that are required, or none.
     """
 
     name: str
-    where: str
+    where: str = ""
     keys: tuple[Key, ...]
     kind: type[Any] | None = None  # what is made of the mapping
     path: str = ""  # how it is reached from the top of a file: "settings.avoidance"
@@ -313,6 +318,7 @@ class KeyTable:
     names: tuple[str, ...] = dataclass_field(init=False)  # in the order of a well laid out file
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "where", self.where or self.name)
         object.__setattr__(self, "told_by", self.told_by or self.keys[0].name)
         object.__setattr__(self, "names", tuple(key.name for key in self.keys))
 
@@ -400,7 +406,6 @@ def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
         elif isinstance(said, KeyTable):
             beside.append((one.name, said))
             keys += [replace(key, attribute="", or_else="none") for key in said.keys]
-    of_table.setdefault("where", name)
     return KeyTable(name=name, keys=tuple(keys), kind=kind, beside=tuple(beside), **of_table)
 
 
@@ -447,7 +452,7 @@ def below(value: Value) -> Iterator[KeyTable]:
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
     """Three quantities, none larger than ``most`` either way."""
     number = QuantityValue(dimension, least=-most, most=most)
-    return Several(of=number, form=form, expected=f"a list of three, each {dimension.expected}", count=3)
+    return Several(of=number, words=form, expected=f"a list of three, each {dimension.expected}", count=3)
 
 
 TURN = QuantityValue(ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)

@@ -19,10 +19,10 @@ from safety_harness.scenario.codec import (
     Key,
     KeyTable,
     QuantityValue,
-    Several,
     Tree,
     Word,
     declared,
+    in_a_line,
     key,
     keyed,
     only_key,
@@ -281,8 +281,7 @@ def fault_tables() -> tuple[KeyTable, ...]:
             *(replace(key, or_else="required where it belongs") for key in further.values()),
             *_TIMES.keys,
         )
-        where = f"a fault of the {subject}"
-        tables.append(KeyTable(name=where, where=where, keys=keys, path=f"faults.{subject}"))
+        tables.append(KeyTable(name=f"a fault of the {subject}", keys=keys, path=f"faults.{subject}"))
     return tuple(tables)
 
 
@@ -343,10 +342,11 @@ def fault_words(fault: Fault) -> str:
     words = f"{own.told_by} {own.name}"
     if isinstance(fault, JointStuck):
         words = f"{fault.joint.value} joint {own.name}"
+    written = own.write(fault)
     values = [(key, getattr(fault, key.attribute)) for key in own.keys if not isinstance(key.value, Word)]
     if values:
         told = (
-            f"{key.name} {key.value.write(value) if isinstance(key.value, Several) else f'{value:g} s'}"
+            f"{key.name} {in_a_line(written[key.name]) if isinstance(value, tuple) else f'{value:g} s'}"
             for key, value in values
         )
         words += f" ({', '.join(told)})"

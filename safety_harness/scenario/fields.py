@@ -205,28 +205,27 @@ class Fields:
         return self.by_key.get(key)
 
 
-def places(field: Field) -> dict[str, Place]:
-    """The place of ``field`` and of everything below it, by path."""
-    found = {field.path: field.place} if field.path else {}
+def walk(field: Field) -> Iterator[Field]:
+    """``field`` and everything below it, in the order of the file."""
+    yield field
     below: tuple[Field, ...] = ()
     if isinstance(field.node, Sequence):
         below = field.items("a list")
     elif isinstance(field.node, Mapping):
         below = tuple(child for _, child in field.entries("a mapping"))
     for child in below:
-        found.update(places(child))
-    return found
+        yield from walk(child)
 
 
 @dataclass(frozen=True)
 class Places(abc.Mapping[str, Place]):
-    """``places`` of ``root``: few of the scenarios of a search are ever complained about."""
+    """Of all below ``root``, by path; made when first asked, since few scenarios are complained about."""
 
     root: Field
 
     @cached_property
     def _found(self) -> dict[str, Place]:
-        return places(self.root)
+        return {field.path: field.place for field in walk(self.root) if field.path}
 
     def __getitem__(self, path: str) -> Place:
         return self._found[path]

@@ -84,7 +84,7 @@ _TILT = Key(
     "none",
 )
 _JOINTS = Several(
-    of=TURN, form="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
+    of=TURN, words="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
 )
 
 
@@ -135,7 +135,7 @@ TcpStart = OffsetStart | PoseStart | JointStart
 
 START = Below(tables=tuple(table_of(kind, "tcp start") for kind in get_args(TcpStart)))
 
-_HAND_NAME = Text(form="name", expected="a name for the hand")
+_HAND_NAME = Text(words="name", expected="a name for the hand")
 _STARTS_AT, _TOWARDS = "[1.2 m, -0.7 m, 100 mm]", "[1.6 m, -1.2 m, 300 mm]"
 _SHIFT, _LATER = "[0 mm, 50 mm, 0 mm]", "500 ms"
 _FASTER = "2.5 m/s"
@@ -192,7 +192,7 @@ class MovingHand:
     )
     moves: tuple[HandMove, ...] = key(
         "moves",
-        Several(of=MOVE, form="list", expected="a list of moves"),
+        Several(of=MOVE, words="list", expected="a list of moves"),
         "what it does; an empty list for a hand that rests",
         "moves:\n  - wait: 1 s\n  - withdraw: 1.6 m/s",
     )
@@ -231,13 +231,7 @@ class RecordedMotion:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, RecordedMotion):
             return NotImplemented
-        return (
-            self.sha256 == other.sha256
-            and self.notes == other.notes
-            and np.array_equal(self.time_s, other.time_s)
-            and np.array_equal(self.hand_position_in_base_m, other.hand_position_in_base_m)
-            and np.array_equal(self.elbow_position_in_base_m, other.elbow_position_in_base_m)
-        )
+        return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
 def _sha256(field: Field) -> str:
@@ -247,12 +241,12 @@ def _sha256(field: Field) -> str:
     return digest
 
 
-_PATH = Text(form="path", reads=lambda field: Path(field.sentence("the path of a recording")))
+_PATH = Text(words="path", reads=lambda field: Path(field.sentence("the path of a recording")))
 _DIGEST = Text(
-    form="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
+    words="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
 )
 # A track as the columns spell it: ``right hand`` is ``right_hand``.
-_TRACK = Text(form="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
+_TRACK = Text(words="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
 
 _FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
@@ -344,7 +338,7 @@ class JoinedHand:
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
-        "together with", Text(form="name", expected="the name of a hand"), "of the hand that leads", "right"
+        "together with", Text(words="name", expected="the name of a hand"), "of the hand that leads", "right"
     )
     apart_in_base_m: Vector3 = key(
         "apart", POINT, "from that hand's centre to this one's", "[0 mm, 300 mm, 0 mm]"

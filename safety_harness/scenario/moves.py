@@ -45,7 +45,7 @@ LASTING = QuantityValue(TIME, above=0.0, most=LONGEST_S)
 _DISTANCE = QuantityValue(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
 _BOX = Several(
     of=POINT,
-    form="two opposite corners of a box",
+    words="two opposite corners of a box",
     expected="a box: a list of two opposite corners, each a list of three lengths",
     count=2,
 )

@@ -323,7 +323,7 @@ def load_recording(
     ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and where: in the recording,
     or at the one of ``places`` whose key (``track``, ``from``, ...) asks for what is not there.
     """
-    window_s = _window(recording, hand.from_s, hand.to_s, places)
+    window_s = _window(recording, hand, places)
     names = (hand.track,) if hand.elbow_track is None else (hand.track, hand.elbow_track)
     for key, name in zip(("track", "elbow track"), names, strict=False):
         _refuse_unknown_track(recording, name, places.get(key))
@@ -354,15 +354,13 @@ def load_recording(
     )
 
 
-def _window(
-    recording: Recording, from_s: float | None, to_s: float | None, places: Mapping[str, Place]
-) -> tuple[float, float]:
+def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place]) -> tuple[float, float]:
     """From when to when the recording is used, on its own clock."""
     first_s, last_s = float(recording.time_s[0]), float(recording.time_s[-1])
-    begin_s = first_s if from_s is None else from_s
-    end_s = last_s if to_s is None else to_s
+    begin_s = first_s if hand.from_s is None else hand.from_s
+    end_s = last_s if hand.to_s is None else hand.to_s
     if not first_s <= begin_s < end_s <= last_s:
-        wrong = "to" if to_s is not None and (from_s is None or first_s <= from_s < last_s) else "from"
+        wrong = "to" if hand.to_s is not None and first_s <= begin_s < last_s else "from"
         raise RecordingError(
             place=places.get(wrong, Place(file=recording.file, field=TIME_COLUMN)),
             expected=f'"from" before "to", both from {first_s:.12g} s to {last_s:.12g} s of {recording.file}',

@@ -36,7 +36,7 @@ from safety_harness.scenario.units import NUMBER
 
 CLAIMS = FreeKeys(
     of=Word(Verdict),
-    form="mapping, at least one",
+    words="mapping, at least one",
     expected="a mapping of claims, such as hand distance never below 50 mm: holds",
     least=1,
 )
@@ -66,7 +66,6 @@ class _StartTable(KeyTable):
 
 TCP_START = _StartTable(
     name="tcp start",
-    where="tcp start",
     path="tcp start",
     keys=(replace(_STARTS["offset"], or_else="one of these three"), *_WAYS),
 )
@@ -76,7 +75,6 @@ GROUPS = {
 }
 SETTINGS = KeyTable(
     name="settings",
-    where="settings",
     path="settings",
     keys=tuple(
         Key(
@@ -99,13 +97,12 @@ def _title(field: Field) -> str:
 
 
 def _prose(expected: str) -> Text:
-    return Text(form="text", reads=lambda field: field.prose(expected, lines=True))
+    return Text(words="text", reads=lambda field: field.prose(expected, lines=True))
 
 
-_LINE = Text(form="text, one line", reads=_title)
+_LINE = Text(words="text, one line", reads=_title)
 TOP = KeyTable(
     name="a scenario",
-    where="a scenario",
     keys=(
         Key(
             "scenario",
@@ -158,7 +155,7 @@ TOP = KeyTable(
         ),
         Key(
             "avoider",
-            Text(form="name or file", expected="the name of an avoider"),
+            Text(words="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
             "([avoiders](avoiders.md))",
             "opposite pose",
@@ -174,7 +171,7 @@ TOP = KeyTable(
         ),
         Key(
             "hands",
-            Several(of=HAND, form="list of at most two", most=MAX_HANDS),
+            Several(of=HAND, words="list of at most two", most=MAX_HANDS),
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
             "    elbow towards: [1.6 m, -1.2 m, 300 mm]\n    moves:\n      - wait: 1 s",
@@ -182,7 +179,9 @@ TOP = KeyTable(
         ),
         Key(
             "faults",
-            Several(of=Below(tables=fault_tables()), form=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS),
+            Several(
+                of=Below(tables=fault_tables()), words=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS
+            ),
             "what goes wrong, and when",
             "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
             "none",
@@ -216,21 +215,23 @@ TOP = KeyTable(
         ),
     ),
 )
-_PLAIN_MAPPING = FreeKeys(of=FreeKeys(of=Below(tables=()), form="mapping", least=1), form="mapping", least=1)
+_PLAIN_MAPPING = FreeKeys(
+    of=FreeKeys(of=Below(tables=()), words="mapping", least=1), words="mapping", least=1
+)
 COMPOSED = KeyTable(
     name="files made of others",
     where="a scenario that is made of others",
     keys=(
         Key(
             "extends",
-            Text(form="path"),
+            Text(words="path"),
             f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
             "bases/overhead.yaml",
             "none",
         ),
         Key(
             "without",
-            Several(of=Text(form="key or claim"), form="list of keys and claims", least=1),
+            Several(of=Text(words="key or claim"), words="list of keys and claims", least=1),
             "what of the extended file does not hold: keys at its top, or claims",
             "[hands, hand distance never below 50 mm]",
             "none",
@@ -249,7 +250,6 @@ COMPOSED = KeyTable(
 )
 SUITE = KeyTable(
     name="a suite",
-    where="a suite",
     keys=(
         Key("suite", _LINE, "what these scenarios are for", "before a release", attribute="title"),
         Key(
@@ -261,7 +261,7 @@ SUITE = KeyTable(
         ),
         Key(
             "scenarios",
-            Several(of=Text(form="path"), form="list of paths", least=1),
+            Several(of=Text(words="path"), words="list of paths", least=1),
             "files, folders and other suites, relative to this file",
             "[fast-reach.yaml, recorded]",
         ),

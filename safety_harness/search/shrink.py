@@ -15,7 +15,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.simpler import FINER, ShrinkTarget, shrink_targets, simpler
-from safety_harness.space.paths import value_at, with_value, words
+from safety_harness.space.tracing import value_at, with_value, words
 
 Violates = Callable[[Scenario], bool]
 

@@ -17,7 +17,7 @@ from safety_harness.scenario.model import (
 )
 from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.paths import Path, leaves, value_at, with_value
+from safety_harness.space.tracing import Path, leaves, value_at, with_value
 
 FINER = 3  # how many times a step is divided by ten before a number is left as it is
 LEAST_S, LEAST_MPS = 0.1, 0.1
