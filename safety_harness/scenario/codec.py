@@ -19,17 +19,7 @@ from functools import cached_property
 from typing import Any, TypeAlias, TypeVar
 
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
-from safety_harness.scenario.units import (
-    ANGLE,
-    FRACTION,
-    LENGTH,
-    NUMBER,
-    Dimension,
-    format_quantity,
-    near_miss,
-    nice,
-    shown,
-)
+from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, NUMBER, Dimension, format_quantity, nice
 
 REQUIRED = "required"
 T = TypeVar("T")
@@ -210,9 +200,7 @@ class Below(_Formed):
 
     def read(self, field: Field) -> Any:
         """The object that the mapping stands for."""
-        one = (
-            self.tables[0] if len(self.tables) == 1 else self.by_key[only_key(field, self.noun, self.by_key)]
-        )
+        one = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
         return one.read(field)
 
     def table_of(self, value: object) -> KeyTable:
@@ -229,6 +217,7 @@ class Below(_Formed):
 class FreeKeys(_Formed):
     """A mapping whose keys are the user's own words."""
 
+    words: str = "mapping"
     of: Value
     least: int = 0
 
@@ -327,6 +316,11 @@ class KeyTable:
         """The keys that have to be there."""
         return tuple(key.name for key in self.keys if key.required)
 
+    def below(self) -> Iterator[KeyTable]:
+        """The tables that its values lead to."""
+        for key in self.keys:
+            yield from _tables(key.value)
+
     def name_of(self, attribute: str) -> str:
         """The key of a field of the dataclass."""
         return next(key.name for key in self.keys if key.attribute == attribute)
@@ -361,7 +355,7 @@ class KeyTable:
         written = {
             key.name: key.value.write(found)
             for key in self.keys
-            if key.attribute and (found := getattr(value, key.attribute)) is not None
+            if key.attribute and (found := getattr(value, key.attribute, None)) is not None
         }
         for attribute, table in self.beside:
             inner = getattr(value, attribute)
@@ -409,18 +403,6 @@ def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
     return KeyTable(name=name, keys=tuple(keys), kind=kind, beside=tuple(beside), **of_table)
 
 
-def only_key(field: Field, noun: str, names: Mapping[str, object]) -> str:
-    """The one key among ``names`` that a mapping has, which says what it is; ScenarioError otherwise."""
-    listed = ", ".join(names)
-    given = [key for key, _ in field.entries(f"a {noun}: a mapping with one of the keys {listed}")]
-    found = [key for key in given if key in names]
-    if len(found) != 1:
-        hint = near_miss(given[0], names) if given and not found else ""
-        got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
-        raise field.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
-    return found[0]
-
-
 def _nice(value: Any, kind: Value) -> str:
     """A default as people write it."""
     if isinstance(value, Enum):
@@ -438,15 +420,14 @@ def _nice(value: Any, kind: Value) -> str:
     return f"{value} {kind.dimension.si}".rstrip() if kind.whole else nice(value, kind.dimension)
 
 
-def below(value: Value) -> Iterator[KeyTable]:
+def _tables(value: Value) -> Iterator[KeyTable]:
     """The tables that a value leads to."""
     if isinstance(value, Below):
         for table in value.tables:
             yield table
-            for key in table.keys:
-                yield from below(key.value)
+            yield from table.below()
     elif isinstance(value, Several | FreeKeys):
-        yield from below(value.of)
+        yield from _tables(value.of)
 
 
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:

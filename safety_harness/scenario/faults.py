@@ -25,7 +25,6 @@ from safety_harness.scenario.codec import (
     in_a_line,
     key,
     keyed,
-    only_key,
     table_of,
     vector_of,
 )
@@ -298,7 +297,7 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
-    subject = only_key(field, "fault", SUBJECTS)
+    subject = field.only_key("fault", SUBJECTS)
     predicates = SUBJECTS[subject]
     said = dict(field.entries("a fault"))[subject]
     expected = f"what the {subject} does: one of {', '.join(predicates)}"

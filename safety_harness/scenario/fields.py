@@ -158,6 +158,17 @@ class Field(NamedTuple):
             for key, node in self.node.entries
         )
 
+    def only_key(self, noun: str, names: abc.Mapping[str, object]) -> str:
+        """The one key among ``names`` that a mapping has, which says what it is."""
+        listed = ", ".join(names)
+        given = [key for key, _ in self.entries(f"a {noun}: a mapping with one of the keys {listed}")]
+        found = [key for key in given if key in names]
+        if len(found) != 1:
+            hint = near_miss(given[0], names) if given and not found else ""
+            got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
+            raise self.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
+        return found[0]
+
     def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
         """The values of a mapping whose keys are among ``allowed``.
 

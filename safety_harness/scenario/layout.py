@@ -34,7 +34,7 @@ PROSE_WIDTH, FLOW_WIDTH = 120, 110
 _NUMBER = re.compile(r"[+-]?[.0-9][^,\[\]{}]*")
 _FIRST = ("scenario", SPACE_KEY, "suite", "about", *COMPOSED.names, "choices")
 _WHOLE_FILE = Below(tables=(TOP,))
-_MATRIX = FreeKeys(of=FreeKeys(of=_WHOLE_FILE, words=""), words="")
+_MATRIX = FreeKeys(of=FreeKeys(of=_WHOLE_FILE))
 _COMMENT = re.compile(r"(?<!\S)#.*")
 
 

@@ -33,16 +33,7 @@ from safety_harness.scenario.codec import (
 )
 from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.moves import (
-    LONGEST_S,
-    MOVE,
-    REACHING_MPS,
-    REACHING_MPS2,
-    SPEEDS,
-    TREMOR,
-    HandMove,
-    Tremor,
-)
+from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
@@ -51,6 +42,9 @@ LARGEST_SEED = 2**63 - 1
 DEFAULT_AVOIDER = "mc-dropout"
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
+# An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
+# at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
+REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
 
 
@@ -234,6 +228,10 @@ class RecordedMotion:
         return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
 
+_NOTHING: NDArray[np.float64] = np.zeros((0, 3))
+NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
+
+
 def _sha256(field: Field) -> str:
     digest = field.scalar("a SHA-256")
     if not re.fullmatch(r"[0-9a-f]{64}", digest):
@@ -351,6 +349,7 @@ MOVING_HAND = table_of(MovingHand, "a hand that moves", path="hands")
 JOINED_HAND = table_of(JoinedHand, "a hand that goes with another", path="hands", told_by="together with")
 RECORDED_HAND = table_of(RecordedHand, "a hand that repeats a recording", path="hands")
 HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
+HANDS = Several(of=HAND, words="list of at most two", most=MAX_HANDS)
 
 
 @dataclass(frozen=True, kw_only=True)

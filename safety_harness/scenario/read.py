@@ -25,6 +25,7 @@ from safety_harness.scenario.model import (
     JOINED_HAND,
     MAX_HANDS,
     MOVING_HAND,
+    NOT_LOADED,
     RECORDED_HAND,
     Claim,
     HandTrajectory,
@@ -37,13 +38,7 @@ from safety_harness.scenario.model import (
 from safety_harness.scenario.moves import MOVE, REACHING_MPS, HandMove, Reach, Sweep, Wait, Wander, shifted
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
-from safety_harness.scenario.recording import (
-    MAX_BYTES,
-    NOT_LOADED,
-    Recording,
-    load_recording,
-    parse_recording,
-)
+from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import shown

@@ -3,33 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    FreeKeys,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Tree,
-    Value,
-    Word,
-    below,
-)
+from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Word
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.model import (
-    DEFAULT_AVOIDER,
-    HAND,
-    LARGEST_SEED,
-    MAX_HANDS,
-    START,
-    Robot,
-    TcpStart,
-    Verdict,
-)
+from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, Robot, Verdict
 from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
 from safety_harness.scenario.units import NUMBER
@@ -48,7 +28,7 @@ _WAYS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["jo
 class _StartTable(KeyTable):
     """One table of three ways to say a start."""
 
-    def read(self, field: Field) -> TcpStart:
+    def read(self, field: Field) -> Any:
         """One of them, each with its own keys."""
         given = field.fields(self.names)
         ways = [key for key in self.names if key in given and key != "tilt"]
@@ -56,12 +36,7 @@ class _StartTable(KeyTable):
             wrong = given.required(ways[1] if len(ways) > 1 else "tilt")
             expected = "one of offset, position (each with a tilt, if you want) and joints"
             raise wrong.error(expected, got="both")
-        start: TcpStart = START.by_key[ways[0] if ways else "offset"].made_of(given)
-        return start
-
-    def write(self, value: object) -> dict[str, Tree]:
-        """By the keys of the way that it is."""
-        return START.write(value)
+        return START.by_key[ways[0] if ways else "offset"].made_of(given)
 
 
 TCP_START = _StartTable(
@@ -77,14 +52,9 @@ SETTINGS = KeyTable(
     name="settings",
     path="settings",
     keys=tuple(
-        Key(
-            key,
-            Below(tables=(GROUPS[key],)),
-            "a group of settings",
-            GROUPS[key].keys[0].lines,
-            "the defaults",
-        )
-        for key in SETTINGS_KEYS
+        Key(key, Below(tables=(group,)), "a group of settings", group.keys[0].lines, "the defaults")
+        for key, group in GROUPS.items()
+        if key in SETTINGS_KEYS
     ),
 )
 
@@ -171,7 +141,7 @@ TOP = KeyTable(
         ),
         Key(
             "hands",
-            Several(of=HAND, words="list of at most two", most=MAX_HANDS),
+            HANDS,
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
             "    elbow towards: [1.6 m, -1.2 m, 300 mm]\n    moves:\n      - wait: 1 s",
@@ -215,9 +185,7 @@ TOP = KeyTable(
         ),
     ),
 )
-_PLAIN_MAPPING = FreeKeys(
-    of=FreeKeys(of=Below(tables=()), words="mapping", least=1), words="mapping", least=1
-)
+_PLAIN_MAPPING = FreeKeys(of=FreeKeys(of=Below(tables=()), least=1), least=1)
 COMPOSED = KeyTable(
     name="files made of others",
     where="a scenario that is made of others",
@@ -271,10 +239,7 @@ SUITE = KeyTable(
 
 def every_table() -> tuple[KeyTable, ...]:
     """All tables, each once, from the top of a file downwards."""
-    found = [TOP, COMPOSED, SUITE]
-    for key in TOP.keys:
-        found += [table for table in below(key.value) if not any(table is other for other in found)]
-    return tuple(found)
+    return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below())}.values())
 
 
 def markdown(table: KeyTable) -> str:
@@ -296,7 +261,7 @@ def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
     """The moves as a page shows them, one row for each with its further keys."""
     rows = ["| move | further keys | meaning |", "|---|---|---|"]
     for table in moves:
-        named, *further = (f"`{key.name}` ({_kind(key.value)})" for key in table.keys)
+        named, *further = (f"`{key.name}` ({_kind(key)})" for key in table.keys)
         rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
     return _joined(rows)
 
@@ -305,5 +270,5 @@ def _joined(rows: list[str]) -> str:
     return "\n".join(rows).replace("|  |", "| |") + "\n"
 
 
-def _kind(value: Value) -> str:
-    return value.dimension.name if isinstance(value, QuantityValue) else value.words
+def _kind(key: Key) -> str:
+    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.words

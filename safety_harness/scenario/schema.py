@@ -8,18 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    FreeKeys,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Value,
-    Word,
-    below,
-)
+from safety_harness.scenario.codec import FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.reference_tables import COMPOSED, SUITE, TOP
 from safety_harness.scenario.units import Dimension
 
@@ -47,7 +36,7 @@ def scenario_schema() -> Schema:
             "then": _table(SUITE),
             "else": {**scenario, "allOf": [extending]},
         },
-        "$defs": {_name(table): _table(table) for key in TOP.keys for table in below(key.value)},
+        "$defs": {_name(table): _table(table) for table in TOP.below()},
     }
 
 
@@ -90,11 +79,7 @@ def _value(value: Value) -> Schema:
     if isinstance(value, FreeKeys):
         free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
         return {**free, "minProperties": value.least} if value.least else free
-    return _below(value)
-
-
-def _below(value: Below) -> Schema:
-    """One table, or several: which of them is meant is told by one key of each."""
+    # One table, or several: which of them is meant is told by one key of each.
     if not value.tables:
         return {"type": "object"}
     references = [{"$ref": f"#/$defs/{_pointer(_name(table))}"} for table in value.tables]

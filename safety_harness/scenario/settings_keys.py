@@ -13,17 +13,7 @@ from dataclasses import fields, replace
 from enum import Enum
 from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Tree,
-    Value,
-    Word,
-)
+from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
@@ -134,18 +124,6 @@ def read_group(field: Field, name: str) -> Any:
         if key.name in given and not key.within:
             changes[key.attribute] = key.value.read(given.required(key.name))
     return replace(default, **changes)
-
-
-def write_group(group: object, default: object) -> dict[str, Tree]:
-    """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
-    written: dict[str, Any] = {}
-    for key in setting_keys(type(group)):
-        value = getattr(group, key.attribute)
-        # repr, because a negative zero equals a positive one and is another number all the same.
-        if default is None or repr(getattr(default, key.attribute)) != repr(value):
-            inner = written.setdefault(key.within[0], {}) if key.within else written
-            inner[key.name] = key.value.write(value)
-    return written
 
 
 def group_table(group: str, path: str) -> KeyTable:

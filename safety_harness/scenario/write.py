@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from safety_harness.scenario.codec import Tree, in_a_line
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
-from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, write_group
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
 from safety_harness.settings import DEFAULTS, Settings
 
 # The keys of a recorded hand that come last.
@@ -55,10 +56,22 @@ def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
 
     def changed(groups: Mapping[str, str]) -> dict[str, Tree]:
         pairs = ((key, getattr(settings, name), getattr(default, name, None)) for key, name in groups.items())
-        return {key: values for key, own, other in pairs if (values := write_group(own, other))}
+        return {key: values for key, own, other in pairs if (values := _group(own, other))}
 
     below = changed(SETTINGS_KEYS)
     return changed(TOP_GROUPS) | ({"settings": below} if below else {})
+
+
+def _group(group: object, default: object) -> dict[str, Tree]:
+    """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
+    written: dict[str, Any] = {}
+    for key in setting_keys(type(group)):
+        value = getattr(group, key.attribute)
+        # repr, because a negative zero equals a positive one and is another number all the same.
+        if default is None or repr(getattr(default, key.attribute)) != repr(value):
+            inner = written.setdefault(key.within[0], {}) if key.within else written
+            inner[key.name] = key.value.write(value)
+    return written
 
 
 def _lines(tree: Tree) -> Iterator[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
 
 from safety_harness.scenario.model import (
+    REACHING_MPS2,
     JoinedHand,
     MovingHand,
     OffsetStart,
@@ -15,7 +16,7 @@ from safety_harness.scenario.model import (
     RecordedHand,
     Scenario,
 )
-from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
+from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.tracing import Path, leaves, value_at, with_value
 

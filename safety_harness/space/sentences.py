@@ -87,13 +87,20 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
 def options_of(field: Field, text: str) -> tuple[str, ...]:
     """``A, B``: the options as they are written."""
     options = tuple(option.strip() for option in text.split(","))
-    refuse_options(field, options)
+    _refuse_options(field, options)
     if not all(options):
         raise field.error('two or more, such as "one of 20 mm, 50 mm"')
     return options
 
 
-def refuse_options(field: Field, options: tuple[object, ...]) -> None:
+def listed_options(field: Field) -> tuple[Field, ...]:
+    """The options of a list."""
+    options = field.items(f"a list of 2 to {MOST_OPTIONS} options")
+    _refuse_options(field, tuple(range(len(options))))
+    return options
+
+
+def _refuse_options(field: Field, options: tuple[object, ...]) -> None:
     """ScenarioError unless there are 2 to MOST_OPTIONS of them, no two the same."""
     if not 2 <= len(options) <= MOST_OPTIONS:
         raise field.error(f"from 2 to {MOST_OPTIONS} options", got=f"{len(options)}")
