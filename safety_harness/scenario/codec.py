@@ -19,17 +19,7 @@ from functools import cached_property
 from typing import Any, TypeAlias, TypeVar
 
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field, Fields
-from safety_harness.scenario.units import (
-    ANGLE,
-    FRACTION,
-    LENGTH,
-    NUMBER,
-    Dimension,
-    format_quantity,
-    near_miss,
-    nice,
-    shown,
-)
+from safety_harness.scenario.units import ANGLE, FRACTION, LENGTH, NUMBER, Dimension, format_quantity, nice
 
 REQUIRED = "required"
 T = TypeVar("T")
@@ -44,6 +34,17 @@ def scalar_text(text: str) -> str:
     if _PLAIN.fullmatch(text):
         return text
     return '"' + "".join(_ESCAPES.get(c, c if c.isprintable() else f"\\U{ord(c):08x}") for c in text) + '"'
+
+
+def in_a_line(tree: Tree) -> str | None:
+    """A text, a list of texts such as ``[0.1 m, 0.0 m]`` or an empty mapping on one line; None for others."""
+    if isinstance(tree, str):
+        return tree
+    if isinstance(tree, Mapping):
+        return None if tree else "{}"
+    parts = [None if isinstance(item, Mapping) else in_a_line(item) for item in tree]
+    texts = [part for part in parts if part is not None]
+    return f"[{', '.join(texts)}]" if len(texts) == len(parts) else None
 
 
 @dataclass(frozen=True)
@@ -105,15 +106,10 @@ class QuantityValue:
 
 @dataclass(frozen=True, kw_only=True)
 class _Formed:
-    """A value whose ``form`` says in words of what kind it is, and ``expected`` in those of a message."""
+    """A value whose ``words`` say of what kind it is, and ``expected`` in those of a message."""
 
-    form: str
+    words: str
     expected: str = ""
-
-    @property
-    def words(self) -> str:
-        """As written."""
-        return self.form
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,10 +175,9 @@ class Several(_Formed):
         items = field.items(self.expected, count=self.count, least=self.least, most=self.most)
         return tuple(self.of.read(item) for item in items)
 
-    def write(self, values: Sequence[Any]) -> Any:
-        """A list on one line, ``[0.1 m, 0.0 m, -0.2 m]``, or of mappings below its key."""
-        parts: list[Any] = [self.of.write(value) for value in values]
-        return f"[{', '.join(parts)}]" if parts and isinstance(parts[0], str) else parts
+    def write(self, values: Sequence[Any]) -> list[Tree]:
+        """The members' texts or mappings."""
+        return [self.of.write(value) for value in values]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,7 +187,7 @@ class Below(_Formed):
     Which table is meant is told by its ``told_by``; ``order`` is in which a message lists these.
     """
 
-    form: str = "mapping"
+    words: str = "mapping"
     tables: tuple[KeyTable, ...]
     noun: str = ""
     order: tuple[str, ...] = ()
@@ -205,9 +200,7 @@ class Below(_Formed):
 
     def read(self, field: Field) -> Any:
         """The object that the mapping stands for."""
-        one = (
-            self.tables[0] if len(self.tables) == 1 else self.by_key[only_key(field, self.noun, self.by_key)]
-        )
+        one = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
         return one.read(field)
 
     def table_of(self, value: object) -> KeyTable:
@@ -224,6 +217,7 @@ class Below(_Formed):
 class FreeKeys(_Formed):
     """A mapping whose keys are the user's own words."""
 
+    words: str = "mapping"
     of: Value
     least: int = 0
 
@@ -297,14 +291,14 @@ class Key:
 
 @dataclass(frozen=True, kw_only=True)
 class KeyTable:
-    """The keys of one kind of mapping.  ``where`` completes "the key ... of"; ``name`` is for the page.
+    """The keys of one kind of mapping.  ``name`` is for the page; ``where`` (the same) completes "of ...".
 
     ``beside`` are the tables of objects, by the fields that hold them, whose keys stand in the same
     mapping: all that are required, or none.
     """
 
     name: str
-    where: str
+    where: str = ""
     keys: tuple[Key, ...]
     kind: type[Any] | None = None  # what is made of the mapping
     path: str = ""  # how it is reached from the top of a file: "settings.avoidance"
@@ -313,6 +307,7 @@ class KeyTable:
     names: tuple[str, ...] = dataclass_field(init=False)  # in the order of a well laid out file
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "where", self.where or self.name)
         object.__setattr__(self, "told_by", self.told_by or self.keys[0].name)
         object.__setattr__(self, "names", tuple(key.name for key in self.keys))
 
@@ -320,6 +315,11 @@ class KeyTable:
     def required(self) -> tuple[str, ...]:
         """The keys that have to be there."""
         return tuple(key.name for key in self.keys if key.required)
+
+    def below(self) -> Iterator[KeyTable]:
+        """The tables that its values lead to."""
+        for key in self.keys:
+            yield from _tables(key.value)
 
     def name_of(self, attribute: str) -> str:
         """The key of a field of the dataclass."""
@@ -355,7 +355,7 @@ class KeyTable:
         written = {
             key.name: key.value.write(found)
             for key in self.keys
-            if key.attribute and (found := getattr(value, key.attribute)) is not None
+            if key.attribute and (found := getattr(value, key.attribute, None)) is not None
         }
         for attribute, table in self.beside:
             inner = getattr(value, attribute)
@@ -400,20 +400,7 @@ def table_of(kind: type[Any], name: str, **of_table: Any) -> KeyTable:
         elif isinstance(said, KeyTable):
             beside.append((one.name, said))
             keys += [replace(key, attribute="", or_else="none") for key in said.keys]
-    of_table.setdefault("where", name)
     return KeyTable(name=name, keys=tuple(keys), kind=kind, beside=tuple(beside), **of_table)
-
-
-def only_key(field: Field, noun: str, names: Mapping[str, object]) -> str:
-    """The one key among ``names`` that a mapping has, which says what it is; ScenarioError otherwise."""
-    listed = ", ".join(names)
-    given = [key for key, _ in field.entries(f"a {noun}: a mapping with one of the keys {listed}")]
-    found = [key for key in given if key in names]
-    if len(found) != 1:
-        hint = near_miss(given[0], names) if given and not found else ""
-        got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
-        raise field.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
-    return found[0]
 
 
 def _nice(value: Any, kind: Value) -> str:
@@ -433,21 +420,20 @@ def _nice(value: Any, kind: Value) -> str:
     return f"{value} {kind.dimension.si}".rstrip() if kind.whole else nice(value, kind.dimension)
 
 
-def below(value: Value) -> Iterator[KeyTable]:
+def _tables(value: Value) -> Iterator[KeyTable]:
     """The tables that a value leads to."""
     if isinstance(value, Below):
         for table in value.tables:
             yield table
-            for key in table.keys:
-                yield from below(key.value)
+            yield from table.below()
     elif isinstance(value, Several | FreeKeys):
-        yield from below(value.of)
+        yield from _tables(value.of)
 
 
 def vector_of(dimension: Dimension, form: str, most: float) -> Several:
     """Three quantities, none larger than ``most`` either way."""
     number = QuantityValue(dimension, least=-most, most=most)
-    return Several(of=number, form=form, expected=f"a list of three, each {dimension.expected}", count=3)
+    return Several(of=number, words=form, expected=f"a list of three, each {dimension.expected}", count=3)
 
 
 TURN = QuantityValue(ANGLE, least=-LARGEST_ANGLE_RAD, most=LARGEST_ANGLE_RAD)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +28,7 @@ LONGEST_S = 60.0
 MOST_QUANTILES = 1_001
 MOST_BYTES = 1_000_000
 PROFILE = ".json"
-KEYS = ("quantiles", "avoider", "sha256", "machine", "questions")
+KEYS = ("quantiles", *(one.name for one in fields(Measured)))
 FORM = (
     f"a time from 0 s to {LONGEST_S:g} s; `between 5 ms and 40 ms`; `FILE{PROFILE}`, a measured profile; "
     f"`{DecisionCost.AS_DECLARED.value}` or `{DecisionCost.WALL_CLOCK.value}`"
@@ -53,7 +53,7 @@ def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
     return _checked(field, tuple(parse_quantity(one, TIME, field.place) for one in (low, high)), None)
 
 
-def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str]:
+def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, str | list[str]]:
     """From which the same is read again."""
     if isinstance(value, DecisionCost):
         return value.value
@@ -61,7 +61,7 @@ def write_decision_time(value: DecisionCost | DecisionTimes) -> str | dict[str, 
     if value.measured is None:
         return texts[0] if len(texts) == 1 else f"between {texts[0]} and {texts[1]}"
     own = {key: json.dumps(text) for key, text in asdict(value.measured).items()}
-    return {"quantiles": f"[{', '.join(texts)}]"} | own
+    return {"quantiles": texts} | own
 
 
 def profile_text(times: DecisionTimes) -> str:
@@ -95,9 +95,13 @@ def _inline(field: Field) -> DecisionTimes:
 
 
 def _checked(field: Field, times_s: tuple[float, ...], measured: Measured | None) -> DecisionTimes:
-    if not (times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S and tuple(sorted(times_s)) == times_s):
+    if not _rise(times_s):
         raise field.error(f"times that rise, from 0 s to {LONGEST_S:g} s")
     return DecisionTimes(quantiles_s=times_s, measured=measured)
+
+
+def _rise(times_s: tuple[float, ...]) -> bool:
+    return times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S and tuple(sorted(times_s)) == times_s
 
 
 def _profile(path: Path, place: Place) -> DecisionTimes:
@@ -118,11 +122,10 @@ def _profile(path: Path, place: Place) -> DecisionTimes:
 def _parsed(text: str) -> DecisionTimes | None:
     try:
         found = json.loads(text)
-        measured = Measured(**{key: found[key] for key in ("avoider", "sha256", "machine", "questions")})
+        measured = Measured(**{key: found[key] for key in KEYS[1:]})
         times_s = tuple(map(float, found["quantiles_s"]))
         whole = found["format"] == FORMAT and 2 <= len(times_s) <= MOST_QUANTILES and _plain(measured)
-        rising = all(map(math.isfinite, times_s)) and times_s[0] >= 0.0 and times_s[-1] <= LONGEST_S
-        whole = whole and rising and tuple(sorted(times_s)) == times_s
+        whole = whole and all(map(math.isfinite, times_s)) and _rise(times_s)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return None
     return DecisionTimes(quantiles_s=times_s, measured=measured) if whole else None

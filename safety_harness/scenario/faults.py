@@ -19,13 +19,12 @@ from safety_harness.scenario.codec import (
     Key,
     KeyTable,
     QuantityValue,
-    Several,
     Tree,
     Word,
     declared,
+    in_a_line,
     key,
     keyed,
-    only_key,
     table_of,
     vector_of,
 )
@@ -281,8 +280,7 @@ def fault_tables() -> tuple[KeyTable, ...]:
             *(replace(key, or_else="required where it belongs") for key in further.values()),
             *_TIMES.keys,
         )
-        where = f"a fault of the {subject}"
-        tables.append(KeyTable(name=where, where=where, keys=keys, path=f"faults.{subject}"))
+        tables.append(KeyTable(name=f"a fault of the {subject}", keys=keys, path=f"faults.{subject}"))
     return tuple(tables)
 
 
@@ -299,7 +297,7 @@ def read_faults(field: Field | None, *, duration_s: float) -> tuple[Fault, ...]:
 
 
 def _fault(field: Field, duration_s: float) -> Fault:
-    subject = only_key(field, "fault", SUBJECTS)
+    subject = field.only_key("fault", SUBJECTS)
     predicates = SUBJECTS[subject]
     said = dict(field.entries("a fault"))[subject]
     expected = f"what the {subject} does: one of {', '.join(predicates)}"
@@ -343,10 +341,11 @@ def fault_words(fault: Fault) -> str:
     words = f"{own.told_by} {own.name}"
     if isinstance(fault, JointStuck):
         words = f"{fault.joint.value} joint {own.name}"
+    written = own.write(fault)
     values = [(key, getattr(fault, key.attribute)) for key in own.keys if not isinstance(key.value, Word)]
     if values:
         told = (
-            f"{key.name} {key.value.write(value) if isinstance(key.value, Several) else f'{value:g} s'}"
+            f"{key.name} {in_a_line(written[key.name]) if isinstance(value, tuple) else f'{value:g} s'}"
             for key, value in values
         )
         words += f" ({', '.join(told)})"

@@ -158,6 +158,17 @@ class Field(NamedTuple):
             for key, node in self.node.entries
         )
 
+    def only_key(self, noun: str, names: abc.Mapping[str, object]) -> str:
+        """The one key among ``names`` that a mapping has, which says what it is."""
+        listed = ", ".join(names)
+        given = [key for key, _ in self.entries(f"a {noun}: a mapping with one of the keys {listed}")]
+        found = [key for key in given if key in names]
+        if len(found) != 1:
+            hint = near_miss(given[0], names) if given and not found else ""
+            got = f"the keys {', '.join(map(shown, given))}" if given else "an empty mapping"
+            raise self.error(f"one {noun}: one of the keys {listed}", got=got, hint=hint)
+        return found[0]
+
     def fields(self, allowed: tuple[str, ...], *, hints: dict[str, str] | None = None) -> Fields:
         """The values of a mapping whose keys are among ``allowed``.
 
@@ -205,28 +216,27 @@ class Fields:
         return self.by_key.get(key)
 
 
-def places(field: Field) -> dict[str, Place]:
-    """The place of ``field`` and of everything below it, by path."""
-    found = {field.path: field.place} if field.path else {}
+def walk(field: Field) -> Iterator[Field]:
+    """``field`` and everything below it, in the order of the file."""
+    yield field
     below: tuple[Field, ...] = ()
     if isinstance(field.node, Sequence):
         below = field.items("a list")
     elif isinstance(field.node, Mapping):
         below = tuple(child for _, child in field.entries("a mapping"))
     for child in below:
-        found.update(places(child))
-    return found
+        yield from walk(child)
 
 
 @dataclass(frozen=True)
 class Places(abc.Mapping[str, Place]):
-    """``places`` of ``root``: few of the scenarios of a search are ever complained about."""
+    """Of all below ``root``, by path; made when first asked, since few scenarios are complained about."""
 
     root: Field
 
     @cached_property
     def _found(self) -> dict[str, Place]:
-        return places(self.root)
+        return {field.path: field.place for field in walk(self.root) if field.path}
 
     def __getitem__(self, path: str) -> Place:
         return self._found[path]

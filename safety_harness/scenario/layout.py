@@ -34,8 +34,8 @@ PROSE_WIDTH, FLOW_WIDTH = 120, 110
 _NUMBER = re.compile(r"[+-]?[.0-9][^,\[\]{}]*")
 _FIRST = ("scenario", SPACE_KEY, "suite", "about", *COMPOSED.names, "choices")
 _WHOLE_FILE = Below(tables=(TOP,))
-_MATRIX = FreeKeys(of=FreeKeys(of=_WHOLE_FILE, form=""), form="")
-_HEADER = re.compile(r"[|>][-+0-9]*[ ]+(#.*)")
+_MATRIX = FreeKeys(of=FreeKeys(of=_WHOLE_FILE))
+_COMMENT = re.compile(r"(?<!\S)#.*")
 
 
 @dataclass
@@ -81,40 +81,34 @@ def written_tree(text: str) -> tuple[WrittenValue, int]:
     """The tree of a text that ``parse_tree`` takes, and how many comments there are in the text."""
     told = ScalarEvent | CollectionStartEvent | CollectionEndEvent
     events = [one for one in YAML(typ="safe", pure=True).parse(text) if isinstance(one, told)]
-    comments = list(_comments(text, events))
+    comments = _comments(text, events)
     return _Builder(text, events, comments).root(), len(comments)
 
 
-def _comments(text: str, events: Sequence[Event]) -> Iterator[Comment]:
+def _comments(text: str, events: Sequence[Event]) -> list[Comment]:
     """Every # that begins a comment: at the beginning of a word, and not within a scalar."""
-    inside = bytearray(len(text) + 1)
+    parts, at = [], 0
     for event in events:
         if isinstance(event, ScalarEvent):
             start, end = event.start_mark.index, event.end_mark.index
-            header = _HEADER.match(text, start) if event.style in ("|", ">") else None
-            if header is not None:
-                yield _comment_at(text, header.start(1))
-            inside[start:end] = b"1" * (end - start)
-    at = -1
-    while (at := text.find("#", at + 1)) >= 0:
-        if not inside[at] and (at == 0 or text[at - 1].isspace()):
-            yield _comment_at(text, at)
-            at = text.find("\n", at) if "\n" in text[at:] else len(text)
-
-
-def _comment_at(text: str, at: int) -> Comment:
-    begin, end = text.rfind("\n", 0, at) + 1, text.find("\n", at)
-    words = text[at : end if end >= 0 else len(text)].rstrip()
-    return Comment(words, at, text.count("\n", 0, at), at - begin)
+            if event.style in ("|", ">"):  # a comment may stand beside the sign that begins the prose
+                start += len(text[start:end].partition("\n")[0])
+            parts += [text[at:start], text[start:end].replace("#", "x")]
+            at = end
+    found = []
+    for match in _COMMENT.finditer("".join([*parts, text[at:]])):
+        index = match.start()
+        column = index - text.rfind("\n", 0, index) - 1
+        found.append(Comment(match[0].rstrip(), index, text.count("\n", 0, index), column))
+    return found
 
 
 class _Builder:
     """Goes through the events once; every comment is given to the entry that it belongs to."""
 
-    def __init__(self, text: str, events: list[Event], comments: list[Comment]) -> None:
+    def __init__(self, text: str, events: Sequence[Event], comments: list[Comment]) -> None:
         self._text, self._events, self._next = text, events, 0
-        self._lines = text.split("\n")
-        self._comments = sorted(comments, key=lambda one: one.index)
+        self._lines, self._comments = text.split("\n"), list(comments)
 
     def root(self) -> WrittenValue:
         root = self._value()

@@ -33,16 +33,7 @@ from safety_harness.scenario.codec import (
 )
 from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.moves import (
-    LONGEST_S,
-    MOVE,
-    REACHING_MPS,
-    REACHING_MPS2,
-    SPEEDS,
-    TREMOR,
-    HandMove,
-    Tremor,
-)
+from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
@@ -51,6 +42,9 @@ LARGEST_SEED = 2**63 - 1
 DEFAULT_AVOIDER = "mc-dropout"
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
+# An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
+# at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
+REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
 
 
@@ -84,7 +78,7 @@ _TILT = Key(
     "none",
 )
 _JOINTS = Several(
-    of=TURN, form="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
+    of=TURN, words="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
 )
 
 
@@ -135,7 +129,7 @@ TcpStart = OffsetStart | PoseStart | JointStart
 
 START = Below(tables=tuple(table_of(kind, "tcp start") for kind in get_args(TcpStart)))
 
-_HAND_NAME = Text(form="name", expected="a name for the hand")
+_HAND_NAME = Text(words="name", expected="a name for the hand")
 _STARTS_AT, _TOWARDS = "[1.2 m, -0.7 m, 100 mm]", "[1.6 m, -1.2 m, 300 mm]"
 _SHIFT, _LATER = "[0 mm, 50 mm, 0 mm]", "500 ms"
 _FASTER = "2.5 m/s"
@@ -192,7 +186,7 @@ class MovingHand:
     )
     moves: tuple[HandMove, ...] = key(
         "moves",
-        Several(of=MOVE, form="list", expected="a list of moves"),
+        Several(of=MOVE, words="list", expected="a list of moves"),
         "what it does; an empty list for a hand that rests",
         "moves:\n  - wait: 1 s\n  - withdraw: 1.6 m/s",
     )
@@ -231,13 +225,11 @@ class RecordedMotion:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, RecordedMotion):
             return NotImplemented
-        return (
-            self.sha256 == other.sha256
-            and self.notes == other.notes
-            and np.array_equal(self.time_s, other.time_s)
-            and np.array_equal(self.hand_position_in_base_m, other.hand_position_in_base_m)
-            and np.array_equal(self.elbow_position_in_base_m, other.elbow_position_in_base_m)
-        )
+        return all(map(np.array_equal, vars(self).values(), vars(other).values()))
+
+
+_NOTHING: NDArray[np.float64] = np.zeros((0, 3))
+NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
 
 
 def _sha256(field: Field) -> str:
@@ -247,12 +239,12 @@ def _sha256(field: Field) -> str:
     return digest
 
 
-_PATH = Text(form="path", reads=lambda field: Path(field.sentence("the path of a recording")))
+_PATH = Text(words="path", reads=lambda field: Path(field.sentence("the path of a recording")))
 _DIGEST = Text(
-    form="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
+    words="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
 )
 # A track as the columns spell it: ``right hand`` is ``right_hand``.
-_TRACK = Text(form="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
+_TRACK = Text(words="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
 
 _FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
@@ -344,7 +336,7 @@ class JoinedHand:
 
     name: str = key("hand", _HAND_NAME, "for messages and reports", "- hand: left")
     joined_to: str = key(
-        "together with", Text(form="name", expected="the name of a hand"), "of the hand that leads", "right"
+        "together with", Text(words="name", expected="the name of a hand"), "of the hand that leads", "right"
     )
     apart_in_base_m: Vector3 = key(
         "apart", POINT, "from that hand's centre to this one's", "[0 mm, 300 mm, 0 mm]"
@@ -357,6 +349,7 @@ MOVING_HAND = table_of(MovingHand, "a hand that moves", path="hands")
 JOINED_HAND = table_of(JoinedHand, "a hand that goes with another", path="hands", told_by="together with")
 RECORDED_HAND = table_of(RecordedHand, "a hand that repeats a recording", path="hands")
 HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
+HANDS = Several(of=HAND, words="list of at most two", most=MAX_HANDS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -29,9 +29,6 @@ from safety_harness.settings import Vector3
 
 # ISO 13855 takes 2.0 m/s for a hand that reaches from close by (1.6 m/s for a person who walks up).
 REACHING_MPS = 2.0
-# An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
-# at 2.0 m/s has 1.642 v^2/d = 10 m/s^2 at most.
-REACHING_MPS2 = 10.0
 
 LONGEST_S = 3600.0  # of a run, and of anything in it
 FASTEST_MPS = 20.0
@@ -45,7 +42,7 @@ LASTING = QuantityValue(TIME, above=0.0, most=LONGEST_S)
 _DISTANCE = QuantityValue(LENGTH, least=0.0, most=LARGEST_COORDINATE_M)
 _BOX = Several(
     of=POINT,
-    form="two opposite corners of a box",
+    words="two opposite corners of a box",
     expected="a box: a list of two opposite corners, each a list of three lengths",
     count=2,
 )

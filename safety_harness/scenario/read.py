@@ -6,26 +6,49 @@ checks that need no kinematics are made here, every error has file, line and fie
 
 from __future__ import annotations
 
+import hashlib
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from safety_harness.exceptions import Place, ScenarioError
+import numpy as np
+
+from safety_harness.exceptions import Place, RecordingError, ScenarioError
 from safety_harness.scenario.compose import COMPOSING, MATRIX, SPACE_KEY, SUITE, Library, Variant, variants
 from safety_harness.scenario.faults import read_faults
-from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence
-from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.model import (
+    JOINED_HAND,
+    MAX_HANDS,
+    MOVING_HAND,
+    NOT_LOADED,
+    RECORDED_HAND,
+    Claim,
+    HandTrajectory,
+    JoinedHand,
+    MovingHand,
+    RecordedHand,
+    Scenario,
+    Verdict,
+)
+from safety_harness.scenario.moves import MOVE, REACHING_MPS, HandMove, Reach, Sweep, Wait, Wander, shifted
 from safety_harness.scenario.nodes import Mapping as MappingNode
-from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
-from safety_harness.scenario.read_hands import read_hands
+from safety_harness.scenario.nodes import Node, Scalar, parse_tree
+from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import shown
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 MOST_TICKS = 1_000_000
+SMALLEST_BOX_M = 0.01  # from corner to corner
+SHORTEST_SWEEP_M = 0.001
+# The moves follow the keys that have to be there, in a message.
+_MOVING_KEYS = (*MOVING_HAND.names[:3], "moves", *MOVING_HAND.names[3:-1])
 _COMPOSED = dict.fromkeys(
     COMPOSING, "only a file can have it, and a text is none: read_all_scenarios reads files"
 ) | {SUITE: "a suite is many scenarios: read_all_scenarios reads them"}
@@ -95,7 +118,7 @@ def scenario_of(
     _check_duration(values["duration_s"], given.required("duration"), settings)
     return Scenario(
         name=name,
-        hands=read_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
+        hands=_hands(given.optional("hands"), settings=settings, carried=recordings or {}),
         claims=_claims(given.required("claims"), required=claims_required),
         settings=settings,
         faults=read_faults(given.optional("faults"), duration_s=values["duration_s"]),
@@ -117,22 +140,17 @@ def refuse_distributions(root: Field) -> None:
                 hint="safety-harness sample draws scenarios from it",
             )
         if key not in _PROSE:
-            _refuse_below(field)
+            for one in walk(field):
+                _refuse_distribution(one)
 
 
-def _refuse_below(field: Field) -> None:
-    if isinstance(field.node, Scalar):
-        if _SENTENCES.fullmatch(field.node.text.strip()):
-            raise field.error("one value", hint=_HINT)
-    elif isinstance(field.node, Sequence):
-        for item in field.items("a list"):
-            _refuse_below(item)
-    else:
-        entries = field.entries("a mapping")
-        if {key for key, _ in entries} in _KEYS:
-            raise field.error("one value", got=f"a mapping with the key {entries[0][0]}", hint=_HINT)
-        for _, child in entries:
-            _refuse_below(child)
+def _refuse_distribution(field: Field) -> None:
+    if isinstance(field.node, Scalar) and _SENTENCES.fullmatch(field.node.text.strip()):
+        raise field.error("one value", hint=_HINT)
+    if isinstance(field.node, MappingNode):
+        keys = [key.text for key, _ in field.node.entries]
+        if set(keys) in _KEYS:
+            raise field.error("one value", got=f"a mapping with the key {keys[0]}", hint=_HINT)
 
 
 def _check_duration(duration_s: float, field: Field, settings: Settings) -> None:
@@ -144,17 +162,13 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
 
 def _settings(given: Fields) -> Settings:
     """The defaults with the values that the file changes."""
-    changes: dict[str, Any] = {}
-    for key, name in TOP_GROUPS.items():
-        group = given.optional(key)
-        if group is not None:
-            changes[name] = read_group(group, getattr(DEFAULTS, name))
-    whole = given.optional("settings")
-    if whole is not None:
-        groups = whole.fields(tuple(SETTINGS_KEYS), hints=_misplaced())
-        for key in groups:
-            name = SETTINGS_KEYS[key]
-            changes[name] = read_group(groups.required(key), getattr(DEFAULTS, name))
+    changes = {
+        name: read_group(given.required(key), name) for key, name in TOP_GROUPS.items() if key in given
+    }
+    if "settings" in given:
+        groups = given.required("settings").fields(tuple(SETTINGS_KEYS), hints=_misplaced())
+        for key, group in groups.by_key.items():
+            changes[SETTINGS_KEYS[key]] = read_group(group, SETTINGS_KEYS[key])
     return replace(DEFAULTS, **changes)
 
 
@@ -167,6 +181,140 @@ def _misplaced() -> dict[str, str]:
             before = hints.get(key.path[0])
             hints[key.path[0]] = f"{before}, or {hint}" if before else f"write {hint}"
     return hints
+
+
+def _hands(
+    field: Field | None, *, settings: Settings, carried: Mapping[str, bytes]
+) -> tuple[HandTrajectory, ...]:
+    """The hands, at most MAX_HANDS, each with a name of its own.
+
+    ``carried`` are recordings by the SHA-256 of their bytes; they come before files.
+    """
+    if field is None:
+        return ()
+    hands: list[HandTrajectory] = []
+    for item in field.items(f"a list of at most {MAX_HANDS} hands", most=MAX_HANDS):
+        given = dict(item.entries("a hand: a mapping with the key hand or recording"))
+        if "recording" in given:
+            hand: HandTrajectory = _recorded_hand(item.fields(RECORDED_HAND.names), settings, carried)
+        elif "together with" in given:
+            hand = _joined_hand(item.fields(JOINED_HAND.names), hands)
+        else:
+            hand = _moving_hand(item.fields(_MOVING_KEYS))
+        if any(hand.name == other.name for other in hands):
+            raise item.error("another name for each hand", got=f'"{hand.name}" twice', hint="the key hand")
+        hands.append(hand)
+    return tuple(hands)
+
+
+def _moving_hand(given: Fields) -> MovingHand:
+    hand: MovingHand = MOVING_HAND.made_of(given)
+    if hand.elbow_towards_in_base_m == shifted(hand.starts_at_in_base_m, hand.shift_in_base_m):
+        raise given.required("elbow towards").error("a point other than where the hand starts")
+    if hand.tremor is not None and hand.tremor.max_speed_mps >= hand.max_speed_mps:
+        raise given.required("tremor").error(
+            f"a tremor slower than the hand's bound of {hand.max_speed_mps:g} m/s",
+            got=f"one of up to {hand.tremor.max_speed_mps:.3g} m/s",
+            hint='2 pi times amplitude times rate; the bound is the hand\'s key "speed at most"',
+        )
+    for move, field in zip(hand.moves, given.required("moves").items("a list of moves"), strict=True):
+        _check_move(move, dict(field.entries("a move")), hand)
+    return hand
+
+
+def _check_move(move: HandMove, given: Mapping[str, Field], hand: MovingHand) -> None:
+    """ScenarioError for a move that the hand's bound on speed forbids, and for values that do not agree."""
+    if isinstance(move, Wander) and _apart_m(*move.corners_in_base_m) < SMALLEST_BOX_M:
+        expected = f"a box of at least {SMALLEST_BOX_M * 1e3:g} mm from corner to corner"
+        raise given["within"].error(expected)
+    if isinstance(move, Sweep) and _apart_m(move.from_in_base_m, move.to_in_base_m) < SHORTEST_SWEEP_M:
+        expected = f'a point at least {SHORTEST_SWEEP_M * 1e3:g} mm away from that of "from"'
+        raise given["to"].error(expected)
+    if not isinstance(move, Wait) and move.speed_mps > hand.max_move_speed_mps:
+        beside = " beside its tremor" if hand.tremor else ""
+        raise given[MOVE.table_of(move).name_of("speed_mps")].error(
+            f"a speed of at most {hand.max_move_speed_mps:.4g} m/s, the hand's bound{beside}",
+            hint='a hand is faster on purpose with the key "speed at most" of its own, above "moves"',
+        )
+    if isinstance(move, Reach) and move.hesitation and move.hesitation.distance_m <= move.until_distance_m:
+        expected = f'a distance farther away than "until", {given["until"].got()}'
+        raise given["hesitating at"].error(expected)
+
+
+def _apart_m(one: Vector3, other: Vector3) -> float:
+    return float(np.linalg.norm(np.subtract(one, other)))
+
+
+def _joined_hand(given: Fields, before: list[HandTrajectory]) -> JoinedHand:
+    """A hand that goes with one that is written before it."""
+    hand: JoinedHand = JOINED_HAND.made_of(given)
+    names = [other.name for other in before if not isinstance(other, JoinedHand)]
+    if hand.joined_to not in names:
+        known = ", ".join(f'"{name}"' for name in names) or "(there is none)"
+        expected = f"the name of a hand that is written before: {known}"
+        raise given.required("together with").error(expected)
+    return hand
+
+
+def _recorded_hand(given: Fields, settings: Settings, carried: Mapping[str, bytes]) -> RecordedHand:
+    values = RECORDED_HAND.values(given)
+    recording = _recording(given, values["recording"], values.pop("motion", ""), carried)
+    values.setdefault("name", values["track"].replace("_", " "))
+    values["elbow_track"] = _elbow_track(given, values, recording)
+    hand = RecordedHand(motion=NOT_LOADED, **values)
+    places = {key: given.required(key).place for key in given}
+    motion = load_recording(recording, hand, forearm_length_m=settings.hand.forearm_length_m, places=places)
+    hand = replace(hand, motion=motion)
+    _refuse_too_fast(given, hand)
+    return hand
+
+
+def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
+    """A recording keeps its own speed, unless a bound is written or it is sped up."""
+    if hand.max_speed_mps is None and hand.speed_factor <= 1.0:
+        return
+    bound_mps = REACHING_MPS if hand.max_speed_mps is None else hand.max_speed_mps
+    fastest_mps = hand.motion.max_speed_mps
+    if fastest_mps > bound_mps:
+        field = given.required("speed factor" if hand.speed_factor > 1.0 else "speed at most")
+        raise field.error(
+            f"a hand that is never faster than {bound_mps:g} m/s",
+            got=f"one of {fastest_mps:.3f} m/s",
+            hint=f"speed at most: {math.ceil(fastest_mps * 10.0) / 10.0:g} m/s, if it is meant",
+        )
+
+
+def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
+    """The carried recording with the SHA-256 that is asked for, else the file beside the scenario."""
+    field = given.required("recording")
+    file = (field.file.parent if field.file else Path()) / path
+    if digest in carried:
+        data = carried[digest]
+    else:
+        data = read_bytes(file, most=MAX_BYTES, place=field.place, error=RecordingError)
+    found = hashlib.sha256(data).hexdigest()
+    if digest and found != digest:
+        place, got = given.required("sha256").place, f"one with {found}"
+        raise RecordingError(place=place, expected="a recording with this SHA-256", got=got)
+    return parse_recording(data, file)
+
+
+def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording) -> str | None:
+    """What the forearm points to, if no fixed point: a recorded elbow, by default the same side's."""
+    if "elbow track" in given and "elbow towards" in given:
+        expected = "either an elbow track or a point that the elbow is towards"
+        raise given.required("elbow towards").error(expected, got="both")
+    track: str | None = values.get("elbow_track")
+    if track or "elbow towards" in given:
+        return track
+    same_side = recording.elbow_of(values["track"])
+    if same_side is None:
+        raise given.whole.error(
+            'the key "elbow track" or "elbow towards"',
+            got="neither, and the recording has no elbow of the same side",
+            hint=f"its tracks: {', '.join(map(shown, recording.tracks))}",
+        )
+    return same_side
 
 
 def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:

@@ -38,8 +38,6 @@ _LARGEST_TIME_S = 1e10  # a clock that counts from 1970 still fits
 LARGEST_COORDINATE_M = 100.0
 _SHORTEST_STEP_S = 1e-6
 _NEAREST_ELBOW_M = 1e-3
-_NOTHING: NDArray[np.float64] = np.zeros((0, 3))
-NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
 _MISSING_ROWS = 1.5  # sampling periods between two rows; beyond it, rows are missing in between
 _ROUNDING_S = 1e-9  # 10.67 - 10.47 is not quite 0.2
 _ADVICE = 'leave it out with "from" and "to", or raise "longest gap"'
@@ -102,31 +100,29 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
                 continue
             if len(row) > MAX_COLUMNS:
                 expected, got = f"at most {MAX_COLUMNS:,} columns", f"{len(row):,}"
-                raise recording_error(file, reader.line_num, expected=expected, got=got)
+                raise _error(file, reader.line_num, expected=expected, got=got)
             if len(rows) > MAX_ROWS:  # the first is the header
-                raise recording_error(
-                    file, reader.line_num, expected=f"at most {MAX_ROWS:,} samples", got="more"
-                )
+                raise _error(file, reader.line_num, expected=f"at most {MAX_ROWS:,} samples", got="more")
             rows.append(tuple(cell.strip() for cell in row))
             lines.append(reader.line_num)
     except csv.Error as error:
-        raise recording_error(
+        raise _error(
             file, reader.line_num, expected="a table of cells with commas", got=str(error)
         ) from error
     if not rows:
-        raise recording_error(file, 1, expected="a line with the names of the columns", got="an empty file")
+        raise _error(file, 1, expected="a line with the names of the columns", got="an empty file")
     header = rows[0]
     if TIME_COLUMN not in header:
         ours = any(name.endswith("_x_m") for name in header)  # nothing is quoted of what may be anybody's
         got = f"the columns {shown(', '.join(header))}" if ours else "none of that name"
         hint = near_miss(TIME_COLUMN, header)
-        raise recording_error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
+        raise _error(file, lines[0], expected=f'a column "{TIME_COLUMN}"', got=got, hint=hint)
     if len(set(header)) < len(header):
         name = next(name for at, name in enumerate(header) if name in header[:at])
-        raise recording_error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')
+        raise _error(file, lines[0], name, expected="each column once", got=f'"{shown(name)}" twice')
     for cells, line in zip(rows, lines, strict=True):
         if len(cells) != len(header):
-            raise recording_error(
+            raise _error(
                 file, line, expected=f"{len(header)} cells, as in the first line", got=str(len(cells))
             )
     return header, rows[1:], lines[1:]
@@ -134,12 +130,12 @@ def _read_table(text: str, file: Path) -> tuple[tuple[str, ...], list[tuple[str,
 
 def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> None:
     if len(time_s) < 2:
-        raise recording_error(file, expected="at least two samples", got=str(len(time_s)))
+        raise _error(file, expected="at least two samples", got=str(len(time_s)))
     for index in np.flatnonzero(~np.isfinite(time_s)):
-        raise recording_error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
+        raise _error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
     for index in np.flatnonzero(np.diff(time_s) < _SHORTEST_STEP_S):
         got = f"{time_s[index + 1]:.12g} s after {time_s[index]:.12g} s"
-        raise recording_error(
+        raise _error(
             file, lines[index + 1], TIME_COLUMN, expected="a time later than the one before", got=got
         )
 
@@ -154,11 +150,11 @@ def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: f
     except ValueError:
         value = math.inf
     if not abs(value) <= largest or "_" in cell:
-        raise recording_error(file, int(line), column, expected=expected, got=shown(cell))
+        raise _error(file, int(line), column, expected=expected, got=shown(cell))
     return value
 
 
-def recording_error(
+def _error(
     file: Path, line: int | None = None, column: str | None = None, *, expected: str, got: str, hint: str = ""
 ) -> RecordingError:
     """The error for a place in a recording."""
@@ -219,7 +215,7 @@ def _mend(track: Track, longest_gap_s: float, fastest_jump_mps: float) -> Mended
     if len(good) < 2:
         begin, end = map(_seconds, track.window_s)
         expected = f"at least two usable samples from {begin} to {end}"
-        raise recording_error(track.file, None, track.name, expected=expected, got=str(len(good)))
+        raise _error(track.file, None, track.name, expected=expected, got=str(len(good)))
     bridged_s = []
     for before, after in itertools.pairwise(good):
         gap_s = float(track.time_s[after] - track.time_s[before])
@@ -285,7 +281,7 @@ def _too_long(
         got += f", after a jump of {track.speed_mps(index - 1, index):.3g} m/s"
     expected = f"a usable sample every {_seconds(longest_gap_s)} or sooner"
     line = int(track.line[index])
-    return recording_error(track.file, line, track.name, expected=expected, got=got, hint=_ADVICE)
+    return _error(track.file, line, track.name, expected=expected, got=got, hint=_ADVICE)
 
 
 def _note(track: Track, good: list[int], bridged_s: list[float], jumps: str) -> str:
@@ -323,7 +319,7 @@ def load_recording(
     ``elbow_towards_in_base_m``.  RecordingError says what cannot be used, and where: in the recording,
     or at the one of ``places`` whose key (``track``, ``from``, ...) asks for what is not there.
     """
-    window_s = _window(recording, hand.from_s, hand.to_s, places)
+    window_s = _window(recording, hand, places)
     names = (hand.track,) if hand.elbow_track is None else (hand.track, hand.elbow_track)
     for key, name in zip(("track", "elbow track"), names, strict=False):
         _refuse_unknown_track(recording, name, places.get(key))
@@ -354,15 +350,13 @@ def load_recording(
     )
 
 
-def _window(
-    recording: Recording, from_s: float | None, to_s: float | None, places: Mapping[str, Place]
-) -> tuple[float, float]:
+def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place]) -> tuple[float, float]:
     """From when to when the recording is used, on its own clock."""
     first_s, last_s = float(recording.time_s[0]), float(recording.time_s[-1])
-    begin_s = first_s if from_s is None else from_s
-    end_s = last_s if to_s is None else to_s
+    begin_s = first_s if hand.from_s is None else hand.from_s
+    end_s = last_s if hand.to_s is None else hand.to_s
     if not first_s <= begin_s < end_s <= last_s:
-        wrong = "to" if to_s is not None and (from_s is None or first_s <= from_s < last_s) else "from"
+        wrong = "to" if hand.to_s is not None and first_s <= begin_s < last_s else "from"
         raise RecordingError(
             place=places.get(wrong, Place(file=recording.file, field=TIME_COLUMN)),
             expected=f'"from" before "to", both from {first_s:.12g} s to {last_s:.12g} s of {recording.file}',
@@ -422,7 +416,7 @@ def _common_times(mended: list[MendedTrack], file: Path) -> NDArray[np.float64]:
     time_s = time_s[(time_s >= begin_s) & (time_s <= end_s)]
     if len(time_s) < 2:
         names = " and ".join(one.track.name for one in mended)
-        raise recording_error(file, expected=f"at least two samples with {names}", got=str(len(time_s)))
+        raise _error(file, expected=f"at least two samples with {names}", got=str(len(time_s)))
     return time_s
 
 

@@ -3,40 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    FreeKeys,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Tree,
-    Value,
-    Word,
-    below,
-)
+from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Word
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.model import (
-    DEFAULT_AVOIDER,
-    HAND,
-    LARGEST_SEED,
-    MAX_HANDS,
-    START,
-    Robot,
-    TcpStart,
-    Verdict,
-)
+from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, Robot, Verdict
 from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
 from safety_harness.scenario.units import NUMBER
 
 CLAIMS = FreeKeys(
     of=Word(Verdict),
-    form="mapping, at least one",
+    words="mapping, at least one",
     expected="a mapping of claims, such as hand distance never below 50 mm: holds",
     least=1,
 )
@@ -48,7 +28,7 @@ _WAYS = (*(replace(key, or_else="") for key in (_STARTS["position"], _STARTS["jo
 class _StartTable(KeyTable):
     """One table of three ways to say a start."""
 
-    def read(self, field: Field) -> TcpStart:
+    def read(self, field: Field) -> Any:
         """One of them, each with its own keys."""
         given = field.fields(self.names)
         ways = [key for key in self.names if key in given and key != "tilt"]
@@ -56,17 +36,11 @@ class _StartTable(KeyTable):
             wrong = given.required(ways[1] if len(ways) > 1 else "tilt")
             expected = "one of offset, position (each with a tilt, if you want) and joints"
             raise wrong.error(expected, got="both")
-        start: TcpStart = START.by_key[ways[0] if ways else "offset"].made_of(given)
-        return start
-
-    def write(self, value: object) -> dict[str, Tree]:
-        """By the keys of the way that it is."""
-        return START.write(value)
+        return START.by_key[ways[0] if ways else "offset"].made_of(given)
 
 
 TCP_START = _StartTable(
     name="tcp start",
-    where="tcp start",
     path="tcp start",
     keys=(replace(_STARTS["offset"], or_else="one of these three"), *_WAYS),
 )
@@ -76,17 +50,11 @@ GROUPS = {
 }
 SETTINGS = KeyTable(
     name="settings",
-    where="settings",
     path="settings",
     keys=tuple(
-        Key(
-            key,
-            Below(tables=(GROUPS[key],)),
-            "a group of settings",
-            GROUPS[key].keys[0].lines,
-            "the defaults",
-        )
-        for key in SETTINGS_KEYS
+        Key(key, Below(tables=(group,)), "a group of settings", group.keys[0].lines, "the defaults")
+        for key, group in GROUPS.items()
+        if key in SETTINGS_KEYS
     ),
 )
 
@@ -99,13 +67,12 @@ def _title(field: Field) -> str:
 
 
 def _prose(expected: str) -> Text:
-    return Text(form="text", reads=lambda field: field.prose(expected, lines=True))
+    return Text(words="text", reads=lambda field: field.prose(expected, lines=True))
 
 
-_LINE = Text(form="text, one line", reads=_title)
+_LINE = Text(words="text, one line", reads=_title)
 TOP = KeyTable(
     name="a scenario",
-    where="a scenario",
     keys=(
         Key(
             "scenario",
@@ -158,7 +125,7 @@ TOP = KeyTable(
         ),
         Key(
             "avoider",
-            Text(form="name or file", expected="the name of an avoider"),
+            Text(words="name or file", expected="the name of an avoider"),
             "what proposes repulsive positions: a name, `FILE.py:NAME` or `FILE.safetensors` "
             "([avoiders](avoiders.md))",
             "opposite pose",
@@ -174,7 +141,7 @@ TOP = KeyTable(
         ),
         Key(
             "hands",
-            Several(of=HAND, form="list of at most two", most=MAX_HANDS),
+            HANDS,
             "what the hands do",
             "hands:\n  - hand: right\n    starts at: [1.2 m, -0.7 m, 100 mm]\n"
             "    elbow towards: [1.6 m, -1.2 m, 300 mm]\n    moves:\n      - wait: 1 s",
@@ -182,7 +149,9 @@ TOP = KeyTable(
         ),
         Key(
             "faults",
-            Several(of=Below(tables=fault_tables()), form=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS),
+            Several(
+                of=Below(tables=fault_tables()), words=f"list of at most {MOST_FAULTS}", most=MOST_FAULTS
+            ),
             "what goes wrong, and when",
             "faults:\n  - hand sensor: freezes\n    from: 500 ms\n    for: 200 ms",
             "none",
@@ -216,21 +185,21 @@ TOP = KeyTable(
         ),
     ),
 )
-_PLAIN_MAPPING = FreeKeys(of=FreeKeys(of=Below(tables=()), form="mapping", least=1), form="mapping", least=1)
+_PLAIN_MAPPING = FreeKeys(of=FreeKeys(of=Below(tables=()), least=1), least=1)
 COMPOSED = KeyTable(
     name="files made of others",
     where="a scenario that is made of others",
     keys=(
         Key(
             "extends",
-            Text(form="path"),
+            Text(words="path"),
             f"the file whose values hold where this one says nothing; at most {LONGEST_CHAIN} in a chain",
             "bases/overhead.yaml",
             "none",
         ),
         Key(
             "without",
-            Several(of=Text(form="key or claim"), form="list of keys and claims", least=1),
+            Several(of=Text(words="key or claim"), words="list of keys and claims", least=1),
             "what of the extended file does not hold: keys at its top, or claims",
             "[hands, hand distance never below 50 mm]",
             "none",
@@ -249,7 +218,6 @@ COMPOSED = KeyTable(
 )
 SUITE = KeyTable(
     name="a suite",
-    where="a suite",
     keys=(
         Key("suite", _LINE, "what these scenarios are for", "before a release", attribute="title"),
         Key(
@@ -261,7 +229,7 @@ SUITE = KeyTable(
         ),
         Key(
             "scenarios",
-            Several(of=Text(form="path"), form="list of paths", least=1),
+            Several(of=Text(words="path"), words="list of paths", least=1),
             "files, folders and other suites, relative to this file",
             "[fast-reach.yaml, recorded]",
         ),
@@ -271,10 +239,7 @@ SUITE = KeyTable(
 
 def every_table() -> tuple[KeyTable, ...]:
     """All tables, each once, from the top of a file downwards."""
-    found = [TOP, COMPOSED, SUITE]
-    for key in TOP.keys:
-        found += [table for table in below(key.value) if not any(table is other for other in found)]
-    return tuple(found)
+    return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below())}.values())
 
 
 def markdown(table: KeyTable) -> str:
@@ -296,7 +261,7 @@ def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
     """The moves as a page shows them, one row for each with its further keys."""
     rows = ["| move | further keys | meaning |", "|---|---|---|"]
     for table in moves:
-        named, *further = (f"`{key.name}` ({_kind(key.value)})" for key in table.keys)
+        named, *further = (f"`{key.name}` ({_kind(key)})" for key in table.keys)
         rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
     return _joined(rows)
 
@@ -305,5 +270,5 @@ def _joined(rows: list[str]) -> str:
     return "\n".join(rows).replace("|  |", "| |") + "\n"
 
 
-def _kind(value: Value) -> str:
-    return value.dimension.name if isinstance(value, QuantityValue) else value.words
+def _kind(key: Key) -> str:
+    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.words

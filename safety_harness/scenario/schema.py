@@ -8,18 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    FreeKeys,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Value,
-    Word,
-    below,
-)
+from safety_harness.scenario.codec import FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.reference_tables import COMPOSED, SUITE, TOP
 from safety_harness.scenario.units import Dimension
 
@@ -47,16 +36,8 @@ def scenario_schema() -> Schema:
             "then": _table(SUITE),
             "else": {**scenario, "allOf": [extending]},
         },
-        "$defs": _definitions(),
+        "$defs": {_name(table): _table(table) for table in TOP.below()},
     }
-
-
-def _definitions() -> Schema:
-    found: dict[str, Schema] = {}
-    for key in TOP.keys:
-        for table in below(key.value):
-            found[_name(table)] = _table(table)
-    return found
 
 
 def _name(table: KeyTable) -> str:
@@ -98,26 +79,20 @@ def _value(value: Value) -> Schema:
     if isinstance(value, FreeKeys):
         free: Schema = {"type": "object", "additionalProperties": _value(value.of)}
         return {**free, "minProperties": value.least} if value.least else free
-    return _below(value)
-
-
-def _below(value: Below) -> Schema:
-    """One table, or several: which of them is meant is told by one key of each."""
+    # One table, or several: which of them is meant is told by one key of each.
     if not value.tables:
         return {"type": "object"}
     references = [{"$ref": f"#/$defs/{_pointer(_name(table))}"} for table in value.tables]
     if len(references) == 1:
         return references[0]
-    firsts = [table.told_by for table in value.tables]
-    schema: Schema = {
+    return {
         "type": "object",
-        "anyOf": [{"required": [first]} for first in firsts],
+        "anyOf": [{"required": [table.told_by]} for table in value.tables],
         "allOf": [
             {"if": _begins(table, value.tables), "then": reference}
             for table, reference in zip(value.tables, references, strict=True)
         ],
     }
-    return schema
 
 
 def _begins(table: KeyTable, others: tuple[KeyTable, ...]) -> Schema:
@@ -136,14 +111,8 @@ def _quantity(value: QuantityValue) -> Schema:
     texts: list[Schema] = [{"type": "string", "pattern": _pattern(value.dimension, value.whole)}]
     if value.dimension.bare:
         number: Schema = {"type": "integer" if value.whole else "number"}
-        for word, bound in (
-            ("exclusiveMinimum", value.above),
-            ("minimum", value.least),
-            ("maximum", value.most),
-        ):
-            if bound is not None:
-                number[word] = bound
-        texts.insert(0, number)
+        bounds = {"exclusiveMinimum": value.above, "minimum": value.least, "maximum": value.most}
+        texts.insert(0, number | {word: bound for word, bound in bounds.items() if bound is not None})
     if value.or_word:
         texts.append({"const": value.or_word})
     return texts[0] if len(texts) == 1 else {"anyOf": texts}
@@ -158,10 +127,5 @@ def _pattern(dimension: Dimension, whole: bool) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "".join(_SPACED.get(part, part) for part in _parts(unit))
-
-
-def _parts(unit: str) -> list[str]:
-    if unit.startswith("deg"):
-        return ["deg", *unit[3:]]
-    return ["1?", *unit] if unit.startswith("/") else list(unit)
+    first, others = ("deg", unit[3:]) if unit.startswith("deg") else ("1?" * unit.startswith("/"), unit)
+    return "".join(_SPACED.get(part, part) for part in (first, *others))

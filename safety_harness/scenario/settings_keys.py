@@ -11,28 +11,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
-from safety_harness.scenario.codec import (
-    Below,
-    Key,
-    KeyTable,
-    QuantityValue,
-    Several,
-    Text,
-    Tree,
-    Value,
-    Word,
-)
+from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
 from safety_harness.settings import DEFAULTS, DecisionCost, Settings
-
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
-G = TypeVar("G", bound="DataclassInstance")  # one dataclass of settings
 
 EVERY_TICK = "every tick"  # how a rate of None is written
 
@@ -100,7 +85,7 @@ def _setting_key(attribute: str, default: Any, said: Mapping[str, Any]) -> Key:
 
 def _value(default: Any, number: QuantityValue) -> Value:
     if isinstance(default, DecisionCost):
-        return Text(form=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
+        return Text(words=FORM, or_mapping=True, reads=read_decision_time, writes=write_decision_time)
     if isinstance(default, Enum):
         return Word(type(default))
     if not isinstance(default, tuple):
@@ -108,13 +93,13 @@ def _value(default: Any, number: QuantityValue) -> Value:
     each = f", each {number.range_words}"
     if isinstance(default[0], tuple):
         expected = "a list of three to 100 corners, each a list of two lengths such as [40 mm, -30 mm]"
-        corner = Several(of=number, form="a corner", expected="a corner such as [40 mm, -30 mm]", count=2)
+        corner = Several(of=number, words="a corner", expected="a corner such as [40 mm, -30 mm]", count=2)
         form = f"list of three to 100 corners{each}"
-        return Several(of=corner, form=form, expected=expected, least=3, most=100)
+        return Several(of=corner, words=form, expected=expected, least=3, most=100)
     dimension, count = number.dimension, len(default)
     form = {LENGTH: "point", ANGLE: "rotation"}[dimension] if count == 3 else "list of six angles"
     expected = f"a list of {count}, each {dimension.expected}"
-    return Several(of=number, form=form + each, expected=expected, count=count)
+    return Several(of=number, words=form + each, expected=expected, count=count)
 
 
 _KEYS: dict[type[Any], tuple[Key, ...]] = {
@@ -123,8 +108,9 @@ _KEYS: dict[type[Any], tuple[Key, ...]] = {
 }
 
 
-def read_group(field: Field, default: G) -> G:
-    """``default`` with the values that the mapping ``field`` changes."""
+def read_group(field: Field, name: str) -> Any:
+    """The default group ``name`` of the settings with the values that the mapping ``field`` changes."""
+    default = getattr(DEFAULTS, name)
     keys = setting_keys(type(default))
     given = field.fields(tuple(dict.fromkeys(key.path[0] for key in keys)), hints=_MOVED)
     changes: dict[str, Any] = {}
@@ -140,18 +126,6 @@ def read_group(field: Field, default: G) -> G:
     return replace(default, **changes)
 
 
-def write_group(group: DataclassInstance, default: DataclassInstance | None) -> dict[str, Tree]:
-    """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
-    written: dict[str, Any] = {}
-    for key in setting_keys(type(group)):
-        value = getattr(group, key.attribute)
-        # repr, because a negative zero equals a positive one and is another number all the same.
-        if default is None or repr(getattr(default, key.attribute)) != repr(value):
-            inner = written.setdefault(key.within[0], {}) if key.within else written
-            inner[key.name] = key.value.write(value)
-    return written
-
-
 def group_table(group: str, path: str) -> KeyTable:
     """The table of one group of settings; ``path`` leads to it from the top of a file."""
     keys: dict[str, Key] = {}
@@ -164,4 +138,4 @@ def group_table(group: str, path: str) -> KeyTable:
     for name, members in inner.items():
         table = KeyTable(name=name, where=f"{name} of {group}", keys=tuple(members))
         keys[name] = Key(name, Below(tables=(table,)), *_MAPPINGS[name], or_else="none")
-    return KeyTable(name=group, where=group, keys=tuple(keys.values()), path=path)
+    return KeyTable(name=group, keys=tuple(keys.values()), path=path)

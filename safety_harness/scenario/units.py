@@ -93,36 +93,28 @@ DIMENSIONS = tuple(one for one in tuple(globals().values()) if isinstance(one, D
 def parse_quantity(text: str, dimension: Dimension, place: Place) -> float:
     """The SI value of ``text``; ScenarioError at ``place`` when it is no finite quantity of that kind."""
     found = _understood(text, dimension)
-    if isinstance(found, _Refusal):
-        raise ScenarioError(place=place, expected=found.expected, got=found.got, hint=found.hint)
+    if isinstance(found, dict):
+        raise ScenarioError(place=place, **found)
     return found
 
 
-@dataclass(frozen=True)
-class _Refusal:
-    """Why a text is no quantity, in the words of a message."""
-
-    expected: str
-    got: str
-    hint: str = ""
-
-
 @lru_cache(maxsize=4096)  # the scenarios of a space repeat most of their quantities
-def _understood(text: str, dimension: Dimension) -> float | _Refusal:
-    """The SI value of ``text``, or why it has none."""
+def _understood(text: str, dimension: Dimension) -> float | dict[str, str]:
+    """The SI value of ``text``, or why it has none, in the words of a message."""
     stripped = text.strip()
     matched = _NUMBER.match(stripped)
     if matched is None:
-        return _Refusal(dimension.expected, shown(text), _units_hint("", dimension))
+        return {"expected": dimension.expected, "got": shown(text), "hint": _units_hint("", dimension)}
     number, unit = matched.group(), normal_unit(stripped[matched.end() :])
     if not unit and not dimension.bare:
-        return _Refusal(dimension.expected, f"{number}, which has no unit", _units_hint("", dimension))
+        got = f"{number}, which has no unit"
+        return {"expected": dimension.expected, "got": got, "hint": _units_hint("", dimension)}
     if unit and unit not in dimension.units:
-        return _Refusal(dimension.expected, shown(text), _units_hint(unit, dimension))
+        return {"expected": dimension.expected, "got": shown(text), "hint": _units_hint(unit, dimension)}
     value = _si_value(number, dimension.units[unit] if unit else Fraction(1))
     if value is None:
         range_words = f"of at most {_LONGEST_NUMBER} characters and within the range of a 64-bit float"
-        return _Refusal(f"{dimension.expected}, {range_words}", shown(text))
+        return {"expected": f"{dimension.expected}, {range_words}", "got": shown(text)}
     return value
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
-from safety_harness.scenario.codec import Tree
+from safety_harness.scenario.codec import Tree, in_a_line
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
-from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, write_group
+from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
 from safety_harness.settings import DEFAULTS, Settings
 
 # The keys of a recorded hand that come last.
@@ -52,34 +53,39 @@ def _hand(hand: HandTrajectory) -> dict[str, Tree]:
 
 def _settings(settings: Settings, default: Settings | None) -> dict[str, Tree]:
     """The groups at the top of the file, then the others below ``settings``."""
-    tree: dict[str, Tree] = {}
-    for key, name in TOP_GROUPS.items():
-        values = _group(settings, default, name)
-        if values:
-            tree[key] = values
-    groups = {key: _group(settings, default, name) for key, name in SETTINGS_KEYS.items()}
-    changed = {key: values for key, values in groups.items() if values}
-    if changed:
-        tree["settings"] = changed
-    return tree
+
+    def changed(groups: Mapping[str, str]) -> dict[str, Tree]:
+        pairs = ((key, getattr(settings, name), getattr(default, name, None)) for key, name in groups.items())
+        return {key: values for key, own, other in pairs if (values := _group(own, other))}
+
+    below = changed(SETTINGS_KEYS)
+    return changed(TOP_GROUPS) | ({"settings": below} if below else {})
 
 
-def _group(settings: Settings, default: Settings | None, name: str) -> dict[str, Tree]:
-    return write_group(getattr(settings, name), getattr(default, name) if default is not None else None)
+def _group(group: object, default: object) -> dict[str, Tree]:
+    """The values of ``group`` that differ from ``default``'s (all of them for None), SI, exact."""
+    written: dict[str, Any] = {}
+    for key in setting_keys(type(group)):
+        value = getattr(group, key.attribute)
+        # repr, because a negative zero equals a positive one and is another number all the same.
+        if default is None or repr(getattr(default, key.attribute)) != repr(value):
+            inner = written.setdefault(key.within[0], {}) if key.within else written
+            inner[key.name] = key.value.write(value)
+    return written
 
 
 def _lines(tree: Tree) -> Iterator[str]:
-    if isinstance(tree, str):
-        yield tree
-    elif not tree:
-        yield "{}" if isinstance(tree, Mapping) else "[]"
+    line = in_a_line(tree)
+    if line is not None:
+        yield line
     elif isinstance(tree, Mapping):
         for key, value in tree.items():
-            if value and not isinstance(value, str):
+            line = in_a_line(value)
+            if line is None:
                 yield f"{key}:"
-                yield from (f"  {line}" for line in _lines(value))
+                yield from (f"  {one}" for one in _lines(value))
             else:
-                yield from (f"{key}: {line}" for line in _lines(value))
+                yield f"{key}: {line}"
     else:
         for item in tree:
             first, *others = _lines(item)

@@ -13,12 +13,19 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 from safety_harness.exceptions import InputError
-from safety_harness.scenario.model import MovingHand, OffsetStart, PoseStart, RecordedHand, Scenario
-from safety_harness.scenario.moves import REACHING_MPS, REACHING_MPS2, ReachForObject, ReachForTcp
+from safety_harness.scenario.model import (
+    REACHING_MPS2,
+    MovingHand,
+    OffsetStart,
+    PoseStart,
+    RecordedHand,
+    Scenario,
+)
+from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.paths import Path, leaves, value_at, with_value, words
+from safety_harness.space.tracing import Path, leaves, value_at, with_value, words
 
 FINER = 3  # how many times a step is divided by ten before a number is left as it is
 LEAST_S, LEAST_MPS = 0.1, 0.1

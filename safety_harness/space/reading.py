@@ -12,14 +12,7 @@ from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Vector3
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.regions import REGIONS
-from safety_harness.space.sentences import (
-    MOST_OPTIONS,
-    fixed_quantity,
-    options_of,
-    refuse_options,
-    sentence,
-    times,
-)
+from safety_harness.space.sentences import fixed_quantity, listed_options, options_of, sentence, times
 from safety_harness.space.template import (
     Alternatives,
     Condition,
@@ -191,8 +184,7 @@ class TemplateReader:
 
     def _one_of(self, at: Field, context: tuple[Condition, ...]) -> Template:
         given = at.fields(("one of", "chances"))
-        options = given.required("one of").items(f"a list of 2 to {MOST_OPTIONS} options")
-        refuse_options(given.required("one of"), tuple(range(len(options))))
+        options = listed_options(given.required("one of"))
         chances = (1.0,) * len(options)
         if "chances" in given:
             chances = _chances(given.required("chances"), len(options))

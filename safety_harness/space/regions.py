@@ -72,16 +72,16 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     program is run for it: what has none counts as trained on the paper's seen space, and ``source``
     says so.  ModelError for a model file that cannot be used.
     """
-    if avoider in SHIPPED:
-        return _of_metadata(load_model(shipped_model(avoider)).seen, avoider)
     path = (folder or Path()) / os.path.expanduser(avoider)
-    if avoider.endswith(MODEL_SUFFIX):
-        return _of_metadata(load_model(path).seen, avoider)
-    if avoider.endswith(ONNX_SUFFIX):
-        exported = exported_seen(path)
-        if exported is not None:
-            return _of_metadata(exported, avoider)
-    return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
+    seen: SeenSpace | None = None
+    if avoider in SHIPPED or avoider.endswith(MODEL_SUFFIX):
+        seen = load_model(shipped_model(avoider) if avoider in SHIPPED else path).seen
+    elif avoider.endswith(ONNX_SUFFIX):
+        seen = exported_seen(path)
+    if seen is None:
+        return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
+    hand, tcp = Box(seen.hand_low_m, seen.hand_high_m), Box(seen.tcp_low_m, seen.tcp_high_m)
+    return Seen(hand=hand, tcp=tcp, source=avoider)
 
 
 def region_named(name: str, seen: Seen, settings: Settings) -> Region:
@@ -98,12 +98,6 @@ def region_named(name: str, seen: Seen, settings: Settings) -> Region:
         above_table_m = min(max(z, settings.cell.table_height_m), seen.hand.low_m[2])
         return Region(Box((x, y, above_table_m), outer.high_m), seen.hand)
     raise RegionError(place=Place(field="in"), expected=f"one of {', '.join(REGIONS)}", got=repr(name))
-
-
-def _of_metadata(seen: SeenSpace, avoider: str) -> Seen:
-    return Seen(
-        hand=Box(seen.hand_low_m, seen.hand_high_m), tcp=Box(seen.tcp_low_m, seen.tcp_high_m), source=avoider
-    )
 
 
 def exported_seen(path: Path) -> SeenSpace | None:

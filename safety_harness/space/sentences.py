@@ -11,10 +11,6 @@ from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Unif
 MOST_OPTIONS = 100
 MOST_TIMES = 20
 
-UNIFORM = "from 0.5 m/s to 2 m/s"
-NORMAL = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
-CHOICE = "one of 20 mm, 50 mm"
-
 _DIMENSIONS = {unit: dimension for dimension in DIMENSIONS for unit in dimension.units}
 _NUMBER = re.compile(r"[+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?")
 _UNIFORM = re.compile(r"from (.+?) to (.+)")
@@ -58,7 +54,7 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
 def _uniform(field: Field, text: str) -> Uniform:
     matched = _UNIFORM.fullmatch(text)
     if matched is None:
-        raise field.error(f'both ends, such as "{UNIFORM}"')
+        raise field.error('both ends, such as "from 0.5 m/s to 2 m/s"')
     (low, high), unit = _alike(field, matched[1], matched[2])
     if not low < high:
         raise field.error("a lower end, then a higher one")
@@ -68,7 +64,8 @@ def _uniform(field: Field, text: str) -> Uniform:
 def _normal(field: Field, text: str) -> TruncatedNormal:
     matched = _NORMAL.fullmatch(text)
     if matched is None:
-        raise field.error(f'a mean, a deviation and both ends, such as "{NORMAL}"')
+        example = "normal 1 m/s +- 0.2 m/s from 0.5 m/s to 2 m/s"
+        raise field.error(f'a mean, a deviation and both ends, such as "{example}"')
     (mean, std, low, high), unit = _alike(field, *matched.groups())
     if not (low < high and std > 0.0):
         raise field.error("a deviation above zero, and a lower end, then a higher one")
@@ -90,13 +87,20 @@ def _alike(field: Field, *texts: str) -> tuple[tuple[float, ...], str]:
 def options_of(field: Field, text: str) -> tuple[str, ...]:
     """``A, B``: the options as they are written."""
     options = tuple(option.strip() for option in text.split(","))
-    refuse_options(field, options)
+    _refuse_options(field, options)
     if not all(options):
-        raise field.error(f'two or more, such as "{CHOICE}"')
+        raise field.error('two or more, such as "one of 20 mm, 50 mm"')
     return options
 
 
-def refuse_options(field: Field, options: tuple[object, ...]) -> None:
+def listed_options(field: Field) -> tuple[Field, ...]:
+    """The options of a list."""
+    options = field.items(f"a list of 2 to {MOST_OPTIONS} options")
+    _refuse_options(field, tuple(range(len(options))))
+    return options
+
+
+def _refuse_options(field: Field, options: tuple[object, ...]) -> None:
     """ScenarioError unless there are 2 to MOST_OPTIONS of them, no two the same."""
     if not 2 <= len(options) <= MOST_OPTIONS:
         raise field.error(f"from 2 to {MOST_OPTIONS} options", got=f"{len(options)}")

@@ -1,7 +1,7 @@
 """A scenario space: one text that is a set to search, a distribution to estimate from, and every test in it.
 
 Data flow: text -> tree -> template and parameters (``reading``) -> values -> scenario (the form
-of its structure, filled in, ``tracing``); and back by ``matching``.
+of its structure, filled in, ``tracing``); and back by ``matches``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
 from safety_harness.space.distributions import Choice
-from safety_harness.space.matching import matches
-from safety_harness.space.template import Condition, Keyed, Parameter, filled
+from safety_harness.space.template import Condition, Keyed, Parameter, filled, matches
 from safety_harness.space.tracing import Form, Values
 
 Vector = NDArray[np.float64]

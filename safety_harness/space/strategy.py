@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError
 from safety_harness.scenario.model import LARGEST_SEED, Scenario
-from safety_harness.space.distributions import (
-    Choice,
-    Distribution,
-    InBox,
-    InRegion,
-    InShell,
-    TruncatedNormal,
-    Uniform,
-)
+from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.space import ScenarioSpace
 
 Vector = NDArray[np.float64]
@@ -70,11 +62,11 @@ def _value(distribution: Distribution) -> st.SearchStrategy[tuple[float, ...]]:
         return _in_shell(distribution)
     if isinstance(distribution, InRegion):
         return _in_region(distribution)
-    sides: tuple[Uniform | TruncatedNormal, ...] = (
-        distribution.sides if isinstance(distribution, InBox) else (distribution,)
-    )
-    ends = zip(sides, distribution.simplest, strict=True)
-    return st.tuples(*(near(side.low, side.high, to, distribution.unit) for side, to in ends))
+    if isinstance(distribution, InBox):
+        ends = zip(distribution.low, distribution.high, distribution.simplest, strict=True)
+        return st.tuples(*(near(low, high, to, distribution.unit) for low, high, to in ends))
+    (to,) = distribution.simplest
+    return st.tuples(near(distribution.low, distribution.high, to, distribution.unit))
 
 
 def _in_shell(shell: InShell) -> st.SearchStrategy[tuple[float, ...]]:

@@ -4,29 +4,92 @@ A scenario is read once for each structure, with a ``TracedNumber`` in place of 
 That goes through the ordinary reader like the number that it has; it remembers how it was computed, and every
 comparison that it was part of.  Other values are then filled in at the same paths, as long as they answer all
 these comparisons alike.  What cannot be remembered (a conversion, an array, a text) is a TypeError, so that
-nothing is ever filled in wrongly.
+nothing is ever filled in wrongly.  A path leads through dataclass fields by name, through members of tuples
+by number.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from functools import lru_cache
 from math import isfinite
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.paths import Path, form_of, leaves
 
+Path = tuple[str | int, ...]
+T = TypeVar("T")
 Values = Sequence[float]
 _Computed = Callable[[Values], Any]  # from a point's values
 _Check = tuple[_Computed, bool]  # a comparison, and how it has to come out
 
 _NEVER_DRAWN = frozenset(map(id, vars(DEFAULTS).values()))  # the groups of settings as they are by default
+
+
+def value_at(root: object, path: Path) -> Any:
+    """What lies at ``path`` below ``root``."""
+    for step in path:
+        root = root[step] if isinstance(step, int) else getattr(root, step)  # type: ignore[index]
+    return root
+
+
+def with_value(root: T, path: Path, value: object) -> T:
+    """``root`` with ``value`` at ``path``, and everything on the way made anew."""
+    return form_of(root, {path: 0})([value])
+
+
+def leaves(root: object, path: Path = (), *, but: Collection[int] = ()) -> list[tuple[Path, Any]]:
+    """Everything below ``root`` that is neither a dataclass nor a tuple, with its path, in their order.
+
+    Fields that do not count in a comparison (places in files) are left out, and objects with an ``id`` in
+    ``but``.
+    """
+    if id(root) in but:
+        return []
+    kind: Any = type(root)
+    if not isinstance(root, tuple) and not is_dataclass(kind):
+        return [(path, root)]
+    steps: Iterable[str | int] = range(len(root)) if isinstance(root, tuple) else _compared(kind)
+    return [leaf for step in steps for leaf in leaves(value_at(root, (step,)), (*path, step), but=but)]
+
+
+@lru_cache
+def _compared(kind: Any) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind) if field.compare)
+
+
+def form_of(root: T, numbers: Mapping[Path, int]) -> Callable[[Sequence[Any]], T]:
+    """``root`` as a function of values: with ``values[numbers[path]]`` at each path, and else as it is."""
+    if () in numbers:
+        return itemgetter(numbers[()])
+    below: dict[Any, dict[Path, int]] = {}
+    for (step, *rest), number in numbers.items():
+        below.setdefault(step, {})[tuple(rest)] = number
+    parts = [(step, form_of(value_at(root, (step,)), inner)) for step, inner in below.items()]
+    kind: Any = type(root)
+    if isinstance(root, tuple):
+
+        def filled(values: Sequence[Any]) -> T:
+            members = list(root)
+            for step, part in parts:
+                members[step] = part(values)
+            return kind(members)  # type: ignore[no-any-return]
+
+        return filled
+    fixed = {field.name: getattr(root, field.name) for field in fields(kind) if field.init}
+    return lambda values: kind(**fixed | {step: part(values) for step, part in parts})
+
+
+def words(path: Path) -> str:
+    """``hands[0].moves[1].speed_mps``."""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path)
+    return text.removeprefix(".")
 
 
 def _operator(apply: Callable[[Any, Any], Any], *, mirrored: bool = False) -> Callable[[Any, Any], Any]:

@@ -20,7 +20,7 @@ from typing import TypeAlias
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.compose import SPACE_KEY
-from safety_harness.scenario.fields import Field, places
+from safety_harness.scenario.fields import Field, walk
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
@@ -99,16 +99,17 @@ def space_from(
     """
     tree = parse_tree(write_scenario(scenario), scenario.file)
     full = Field(parse_tree(write_scenario(scenario, all_settings=True), None), None, path="", line=1)
+    nodes = {field.path: field.node for field in walk(full) if field.path}
     for path, value in varied.items():
         steps = [int(index) if index else key for index, key in _STEP.findall(path)]
-        if path not in places(full):
+        if path not in nodes:
             raise ScenarioError(
                 place=Place(file=scenario.file, field=path),
                 expected="the path of a value of the scenario",
                 got=path,
-                hint=near_miss(path, places(full)),
+                hint=near_miss(path, nodes),
             )
-        tree = _replaced(tree, steps, _node(value, _unit(_at(full.node, steps))))
+        tree = _replaced(tree, steps, _node(value, _unit(nodes[path])))
     assert isinstance(tree, MappingNode)
     entries = [
         (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value)
@@ -120,16 +121,6 @@ def space_from(
     if choices:
         entries.insert(1, (Scalar(CHOICES, 1), _node(choices, "")))
     return space_of(MappingNode(tuple(entries), 1), scenario.file, name=scenario.name)
-
-
-def _at(node: Node, steps: Values[int | str]) -> Node:
-    for step in steps:
-        if isinstance(node, MappingNode):
-            node = next(value for key, value in node.entries if key.text == step)
-        else:
-            assert isinstance(node, SequenceNode)
-            node = node.items[int(step)]
-    return node
 
 
 def _replaced(node: Node, steps: Values[int | str], new: Node) -> Node:

@@ -18,11 +18,9 @@ def write_space(space: ScenarioSpace) -> str:
 
 
 def _tree(node: Node) -> Tree:
-    """A node as ``text_of`` takes it: a list without mappings on one line."""
+    """A node as ``text_of`` takes it."""
     if isinstance(node, Scalar):
         return node.text if _QUANTITY.fullmatch(node.text) else scalar_text(node.text)
     if isinstance(node, Mapping):
         return {str(_tree(key)): _tree(value) for key, value in node.entries}
-    items = [_tree(item) for item in node.items]
-    texts = [item for item in items if isinstance(item, str)]
-    return f"[{', '.join(texts)}]" if len(texts) == len(items) else items
+    return [_tree(item) for item in node.items]

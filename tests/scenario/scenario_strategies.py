@@ -17,6 +17,7 @@ from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.model import (
     ACCELERATIONS_MPS2,
     LARGEST_FACTOR,
+    NOT_LOADED,
     Claim,
     HandTrajectory,
     JoinedHand,
@@ -48,7 +49,7 @@ from safety_harness.scenario.moves import (
     shifted,
 )
 from safety_harness.scenario.read import MOST_TICKS
-from safety_harness.scenario.recording import NOT_LOADED, load_recording, parse_recording
+from safety_harness.scenario.recording import load_recording, parse_recording
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3

@@ -9,6 +9,7 @@ from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, pars
 from safety_harness.exceptions import Place
 from safety_harness.scenario.model import (
     DEFAULT_AVOIDER,
+    REACHING_MPS2,
     Claim,
     JoinedHand,
     JointStart,
@@ -20,7 +21,6 @@ from safety_harness.scenario.model import (
 )
 from safety_harness.scenario.moves import (
     REACHING_MPS,
-    REACHING_MPS2,
     FollowTcp,
     Hesitation,
     MoveTo,

@@ -15,8 +15,8 @@ from scenario_strategies import RECORDING, csv_of
 
 from safety_harness.exceptions import Place, RecordingError
 from safety_harness.scenario import recording
-from safety_harness.scenario.model import RecordedHand, RecordedMotion
-from safety_harness.scenario.recording import NOT_LOADED, load_recording, parse_recording
+from safety_harness.scenario.model import NOT_LOADED, RecordedHand, RecordedMotion
+from safety_harness.scenario.recording import load_recording, parse_recording
 
 FILE = Path("walk.csv")
 FOLDER = Path(__file__).parents[2] / "scenarios/recordings"

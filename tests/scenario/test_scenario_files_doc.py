@@ -178,7 +178,7 @@ def test_the_other_defaults_are_the_defaults() -> None:
     moving = {row.keys[-1]: row.default for row in rows("## A hand that moves")}
     assert units.parse_quantity(moving["speed at most"], units.SPEED, Place()) == moves.REACHING_MPS
     bound = units.parse_quantity(moving["acceleration at most"], units.ACCELERATION, Place())
-    assert bound == moves.REACHING_MPS2
+    assert bound == model.REACHING_MPS2
     top = {key: row.default for row in rows("## Top of the file") for key in row.keys}
     assert top["avoider"] == model.DEFAULT_AVOIDER
     assert {key for key in top if top[key] == "required"} == set(BASE)

@@ -14,11 +14,10 @@ from spaces import FILES, HEAD, everything
 from safety_harness.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import scenario_of
-from safety_harness.space.paths import form_of, leaves, value_at, with_value
 from safety_harness.space.read import parse_space, read_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.space.template import filled
-from safety_harness.space.tracing import Form, TracedNumber
+from safety_harness.space.tracing import Form, TracedNumber, form_of, leaves, value_at, with_value
 
 SPACES = [everything(), *map(read_space, FILES)]
 HAND = """\
