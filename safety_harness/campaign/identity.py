@@ -100,12 +100,12 @@ def files_of_plan(
 
     What an avoider of the user's own imports or opens besides is not known here.
     """
-    found = dict.fromkeys([plan.resolve(), *library.files])
+    named = [plan.resolve(), *library.files]
     for space in spaces:
-        folder = space.file.parent if space.file else Path()
-        found.update(dict.fromkeys(_named_in(space.tree, folder)))
+        named += _named_in(space.tree, space.file.parent if space.file else Path())
     if avoider is not None:
-        found.update(dict.fromkeys(_existing([file_and_name(avoider)[0]], plan.parent)))
+        named += _existing([file_and_name(avoider)[0]], plan.parent)
+    found = dict.fromkeys(named)
     root = Path(os.path.commonpath([path.parent for path in found]))
     files, size = [], 0
     for path in found:
@@ -119,12 +119,11 @@ def files_of_plan(
     return tuple(files)
 
 
-def unpacked(files: Iterable[PlanFile], folder: Path) -> Path:
+def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
     """Write the files below ``folder``; the path of the first of them, the plan's own.
 
     LedgerError-like refusal of names that lead elsewhere is the reader's matter: names are checked here too.
     """
-    first: Path | None = None
     for file in files:
         path = (folder / file.name).resolve()
         if folder.resolve() not in path.parents:
@@ -134,9 +133,7 @@ def unpacked(files: Iterable[PlanFile], folder: Path) -> Path:
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.data)
-        first = first or path
-    assert first is not None
-    return first
+    return (folder / files[0].name).resolve()
 
 
 def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:

@@ -268,18 +268,13 @@ def _place(names: tuple[str, ...], name: str) -> int:
 
 def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
     """Write the plan down, with all its files, in the ledger of that path."""
+    choices = {"seed": plan.seed, "world": plan.world.label}
+    choices |= {"confidence": plan.confidence, "stop early": plan.stop_early}
     about = {
         "title": plan.title,
         "plan file": portable(os.path.relpath(plan.file.resolve(), ledger.resolve().parent), ledger.parent),
         "identity": plan.identity.as_json(),
-        "plan": json.dumps(
-            {
-                "seed": plan.seed,
-                "world": plan.world.label,
-                "confidence": plan.confidence,
-                "stop early": plan.stop_early,
-            }
-        ),
+        "plan": json.dumps(choices),
     }
     connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
     connection.executemany(
