@@ -209,8 +209,7 @@ class Ledger:
     def trace(self, stratum: int, episode: int) -> bytes | None:
         """A stored trace, as a .trace file has it; None if it was not kept."""
         question = "SELECT data FROM trace WHERE stratum = ? AND episode = ?"
-        found: list[tuple[bytes]] = list(self.all(question, stratum, episode))
-        return found[0][0] if found else None
+        return next((data for (data,) in self.all(question, stratum, episode)), None)
 
     def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
         """(n,) episodes, outcomes and margins of what is there now, in the order of the episodes."""
