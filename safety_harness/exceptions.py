@@ -68,6 +68,11 @@ class InputError(SafetyHarnessError):
         """The error of an option or argument of a command or a function."""
         return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
 
+    @classmethod
+    def of_file(cls, file: Path, expected: str, got: str) -> Self:
+        """The error of a file as a whole."""
+        return cls(place=Place(file=file), expected=expected, got=got)
+
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
         """On its way between processes: exceptions with keywords are not pickled by themselves."""
         make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)

@@ -48,9 +48,7 @@ def export(ledger: Ledger, out: Path) -> int:
     Parquet needs pyarrow, the extra "export".  OutputError, or InputError for another suffix.
     """
     if out.suffix not in SUFFIXES:
-        raise ScenarioError(
-            place=Place(file=out), expected=f"a file that ends in {' or '.join(SUFFIXES)}", got=out.name
-        )
+        raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
     with writing(out), replacing(out) as unfinished:
         return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
 
@@ -119,11 +117,8 @@ def question_of(
         if word is not None:
             filters.append((f"{option} = ?", _meant(names, word, f"--{option}")))
     if below is not None:
-        units = {
-            unit
-            for name, unit in zip(declared.claims, declared.units, strict=True)
-            if claim is None or claim in name
-        }
+        named = zip(declared.claims, declared.units, strict=True)
+        units = {unit for name, unit in named if claim is None or claim in name}
         if len(units) != 1:
             expected = "--claim beside it, whose unit it has"
             raise ScenarioError.of_option("--below", expected, "several claims")

@@ -112,9 +112,7 @@ def files_of_plan(
         data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
         size += len(data)
         if size > MOST_BYTES:
-            raise ScenarioError(
-                place=Place(file=plan), expected=f"at most {MOST_BYTES:,} bytes of files", got="more"
-            )
+            raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
         files.append(PlanFile(path.relative_to(root).as_posix(), data))
     return tuple(files)
 
@@ -127,9 +125,7 @@ def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
     for file in files:
         path = (folder / file.name).resolve()
         if folder.resolve() not in path.parents:
-            raise ScenarioError(
-                place=Place(file=Path(file.name)), expected="a file below the plan's folder", got="another"
-            )
+            raise ScenarioError.of_file(Path(file.name), "a file below the plan's folder", "another")
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.data)
