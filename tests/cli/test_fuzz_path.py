@@ -14,7 +14,6 @@ from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.search import counterexample as counterexample_module
-from safety_harness.search import explain as explain_module
 from safety_harness.search import searchers
 from safety_harness.search import session as search_session
 from safety_harness.search.sampling import UniformSampling
@@ -58,7 +57,7 @@ REPAIRED = AVOIDER.replace("40.0 * low_m", "0.0 * low_m")
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 5)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(explain_module, "_MOST_REMOVED", 2)
+    monkeypatch.setattr(counterexample_module, "_MOST_REMOVED", 2)
     monkeypatch.setattr(counterexample_module, "DRAWS", 2)
     (tmp_path / "mine.py").write_text(AVOIDER)
     (tmp_path / "space.yaml").write_text(SPACE.format(avoider="mine.py:Mine"))
