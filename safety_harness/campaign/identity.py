@@ -77,7 +77,6 @@ def identity_of(
 
 
 MOST_BYTES = 200_000_000  # of all files together
-REFERRING = ("avoider", "recording")
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,9 @@ def files_of_plan(
     """
     named = [plan.resolve(), *library.files]
     for space in spaces:
-        named += _named_in(space.tree, space.file.parent if space.file else Path())
+        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider",)))
+        folder = space.file.parent if space.file else Path()
+        named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
     if avoider is not None:
         named += _existing([file_and_name(avoider)[0]], plan.parent)
     found = dict.fromkeys(named)
@@ -132,7 +133,9 @@ def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
     return (folder / files[0].name).resolve()
 
 
-def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
+def references_in(
+    node: Node, keys: tuple[str, ...] = ("avoider", "recording"), *, within: bool = False
+) -> Iterator[str]:
     """What a space says below ``keys``: plain values, and their alternatives.
 
     No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
@@ -148,11 +151,6 @@ def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool
     else:
         for item in node.items:
             yield from references_in(item, keys, within=within)
-
-
-def _named_in(tree: Node, folder: Path) -> Iterator[Path]:
-    avoiders = (file_and_name(text)[0] for text in references_in(tree, ("avoider",)))
-    return _existing((*avoiders, *references_in(tree, ("recording",))), folder)
 
 
 def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:

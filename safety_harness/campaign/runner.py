@@ -209,9 +209,13 @@ class Stopping:
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
         self.decided: dict[int, int] = {}  # strata, and after how many episodes
-        if self._active:
-            for stratum in range(count):
-                self._read(ledger, stratum)
+        for stratum in range(count if self._active else 0):
+            columns = [ledger.outcomes(stratum, claim) for claim in range(len(plan.claims))]
+            for k, episode in enumerate(columns[0][0].tolist()):
+                self._ahead[stratum][episode] = tuple(
+                    EpisodeOutcome(int(codes[k])) for _, codes, _ in columns
+                )
+            self._advance(stratum)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Take new episodes in."""
@@ -221,12 +225,6 @@ class Stopping:
                 self._ahead[row.stratum][row.episode] = outcomes
             for stratum in range(len(self._ahead)):
                 self._advance(stratum)
-
-    def _read(self, ledger: Ledger, stratum: int) -> None:
-        columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
-        for k, episode in enumerate(columns[0][0].tolist()):
-            self._ahead[stratum][episode] = tuple(EpisodeOutcome(int(codes[k])) for _, codes, _ in columns)
-        self._advance(stratum)
 
     def _advance(self, stratum: int) -> None:
         ahead = self._ahead[stratum]

@@ -104,9 +104,8 @@ def _words(scenario: Scenario, path: Path) -> str:
     what = str(path[-1]).rsplit("_in_", 1)[0]
     for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
         what = what.removesuffix(suffix)
-    whose = (
-        f"the {scenario.hands[path[1]].name}'s " if path[0] == "hands" and isinstance(path[1], int) else ""
-    )
+    place = path[1] if path[0] == "hands" else None
+    whose = f"the {scenario.hands[place].name}'s " if isinstance(place, int) else ""
     return whose + ("the start's " if path[0] == "start" else "") + what.replace("_", " ")
 
 
