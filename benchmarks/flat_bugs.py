@@ -21,8 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.search.ask_tell import AskTell
 from safety_harness.search.cube import Points
+from safety_harness.search.search import AskTell
 from safety_harness.search.searchers import searcher_named
 from tests.search.planted import CUBE, GOALS, SPACE, Encounter
 

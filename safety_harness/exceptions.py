@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Self
 
 
 class SafetyHarnessError(Exception):
@@ -61,6 +62,16 @@ class InputError(SafetyHarnessError):
         self.hint = on_one_line(hint)
         text = f"{place}: expected {self.expected}; got {self.got}"
         super().__init__(text + (f" ({self.hint})" if self.hint else ""))
+
+    @classmethod
+    def of_option(cls, option: str, expected: str, got: str, hint: str = "") -> Self:
+        """The error of an option or argument of a command or a function."""
+        return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
+
+    @classmethod
+    def of_file(cls, file: Path, expected: str, got: str) -> Self:
+        """The error of a file as a whole."""
+        return cls(place=Place(file=file), expected=expected, got=got)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
         """On its way between processes: exceptions with keywords are not pickled by themselves."""

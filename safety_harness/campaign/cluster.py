@@ -33,7 +33,7 @@ from safety_harness.campaign.identity import Identity, PlanFile, unpacked
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import LIMITS, Arrived, Chunk, Event, Limits, Lost, bench_of_file
 from safety_harness.campaign.rows import Row
-from safety_harness.exceptions import CampaignError, InputError, Place, ScenarioError
+from safety_harness.exceptions import CampaignError, InputError, ScenarioError
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network
 _ANSWER_S = 30.0
@@ -250,23 +250,17 @@ def connected(where: str, timeout_s: float) -> Any:
     try:
         from distributed import Client
     except ImportError:
-        raise ScenarioError(
-            place=Place(field="--cluster"),
-            expected="the library distributed",
-            got="none",
-            hint="pip install 'safety-harness[cluster]'",
-        ) from None
+        hint = "pip install 'safety-harness[cluster]'"
+        raise ScenarioError.of_option("--cluster", "the library distributed", "none", hint) from None
     make: Any = Client  # of whose methods some have no types
     try:
         address = where if "://" in where else _address_in(Path(where))
         asyncio.run(_refuse_no_scheduler(address, timeout_s))
         return make(address=address, timeout=timeout_s, set_as_default=False)
     except Exception as error:  # whatever listens there may answer anything
-        raise ScenarioError(
-            place=Place(field="--cluster"),
-            expected="the address (tcp://...) or the file of a Dask scheduler that answers",
-            got=f"{where}: {str(error) or type(error).__name__}",
-        ) from error
+        expected = "the address (tcp://...) or the file of a Dask scheduler that answers"
+        got = f"{where}: {str(error) or type(error).__name__}"
+        raise ScenarioError.of_option("--cluster", expected, got) from error
 
 
 def _address_in(file: Path) -> str:

@@ -118,17 +118,15 @@ class EpisodeRunner:
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
             try:
-                return Drawn(episode, k + 1, self._admit(self.scenario(stratum, episode, k)))
+                scenario = self.scenario(stratum, episode, k)
+                if not self.programs and is_executed(scenario.avoider):
+                    raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
+                return Drawn(episode, k + 1, self._admitter.admit(scenario))
             except InputError as error:
                 refused[why_refused(error)] += 1
         reason, count = refused.most_common(1)[0]
         failure = f"none of {MAX_REJECTION_RATIO} draws can be tried; {count} times: {reason}"
         return failed_row(self.plan, stratum, episode, failure, draws=MAX_REJECTION_RATIO)
-
-    def _admit(self, scenario: Scenario) -> Admitted:
-        if not self.programs and is_executed(scenario.avoider):
-            raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
-        return self._admitter.admit(scenario)
 
     def _judged(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
         work = partial(self._row, stratum, drawn, run, keep_violations)

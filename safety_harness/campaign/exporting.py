@@ -48,9 +48,7 @@ def export(ledger: Ledger, out: Path) -> int:
     Parquet needs pyarrow, the extra "export".  OutputError, or InputError for another suffix.
     """
     if out.suffix not in SUFFIXES:
-        raise ScenarioError(
-            place=Place(file=out), expected=f"a file that ends in {' or '.join(SUFFIXES)}", got=out.name
-        )
+        raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
     with writing(out), replacing(out) as unfinished:
         return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
 
@@ -85,12 +83,8 @@ def _parquet(ledger: Ledger, path: Path) -> int:
         import pyarrow
         from pyarrow.parquet import ParquetWriter
     except ImportError:
-        raise ScenarioError(
-            place=Place(field="export"),
-            expected="the library pyarrow",
-            got="none",
-            hint="pip install 'safety-harness[export]', or write a .csv",
-        ) from None
+        hint = "pip install 'safety-harness[export]', or write a .csv"
+        raise ScenarioError.of_option("export", "the library pyarrow", "none", hint) from None
     schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in _COLUMNS])
     count, lines = 0, ledger.all(_QUESTION)
     with ParquetWriter(path, schema, compression="zstd") as writer:
@@ -123,17 +117,13 @@ def question_of(
         if word is not None:
             filters.append((f"{option} = ?", _meant(names, word, f"--{option}")))
     if below is not None:
-        place = Place(field="--below")
-        units = {
-            unit
-            for name, unit in zip(declared.claims, declared.units, strict=True)
-            if claim is None or claim in name
-        }
+        named = zip(declared.claims, declared.units, strict=True)
+        units = {unit for name, unit in named if claim is None or claim in name}
         if len(units) != 1:
             expected = "--claim beside it, whose unit it has"
-            raise ScenarioError(place=place, expected=expected, got="several claims")
+            raise ScenarioError.of_option("--below", expected, "several claims")
         dimension = _DIMENSIONS.get(units.pop().name.lower().replace("_", " "), NUMBER)
-        filters.append(("margin < ?", parse_quantity(below, dimension, place)))
+        filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))
     where = " AND ".join(text for text, _ in filters) or "1"
     values = tuple(value for _, value in filters)
     return f"SELECT * FROM results WHERE {where} ORDER BY margin IS NULL, margin, stratum, episode", values
@@ -152,8 +142,5 @@ def _meant(names: Sequence[str], word: str, option: str) -> str:
     found = [name for name in names if word in name]
     if len(found) != 1:
         got = f"{word!r}, which {len(found)} of them have" if found else repr(word)
-        hint = near_miss(word, names)
-        raise ScenarioError(
-            place=Place(field=option), expected=f"one of {', '.join(names)}", got=got, hint=hint
-        )
+        raise ScenarioError.of_option(option, f"one of {', '.join(names)}", got, near_miss(word, names))
     return found[0]

@@ -77,7 +77,6 @@ def identity_of(
 
 
 MOST_BYTES = 200_000_000  # of all files together
-REFERRING = ("avoider", "recording")
 
 
 @dataclass(frozen=True)
@@ -100,46 +99,43 @@ def files_of_plan(
 
     What an avoider of the user's own imports or opens besides is not known here.
     """
-    found = dict.fromkeys([plan.resolve(), *library.files])
+    named = [plan.resolve(), *library.files]
     for space in spaces:
+        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider",)))
         folder = space.file.parent if space.file else Path()
-        found.update(dict.fromkeys(_named_in(space.tree, folder)))
+        named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
     if avoider is not None:
-        found.update(dict.fromkeys(_existing([file_and_name(avoider)[0]], plan.parent)))
+        named += _existing([file_and_name(avoider)[0]], plan.parent)
+    found = dict.fromkeys(named)
     root = Path(os.path.commonpath([path.parent for path in found]))
     files, size = [], 0
     for path in found:
         data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
         size += len(data)
         if size > MOST_BYTES:
-            raise ScenarioError(
-                place=Place(file=plan), expected=f"at most {MOST_BYTES:,} bytes of files", got="more"
-            )
+            raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
         files.append(PlanFile(path.relative_to(root).as_posix(), data))
     return tuple(files)
 
 
-def unpacked(files: Iterable[PlanFile], folder: Path) -> Path:
+def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
     """Write the files below ``folder``; the path of the first of them, the plan's own.
 
     LedgerError-like refusal of names that lead elsewhere is the reader's matter: names are checked here too.
     """
-    first: Path | None = None
     for file in files:
         path = (folder / file.name).resolve()
         if folder.resolve() not in path.parents:
-            raise ScenarioError(
-                place=Place(file=Path(file.name)), expected="a file below the plan's folder", got="another"
-            )
+            raise ScenarioError.of_file(Path(file.name), "a file below the plan's folder", "another")
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.data)
-        first = first or path
-    assert first is not None
-    return first
+    return (folder / files[0].name).resolve()
 
 
-def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
+def references_in(
+    node: Node, keys: tuple[str, ...] = ("avoider", "recording"), *, within: bool = False
+) -> Iterator[str]:
     """What a space says below ``keys``: plain values, and their alternatives.
 
     No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
@@ -155,11 +151,6 @@ def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool
     else:
         for item in node.items:
             yield from references_in(item, keys, within=within)
-
-
-def _named_in(tree: Node, folder: Path) -> Iterator[Path]:
-    avoiders = (file_and_name(text)[0] for text in references_in(tree, ("avoider",)))
-    return _existing((*avoiders, *references_in(tree, ("recording",))), folder)
 
 
 def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:

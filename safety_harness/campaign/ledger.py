@@ -209,8 +209,7 @@ class Ledger:
     def trace(self, stratum: int, episode: int) -> bytes | None:
         """A stored trace, as a .trace file has it; None if it was not kept."""
         question = "SELECT data FROM trace WHERE stratum = ? AND episode = ?"
-        found: list[tuple[bytes]] = list(self.all(question, stratum, episode))
-        return found[0][0] if found else None
+        return next((data for (data,) in self.all(question, stratum, episode)), None)
 
     def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
         """(n,) episodes, outcomes and margins of what is there now, in the order of the episodes."""
@@ -268,18 +267,13 @@ def _place(names: tuple[str, ...], name: str) -> int:
 
 def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
     """Write the plan down, with all its files, in the ledger of that path."""
+    choices = {"seed": plan.seed, "world": plan.world.label}
+    choices |= {"confidence": plan.confidence, "stop early": plan.stop_early}
     about = {
         "title": plan.title,
         "plan file": portable(os.path.relpath(plan.file.resolve(), ledger.resolve().parent), ledger.parent),
         "identity": plan.identity.as_json(),
-        "plan": json.dumps(
-            {
-                "seed": plan.seed,
-                "world": plan.world.label,
-                "confidence": plan.confidence,
-                "stop early": plan.stop_early,
-            }
-        ),
+        "plan": json.dumps(choices),
     }
     connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
     connection.executemany(

@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from safety_harness.exceptions import LedgerError, OutputError, Place
+from safety_harness.exceptions import LedgerError, OutputError
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.whole_file import writing
@@ -22,6 +22,7 @@ BUSY_MS = 30_000  # that others may keep the ledger from being written
 LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
 _MAGIC = b"SQLite format 3\0"
 _WHOLE = "a ledger, whole"
+unusable = LedgerError.of_file
 
 
 def refuse_no_ledger(path: Path) -> None:
@@ -159,11 +160,6 @@ def only_runner(path: Path) -> Iterator[None]:
         stream.write(f"{os.getpid()}\n")
         stream.flush()
         yield
-
-
-def unusable(path: Path, expected: str, got: str) -> LedgerError:
-    """The error of a ledger that cannot be used as it stands."""
-    return LedgerError(place=Place(file=path), expected=expected, got=got)
 
 
 def refuse_any_file(path: Path) -> None:

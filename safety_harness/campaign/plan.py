@@ -7,7 +7,7 @@ docs/campaigns.md is the reference of the file.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -174,17 +174,16 @@ def stratum_number(name: str) -> int:
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
-def scenarios_by_avoider(plan: Plan) -> Iterator[Scenario]:
+def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
     """One scenario of the plan for each avoider that its runs may have."""
-    seen: set[str] = set()
+    found: dict[str, Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
         others = [] if plan.avoider else references_in(stratum.space.tree, ("avoider",))
         for reference in (simplest.avoider, *others):
             one = replace(simplest, avoider=reference)
-            if command_line_reference(one) not in seen:
-                seen.add(command_line_reference(one))
-                yield one
+            found.setdefault(command_line_reference(one), one)
+    return found.values()
 
 
 def _from(folder: Path, reference: str) -> str:

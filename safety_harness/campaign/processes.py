@@ -69,17 +69,12 @@ Event = Arrived | Lost
 class WorkerPool(Protocol):
     """Workers.  ``give`` while ``free``, then ``take``."""
 
-    @property
-    def size(self) -> int:
-        """How many can work at the same time now."""
+    size: int  # how many can work at the same time now
+    replaced: int  # how many workers were replaced so far
 
     @property
     def free(self) -> int:
         """How many chunks may be given now."""
-
-    @property
-    def replaced(self) -> int:
-        """How many workers were replaced so far."""
 
     def give(self, chunk: Chunk) -> None:
         """Have it run."""

@@ -159,8 +159,9 @@ class CampaignRunner:
             stratum = self._stratum
             if self.tally.strata[stratum].stopped_after is None:
                 episodes = tuple(islice(self._episodes[stratum], self._length))
-                if episodes:
-                    return Chunk(stratum, episodes, self._wants_violations(stratum, episodes[0]))
+                if episodes:  # the first violations are kept, by their numbers, in whatever order they arrive
+                    before = sum(episode < episodes[0] for episode in self._kept[stratum])
+                    return Chunk(stratum, episodes, before < self.plan.violations_kept)
             self._stratum += 1
         return None
 
@@ -177,10 +178,6 @@ class CampaignRunner:
         first, of = self.part
         ranges = list(self.ledger.missing(stratum))
         return (episode for one in ranges for episode in one if episode % of == first)
-
-    def _wants_violations(self, stratum: int, first: int) -> bool:
-        """The first violations are kept, by their numbers, whatever the order in which they arrive."""
-        return sum(episode < first for episode in self._kept[stratum]) < self.plan.violations_kept
 
     def _drop_surplus(self) -> None:
         """Of violations, the traces of the first are kept: later ones may have come before it was known."""
@@ -212,9 +209,13 @@ class Stopping:
         self._reached = [0] * count
         self._ahead: list[dict[int, _Outcomes]] = [{} for _ in range(count)]
         self.decided: dict[int, int] = {}  # strata, and after how many episodes
-        if self._active:
-            for stratum in range(count):
-                self._read(ledger, stratum)
+        for stratum in range(count if self._active else 0):
+            columns = [ledger.outcomes(stratum, claim) for claim in range(len(plan.claims))]
+            for k, episode in enumerate(columns[0][0].tolist()):
+                self._ahead[stratum][episode] = tuple(
+                    EpisodeOutcome(int(codes[k])) for _, codes, _ in columns
+                )
+            self._advance(stratum)
 
     def add(self, rows: Iterable[Row]) -> None:
         """Take new episodes in."""
@@ -224,12 +225,6 @@ class Stopping:
                 self._ahead[row.stratum][row.episode] = outcomes
             for stratum in range(len(self._ahead)):
                 self._advance(stratum)
-
-    def _read(self, ledger: Ledger, stratum: int) -> None:
-        columns = [ledger.outcomes(stratum, claim) for claim in range(len(self._targets))]
-        for k, episode in enumerate(columns[0][0].tolist()):
-            self._ahead[stratum][episode] = tuple(EpisodeOutcome(int(codes[k])) for _, codes, _ in columns)
-        self._advance(stratum)
 
     def _advance(self, stratum: int) -> None:
         ahead = self._ahead[stratum]

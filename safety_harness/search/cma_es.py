@@ -6,8 +6,8 @@ from collections.abc import Hashable, Sequence
 
 import numpy as np
 
-from safety_harness.search.ask_tell import least
 from safety_harness.search.cube import Cube, Points
+from safety_harness.search.search import least
 from safety_harness.seeds import Branch, generator
 
 _FLAT = 1e-9  # a population whose scores differ by less says nothing

@@ -54,11 +54,9 @@ class Coverage:
 
     def add(self, cells: Iterable[CoverageCell | None]) -> None:
         """Count runs."""
-        for cell in cells:
-            if cell is None:
-                self.without += 1
-            else:
-                self.counts[cell] += 1
+        found = list(cells)
+        self.without += found.count(None)
+        self.counts.update(cell for cell in found if cell is not None)
 
     def along(self, axis: str) -> dict[str, int]:
         """Runs for each word of an axis, 0 included."""

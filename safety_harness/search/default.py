@@ -158,23 +158,14 @@ class Default:
         found: list[Points] = []
         if self._explored < self._first:
             return found
-        for island in list(self._islands):
-            if room < 1:
-                return found
-            room -= self._take(island, room, found)
-        while room > 0:
-            begun = self._begin()
-            if begun is None:
-                break
-            room -= self._take(begun, room, found)
+        under_way = iter(list(self._islands))
+        while room > 0 and (island := next(under_way, None) or self._begin()) is not None:
+            points = island.descent.propose(room)
+            if len(points):
+                found.append(points)
+                self._parts.append((island, len(points)))
+                room -= len(points)
         return found
-
-    def _take(self, island: _Island, room: int, found: list[Points]) -> int:
-        points = island.descent.propose(room)
-        if len(points):
-            found.append(points)
-            self._parts.append((island, len(points)))
-        return len(points)
 
     def _begin(self) -> _Island | None:
         """A descent on the next claim that has a place to begin at; None if no claim has one."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.search.ask_tell import least
 from safety_harness.search.cube import Cube, Points
 from safety_harness.search.sampling import Explorer
+from safety_harness.search.search import least
 from safety_harness.seeds import Branch, generator
 
 _EXPLORING = 1.0 / 3.0

@@ -172,13 +172,13 @@ class Findings:
             margins = outcomes.margins[k]
             known = np.isfinite(margins)
             self.evidence += known & outcomes.conclusive[k]
-            self._keep_nearest(number, point, margins)
+            episode = TriedPoint(number, point.copy(), margins.copy())
+            self._keep_nearest(episode)
             wrong = np.flatnonzero(known & (margins < 0.0)).tolist()
             if not wrong and not outcomes.mishaps[k]:
                 continue
             if canonical is None:
                 canonical = self.cube.canonical(points)
-            episode = TriedPoint(number, point.copy(), margins.copy())
             for claim in wrong:
                 self.violated[claim] += 1
                 self.first_violation[claim] = self.first_violation[claim] or self.tried
@@ -187,11 +187,11 @@ class Findings:
                 self.mishaps += 1
                 self._join(None, outcomes.mishaps[k], episode, canonical[k])
 
-    def _keep_nearest(self, number: int, point: Points, margins: Points) -> None:
-        for claim, margin in enumerate(margins):
+    def _keep_nearest(self, episode: TriedPoint) -> None:
+        for claim, margin in enumerate(episode.margins):
             before = self.nearest[claim]
             if np.isfinite(margin) and (before is None or margin < before.margins[claim]):
-                self.nearest[claim] = TriedPoint(number, point.copy(), margins.copy())
+                self.nearest[claim] = episode
                 self.improvements[claim].append((self.tried, float(margin)))
 
     def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Points) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.search.ask_tell import Searcher
+from safety_harness.exceptions import ScenarioError
 from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
 from safety_harness.search.diverse import Diverse
 from safety_harness.search.hypothesis_search import HypothesisSearch
 from safety_harness.search.sampling import QuasiRandom, UniformSampling
+from safety_harness.search.search import Searcher
 
 
 class MakesSearcher(Protocol):
@@ -39,4 +39,4 @@ def searcher_named(name: str) -> MakesSearcher:
         if make.name == name:
             return make
     names = ", ".join(make.name for make in SEARCHERS)
-    raise ScenarioError(place=Place(field="searcher"), expected=f"one of {names}", got=repr(name))
+    raise ScenarioError.of_option("searcher", f"one of {names}", repr(name))

@@ -33,22 +33,12 @@ LEAST_S, LEAST_MPS = 0.1, 0.1
 _NOWHERE = (0.0, 0.0, 0.0)
 _DEGREE = math.radians(1.0)
 _STEPS = {"_mps2": 1.0, "_mps": 0.1, "_rad": _DEGREE, "_s": 0.1, "_m": 0.01, "_factor": 0.1}
+_AS_IT_IS = {"shift_in_base_m": _NOWHERE, "delay_s": 0.0}
+_SPEEDS = {"max_speed_mps": REACHING_MPS, "max_acceleration_mps2": REACHING_MPS2}
 # What a scenario need not have, and what stands there without it.
 _PLAIN: Mapping[type[Any], Mapping[str, object]] = {
-    MovingHand: {
-        "shift_in_base_m": _NOWHERE,
-        "delay_s": 0.0,
-        "tremor": None,
-        "max_speed_mps": REACHING_MPS,
-        "max_acceleration_mps2": REACHING_MPS2,
-    },
-    RecordedHand: {
-        "shift_in_base_m": _NOWHERE,
-        "delay_s": 0.0,
-        "turn_rad": 0.0,
-        "speed_factor": 1.0,
-        "max_speed_mps": None,
-    },
+    MovingHand: {**_AS_IT_IS, "tremor": None, **_SPEEDS},
+    RecordedHand: {**_AS_IT_IS, "turn_rad": 0.0, "speed_factor": 1.0, "max_speed_mps": None},
     ReachForTcp: {"hesitation": None},
     ReachForObject: {"hesitation": None},
     OffsetStart: {"offset_in_base_m": _NOWHERE, "tilt_in_tcp_rad": _NOWHERE},
@@ -121,9 +111,8 @@ def _words(scenario: Scenario, path: Path) -> str:
     what = str(path[-1]).rsplit("_in_", 1)[0]
     for suffix in ("_mps2", "_mps", "_rad", "_s", "_m"):
         what = what.removesuffix(suffix)
-    whose = (
-        f"the {scenario.hands[path[1]].name}'s " if path[0] == "hands" and isinstance(path[1], int) else ""
-    )
+    place = path[1] if path[0] == "hands" else None
+    whose = f"the {scenario.hands[place].name}'s " if isinstance(place, int) else ""
     return whose + ("the start's " if path[0] == "start" else "") + what.replace("_", " ")
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import SearchOrderError
-from safety_harness.search.ask_tell import AskTell, least
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.sampling import UniformSampling
+from safety_harness.search.search import AskTell, least
 
 SQUARE = Cube((Column(), Column()))
 

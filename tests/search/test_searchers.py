@@ -8,12 +8,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from safety_harness.search.ask_tell import AskTell
 from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.default import Default
 from safety_harness.search.diverse import Diverse
 from safety_harness.search.sampling import UniformSampling
+from safety_harness.search.search import AskTell
 from safety_harness.search.searchers import SEARCHERS, MakesSearcher
 from tests.search.planted import CUBE
 
