@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
@@ -10,6 +10,7 @@ from safety_harness.certification.counterexamples import MOST, Example
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimStatus,
+    Evidence,
     OpenFinding,
     Record,
     StratumResult,
@@ -25,6 +26,24 @@ _PLAIN = {
     ClaimStatus.DOUBTED: "is shown with doubt only",
     ClaimStatus.ESTIMATED: "is estimated only: the plan sets no target",
 }
+
+
+def findings_of(
+    evidence: Evidence,
+    ledger: Ledger,
+    met: Sequence[Example | str],
+    searches: Sequence[Searched],
+    damaged: Iterable[str],
+) -> Iterator[OpenFinding]:
+    """All of them; ``damaged`` says which stored traces cannot be read."""
+    yield from of_record(evidence.record)
+    yield from of_claims(evidence.claims)
+    yield from of_strata(ledger, evidence.strata)
+    yield from (OpenFinding(text, "strata") for text in damaged)
+    yield from of_examples(met)
+    yield from of_searches(searches, evidence.plan.search_runs)
+    yield from of_worlds(evidence.credibility)
+    yield from of_selftest(evidence.selftest)
 
 
 def of_record(record: Record) -> Iterator[OpenFinding]:

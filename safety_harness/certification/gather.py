@@ -22,18 +22,10 @@ from safety_harness.certification.counterexamples import (
     searched_counterexamples,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, OpenFinding, Record
+from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
-from safety_harness.certification.findings import (
-    of_claims,
-    of_examples,
-    of_record,
-    of_searches,
-    of_selftest,
-    of_strata,
-    of_worlds,
-)
+from safety_harness.certification.findings import findings_of
 from safety_harness.certification.results import bounds, claims_of, strata_of
 from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -117,12 +109,11 @@ def put_together(
     origin: Origin,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last four."""
-    record = record_of(ledger, declaration)
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
     stored, damaged = random_traces(plan, ledger)
     searches = searches_of(plan, folder)
     met = [*declared_counterexamples(plan, ledger), *searched_counterexamples(plan, searches, folder)]
-    examples, believed = numbered(met), credibility(stored)
+    examples = numbered(met)
     evidence = Evidence(
         format=FORMAT,
         interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
@@ -139,24 +130,16 @@ def put_together(
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
         search=search_evidence(searches),
-        credibility=believed,
+        credibility=credibility(stored),
         selftest=selftest,
         selftest_absent="" if selftest else NO_SELFTEST,
-        record=record,
-        findings=(
-            *of_record(record),
-            *of_claims(claims),
-            *of_strata(ledger, strata),
-            *(OpenFinding(text, "strata") for text in damaged),
-            *of_examples(met),
-            *of_searches(searches, plan.search_runs),
-            *of_worlds(believed),
-            *of_selftest(selftest),
-        ),
+        record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration, drawn_with=drawn_with()),
+        findings=(),
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
     )
-    return GatheredEvidence(evidence=evidence, examples=examples)
+    findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
+    return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
@@ -214,11 +197,6 @@ def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
     began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
     return began_at, "; ".join(machines), float(spent_s)
-
-
-def record_of(ledger: Ledger, declaration_sha256: str) -> Record:
-    """With the root as the ledger is now."""
-    return Record(rows_sha256=root_of(ledger), declaration_sha256=declaration_sha256, drawn_with=drawn_with())
 
 
 def drawn_with() -> str:

@@ -18,8 +18,8 @@ from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
-from safety_harness.search.coverage import CoverageCell
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
 
@@ -125,17 +125,7 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
     """Of all runs of the plan; a run is in one cell."""
     rows = [(words.split(", "), int(runs), int(bad)) for words, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
-        CellCount(
-            direction=words[0],
-            speed=words[1],
-            distance=words[2],
-            seen=words[3],
-            outcome=words[4],
-            runs=runs,
-            violating=bad,
-        )
-        for words, runs, bad in rows
-        if len(words) == 5
+        CellCount(*words, runs=runs, violating=bad) for words, runs, bad in rows if len(words) == len(AXES)
     )
     ((every,),) = ledger.all("SELECT count(*) FROM episode")
     runs = sum(cell.runs for cell in cells)
