@@ -168,7 +168,8 @@ LIMIT_S = 180.0
 
 def browser() -> str:
     """The installed Chromium or Chrome that prints, found on the path; InputError if there is none."""
-    for found in filter(None, map(shutil.which, BROWSERS)):
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is not None:
         return found
     raise InputError(
         place=Place(field="--pdf"),

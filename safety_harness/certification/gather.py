@@ -37,7 +37,7 @@ from safety_harness.certification.stored import (
     separation_of,
 )
 from safety_harness.certification.system import system_of
-from safety_harness.certification.tools import Credibility, Oracle, SelfTest
+from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
@@ -47,15 +47,6 @@ NO_SELFTEST = (
     "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
     "selftest writes one, certify --selftest FILE takes it in)."
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class HarnessTrials:
-    """What is known of the harness itself, where files of it were given."""
-
-    selftest: SelfTest | None = None
-    oracles: tuple[Oracle, ...] = ()
-    oracles_with: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,36 +68,26 @@ def gather(
     folder: Path,
     *,
     command: str,
-    trials: HarnessTrials | None = None,
+    trials: HarnessTrials = NO_TRIALS,
     declaration: str = "",
 ) -> GatheredEvidence:
     """From the ledger, the searches below ``folder``, and some runs that are made again here.
 
     ``declaration`` is the hash of what was declared of this very plan.
     """
-    known = trials or HarnessTrials()
-    return put_together(
-        plan,
-        ledger,
-        folder,
-        credibility=lambda stored: credibility_of(
-            stored, oracles=known.oracles, oracles_with=known.oracles_with
-        ),
-        selftest=known.selftest,
-        declaration=declaration,
-        origin=_origin(plan, ledger, folder, command),
-    )
+    origin = _origin(plan, ledger, folder, command)
+    return put_together(plan, ledger, folder, trials, declaration=declaration, origin=origin)
 
 
 def put_together(
     plan: Plan,
     ledger: Ledger,
     folder: Path,
+    trials: HarnessTrials,
     *,
-    credibility: Callable[[Sequence[Stored]], Credibility],
-    selftest: SelfTest | None,
     declaration: str,
     origin: Origin,
+    believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last four."""
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
@@ -130,9 +111,9 @@ def put_together(
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
         search=search_evidence(searches),
-        credibility=credibility(stored),
-        selftest=selftest,
-        selftest_absent="" if selftest else NO_SELFTEST,
+        credibility=believe(stored, trials),
+        selftest=trials.selftest,
+        selftest_absent="" if trials.selftest else NO_SELFTEST,
         record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration, drawn_with=drawn_with()),
         findings=(),
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),

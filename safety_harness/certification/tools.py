@@ -121,6 +121,18 @@ class SelfTest:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HarnessTrials:
+    """What is known of the harness itself, where files of it were given."""
+
+    selftest: SelfTest | None = None
+    oracles: tuple[Oracle, ...] = ()
+    oracles_with: str = ""
+
+
+NO_TRIALS = HarnessTrials()
+
+
+@dataclass(frozen=True, kw_only=True)
 class CellCount(CoverageCell):
     """Runs in one cell of the coverage map; ``violating`` ones violate a claim."""
 
