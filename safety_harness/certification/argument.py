@@ -224,7 +224,8 @@ class _Layout:
         for one in elements:
             beside = self._box(one, box.x + WIDTH + GAP_X, y)
             centre = beside.y + beside.height / 2.0
-            self._arrow(box.x + WIDTH, min(centre, box.bottom - 4.0), beside.x, centre, tip)
+            start = box.x + WIDTH, min(centre, box.bottom - 4.0)
+            self.arrows.append(([start, (beside.x, centre)], tip))
             y += beside.height + 8.0
         return y
 
@@ -236,14 +237,11 @@ class _Layout:
             placed = self._box(one, left + GAP_X, y)
             end = placed.bottom + (8.0 if one.undeveloped else 0.0)
             centre = placed.y + placed.height / 2.0
-            self._arrow(rail, centre, placed.x, centre, "tip")
+            self.arrows.append(([(rail, centre), (placed.x, centre)], "tip"))
             y = max(self._to_the_right(placed, one.below, "tip"), end + 12.0)
         joint = (box.middle, box.bottom + 10.0), (rail, box.bottom + 10.0)
         self.arrows.append(([(box.middle, box.bottom), *joint, (rail, centre)], ""))
         return y
-
-    def _arrow(self, x1: float, y1: float, x2: float, y2: float, tip: str) -> None:
-        self.arrows.append(([(x1, y1), (x2, y2)], tip))
 
     def _box(self, element: Element, x: float, y: float) -> _Box:
         self.boxes.append(_Box(element, x, y))

@@ -26,7 +26,8 @@ def credibility_of(
     stored: Sequence[Stored], trials: HarnessTrials, *, reruns: tuple[Rerun, ...] | None = None
 ) -> Credibility:
     """What is known, and what is not and why; ``reruns`` in place of runs that are made again."""
-    chosen = _spread_over([one.trace for one in stored])
+    complete = [one.trace for one in stored if one.trace.complete]
+    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # evenly
     absent = _no_reruns(chosen)
     if reruns is None or absent:
         reruns = () if absent else _reruns_of(chosen)
@@ -85,13 +86,6 @@ def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
             title, how = f"These runs in {other}", f"in {other} in place of {own}"
             found.append(_rerun(chosen, other, "other-world", title, how))
     return tuple(found)
-
-
-def _spread_over(traces: list[Trace]) -> list[Trace]:
-    """At most ``MOST_RERUNS``, evenly from all strata; complete ones."""
-    complete = [trace for trace in traces if trace.complete]
-    step = max(1, -(-len(complete) // MOST_RERUNS))
-    return complete[::step]
 
 
 def _finer(scenario: Scenario) -> Scenario:

@@ -6,16 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
-from safety_harness.certification.counterexamples import MOST, Example
+from safety_harness.certification.counterexamples import MOST, Example, Searched
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimStatus,
     Evidence,
     OpenFinding,
-    Record,
     StratumResult,
 )
-from safety_harness.certification.searched import Searched
 from safety_harness.certification.tools import Credibility, SelfTest
 
 _PLAIN = {
@@ -36,7 +34,8 @@ def findings_of(
     damaged: Iterable[str],
 ) -> Iterator[OpenFinding]:
     """All of them; ``damaged`` says which stored traces cannot be read."""
-    yield from of_record(evidence.record)
+    if not evidence.record.declaration_sha256:
+        yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
     yield from of_strata(ledger, evidence.strata)
     yield from (OpenFinding(text, "strata") for text in damaged)
@@ -44,12 +43,6 @@ def findings_of(
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)
     yield from of_selftest(evidence.selftest)
-
-
-def of_record(record: Record) -> Iterator[OpenFinding]:
-    """What nothing proves."""
-    if not record.declaration_sha256:
-        yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:

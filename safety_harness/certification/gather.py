@@ -19,7 +19,9 @@ from safety_harness.certification.counterexamples import (
     Example,
     declared_counterexamples,
     numbered,
+    search_evidence,
     searched_counterexamples,
+    searches_of,
 )
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record
@@ -27,7 +29,6 @@ from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
 from safety_harness.certification.results import bounds, claims_of, strata_of
-from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
     Stored,
@@ -106,8 +107,8 @@ def put_together(
         system=system_of(plan),
         assumptions=ASSUMPTIONS,
         exclusions=EXCLUSIONS,
-        separation=separation_of(plan, stored),
-        calibration=calibration_of(plan, stored),
+        separation=tuple(separation_of(plan, stored)),
+        calibration=tuple(calibration_of(plan, stored)),
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
         search=search_evidence(searches),

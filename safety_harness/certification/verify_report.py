@@ -23,13 +23,13 @@ from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.counterexamples import SEARCH
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
 from safety_harness.certification.gather import GatheredEvidence, drawn_with, put_together, sessions_of
 from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
-from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility, HarnessTrials
 from safety_harness.certification.verify_files import Examination, Report, few
