@@ -165,7 +165,6 @@ def _tools(evidence: Evidence) -> Iterator[Element]:
 
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 46.0
 LETTERS = 25  # in a line of a box
-HALO = {DONE: "--holds", DOUBT: "--inconclusive", FAILS: "--violated", OPEN: "--muted"}
 
 
 class _Box:
@@ -251,4 +250,4 @@ class _Layout:
 def argument_svg(top: Element, *, prefix: str) -> str:
     """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
     drawn = templates().get_template("argument.svg.j2")
-    return drawn.render(layout=_Layout(top), prefix=prefix, halo=HALO, pad=PAD, line_height=LINE)
+    return drawn.render(layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE)

@@ -135,7 +135,6 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
     ``again``: the runs are made again that doubt the simulator.
     """
     recorded, ledger, same = report.recorded, report.ledger, report.same
-
     then = recorded.credibility
 
     def believe(stored: Sequence[Stored], trials: HarnessTrials) -> Credibility:
