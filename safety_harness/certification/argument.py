@@ -18,8 +18,11 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from html import escape
 
+from markupsafe import Markup
+
 from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
 from safety_harness.certification.verdicts import percent
+from safety_harness.report.page_parts import templates
 from safety_harness.report.svg import plain
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
@@ -162,17 +165,18 @@ def _tools(evidence: Evidence) -> Iterator[Element]:
 
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 46.0
 LETTERS = 25  # in a line of a box
-GSN_KEY = ' class="gsn-key"'
-HALO = {DONE: "--holds", DOUBT: "--inconclusive", FAILS: "--violated", OPEN: "--muted"}
 
 
 class _Box:
-    """An element with its place: the left upper corner and the size."""
+    """An element with its place: the left upper corner and the size; its words are markup."""
 
     def __init__(self, element: Element, x: float, y: float) -> None:
+        kind = element.kind.name.lower()
         self.element, self.x, self.y, self.width = element, x, y, WIDTH
-        self.lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
-        self.height = 2 * PAD + LINE * (len(self.lines) + 1)
+        lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
+        self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
+        self.label = Markup(escape(f"{element.key}, {kind}: {element.text}"))
+        self.height = 2 * PAD + LINE * len(self.lines)
         self.middle, self.bottom = x + WIDTH / 2.0, y + self.height
 
 
@@ -219,7 +223,8 @@ class _Layout:
         for one in elements:
             beside = self._box(one, box.x + WIDTH + GAP_X, y)
             centre = beside.y + beside.height / 2.0
-            self._arrow(box.x + WIDTH, min(centre, box.bottom - 4.0), beside.x, centre, tip)
+            start = box.x + WIDTH, min(centre, box.bottom - 4.0)
+            self.arrows.append(([start, (beside.x, centre)], tip))
             y += beside.height + 8.0
         return y
 
@@ -231,14 +236,11 @@ class _Layout:
             placed = self._box(one, left + GAP_X, y)
             end = placed.bottom + (8.0 if one.undeveloped else 0.0)
             centre = placed.y + placed.height / 2.0
-            self._arrow(rail, centre, placed.x, centre, "tip")
+            self.arrows.append(([(rail, centre), (placed.x, centre)], "tip"))
             y = max(self._to_the_right(placed, one.below, "tip"), end + 12.0)
         joint = (box.middle, box.bottom + 10.0), (rail, box.bottom + 10.0)
         self.arrows.append(([(box.middle, box.bottom), *joint, (rail, centre)], ""))
         return y
-
-    def _arrow(self, x1: float, y1: float, x2: float, y2: float, tip: str) -> None:
-        self.arrows.append(([(x1, y1), (x2, y2)], tip))
 
     def _box(self, element: Element, x: float, y: float) -> _Box:
         self.boxes.append(_Box(element, x, y))
@@ -247,65 +249,5 @@ class _Layout:
 
 def argument_svg(top: Element, *, prefix: str) -> str:
     """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
-    layout = _Layout(top)
-    parts = [
-        f'<svg width="{layout.width:.0f}" height="{layout.height:.0f}" viewBox="0 0 {layout.width:.0f} '
-        f'{layout.height:.0f}" role="group" aria-labelledby="{prefix}title {prefix}desc">',
-        f'<title id="{prefix}title">The assurance argument in goal structuring notation</title>',
-        f'<desc id="{prefix}desc">The same as the list below the picture.</desc>',
-        "<defs>",
-        _marker(f"{prefix}tip", 'fill="var(--muted)"'),
-        _marker(f"{prefix}ring", 'fill="var(--paper)" stroke="var(--muted)"'),
-        "</defs>",
-    ]
-    for points, tip in layout.arrows:
-        end = f' marker-end="url(#{prefix}{tip})"' if tip else ""
-        way = " L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-        parts.append(f'<path d="M{way}" fill="none" stroke="var(--muted)"{end}/>')
-    parts += [_drawn(box) for box in layout.boxes]
-    parts.append("</svg>")
-    return "".join(parts)
-
-
-def _marker(name: str, style: str) -> str:
-    return (
-        f'<marker id="{name}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" markerHeight="8" '
-        f'orient="auto"><path d="M1 1.5 9 5 1 8.5z" {style}/></marker>'
-    )
-
-
-def _drawn(box: _Box) -> str:
-    element = box.element
-    width = "3" if element.state == FAILS else "1.6"
-    style = f'fill="var(--raised)" stroke="var({HALO[element.state]})" stroke-width="{width}"'
-    style += ' stroke-dasharray="5 2.5"' if element.state == DOUBT else ""
-    kind = element.kind.name.lower()
-    x, y = box.x + PAD + (8.0 if element.kind is ElementKind.STRATEGY else 0.0), box.y + PAD + 11.0
-    spans = [
-        f'<tspan x="{x:.1f}" y="{y + LINE * k:.1f}"{GSN_KEY if k == 0 else ""}>{escape(line)}</tspan>'
-        for k, line in enumerate([f"{element.key} \u00b7 {kind}", *box.lines])
-    ]
-    drawn = f'{_shape(box, style)}<text class="gsn-text">{"".join(spans)}</text>'
-    if element.undeveloped:
-        drawn += (
-            f'<path d="M{box.middle:.1f} {box.bottom:.1f}l8 8-8 8-8-8z" fill="var(--paper)" '
-            'stroke="var(--inconclusive)" stroke-width="1.6"><title>undeveloped: nothing supports it</title>'
-            "</path>"
-        )
-    label = escape(f"{element.key}, {kind}: {element.text}", quote=True)
-    return f'<a href="#{escape(element.place, quote=True)}" aria-label="{label}">{drawn}</a>'
-
-
-def _shape(box: _Box, style: str) -> str:
-    x, y, width, height = box.x, box.y, box.width, box.height
-    if box.element.kind is ElementKind.STRATEGY:
-        slant = 9.0
-        return (
-            f'<path d="M{x + slant:.1f} {y:.1f}h{width - slant:.1f}l{-slant:.1f} {height:.1f}'
-            f'h{slant - width:.1f}z" {style}/>'
-        )
-    radius = {ElementKind.GOAL: 0.0, ElementKind.SOLUTION: min(height / 2.0, 26.0), ElementKind.CONTEXT: 12.0}
-    return (
-        f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
-        f'rx="{radius.get(box.element.kind, 18.0):.1f}" {style}/>'
-    )
+    drawn = templates().get_template("argument.svg.j2")
+    return drawn.render(layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE)

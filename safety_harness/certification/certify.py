@@ -12,13 +12,13 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import LEDGER, carry_on, processes
+from safety_harness.certification.counterexamples import searches_of
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import PAGE, PDF, browser, write_folder, write_manifest, write_pdf
-from safety_harness.certification.gather import HarnessTrials, gather
+from safety_harness.certification.gather import gather
 from safety_harness.certification.lodged import declared_sha256
 from safety_harness.certification.results import refuse_hopeless
-from safety_harness.certification.searched import searches_of
-from safety_harness.certification.tools import read_oracles, read_selftest
+from safety_harness.certification.tools import HarnessTrials, read_oracles, read_selftest
 from safety_harness.exceptions import SafetyHarnessError, explanation
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.report.search_files import write_search

@@ -10,7 +10,7 @@ from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import is_a_program
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.certification.stored import Stored
-from safety_harness.certification.tools import Credibility, Oracle, Rerun, WorldAgreement
+from safety_harness.certification.tools import Credibility, HarnessTrials, Rerun, WorldAgreement
 from safety_harness.exceptions import SafetyHarnessError
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.words import with_minus
@@ -23,14 +23,11 @@ NO_CELL = "Nothing here was measured on a real cell."
 
 
 def credibility_of(
-    stored: Sequence[Stored],
-    *,
-    oracles: tuple[Oracle, ...] = (),
-    oracles_with: str = "",
-    reruns: tuple[Rerun, ...] | None = None,
+    stored: Sequence[Stored], trials: HarnessTrials, *, reruns: tuple[Rerun, ...] | None = None
 ) -> Credibility:
     """What is known, and what is not and why; ``reruns`` in place of runs that are made again."""
-    chosen = _spread_over([one.trace for one in stored])
+    complete = [one.trace for one in stored if one.trace.complete]
+    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # evenly
     absent = _no_reruns(chosen)
     if reruns is None or absent:
         reruns = () if absent else _reruns_of(chosen)
@@ -39,7 +36,7 @@ def credibility_of(
     except OSError:
         agreement = None
         absent.append("No measured agreement of the two worlds comes with this version.")
-    if not oracles:
+    if not trials.oracles:
         absent.append(
             "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
             "of this report: the package's own tests measure them."
@@ -47,8 +44,8 @@ def credibility_of(
     return Credibility(
         agreement=agreement,
         reruns=reruns,
-        oracles=oracles,
-        oracles_measured_with=oracles_with,
+        oracles=trials.oracles,
+        oracles_measured_with=trials.oracles_with,
         absent=(*absent, NO_CELL),
     )
 
@@ -89,13 +86,6 @@ def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
             title, how = f"These runs in {other}", f"in {other} in place of {own}"
             found.append(_rerun(chosen, other, "other-world", title, how))
     return tuple(found)
-
-
-def _spread_over(traces: list[Trace]) -> list[Trace]:
-    """At most ``MOST_RERUNS``, evenly from all strata; complete ones."""
-    complete = [trace for trace in traces if trace.complete]
-    step = max(1, -(-len(complete) // MOST_RERUNS))
-    return complete[::step]
 
 
 def _finer(scenario: Scenario) -> Scenario:

@@ -12,7 +12,6 @@ from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, t
 from safety_harness.report.words import with_minus
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -160,28 +159,23 @@ def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
     """What the protective separation distance is made of in each case, and the distance that there was."""
     if not cases:
         return ""
+    from matplotlib.patches import Patch
+
     with drawing():
         figure, axes = _lanes([case.stratum for case in cases])
         for lane, case in enumerate(cases):
             start = 0.0
             for term in case.terms:
-                axes.barh(
-                    lane,
-                    term.length_m * 1e3,
-                    left=start,
-                    height=0.56,
-                    color=TERM_INKS.get(term.symbol, Ink.MUTED).sentinel,
-                )
-                start += term.length_m * 1e3
-            axes.plot(
-                [case.distance_m * 1e3] * 2, [lane - 0.4, lane + 0.4], color=Ink.TEXT.sentinel, linewidth=2.6
-            )
+                length_mm, colour = term.length_m * 1e3, _term_colour(term.symbol)
+                axes.barh(lane, length_mm, left=start, height=0.56, color=colour)
+                start += length_mm
+            there_mm, ends = case.distance_m * 1e3, [lane - 0.4, lane + 0.4]
+            axes.plot([there_mm, there_mm], ends, color=Ink.TEXT.sentinel, linewidth=2.6)
         axes.set_xlabel("mm; the upright line is the distance that there was", loc="right")
-        used = list(
-            dict.fromkeys(term.symbol for case in cases for term in case.terms if term.length_m > 0.0)
-        )
+        terms = [term for case in cases for term in case.terms if term.length_m > 0.0]
+        used = list(dict.fromkeys(term.symbol for term in terms))
         axes.legend(
-            [_swatch(TERM_INKS.get(symbol, Ink.MUTED)) for symbol in used],
+            [Patch(facecolor=_term_colour(symbol)) for symbol in used],
             [symbol.replace("_", "") for symbol in used],
             loc="lower right",
             bbox_to_anchor=(1.0, 1.0),
@@ -200,7 +194,5 @@ def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
         )
 
 
-def _swatch(ink: Ink) -> Artist:
-    from matplotlib.patches import Patch
-
-    return Patch(facecolor=ink.sentinel)
+def _term_colour(symbol: str) -> str:
+    return TERM_INKS.get(symbol, Ink.MUTED).sentinel

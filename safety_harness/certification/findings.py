@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
-from safety_harness.certification.counterexamples import MOST, Example
+from safety_harness.certification.counterexamples import MOST, Example, Searched
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimStatus,
+    Evidence,
     OpenFinding,
-    Record,
     StratumResult,
 )
-from safety_harness.certification.searched import Searched
 from safety_harness.certification.tools import Credibility, SelfTest
 
 _PLAIN = {
@@ -27,10 +26,23 @@ _PLAIN = {
 }
 
 
-def of_record(record: Record) -> Iterator[OpenFinding]:
-    """What nothing proves."""
-    if not record.declaration_sha256:
+def findings_of(
+    evidence: Evidence,
+    ledger: Ledger,
+    met: Sequence[Example | str],
+    searches: Sequence[Searched],
+    damaged: Iterable[str],
+) -> Iterator[OpenFinding]:
+    """All of them; ``damaged`` says which stored traces cannot be read."""
+    if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
+    yield from of_claims(evidence.claims)
+    yield from of_strata(ledger, evidence.strata)
+    yield from (OpenFinding(text, "strata") for text in damaged)
+    yield from of_examples(met)
+    yield from of_searches(searches, evidence.plan.search_runs)
+    yield from of_worlds(evidence.credibility)
+    yield from of_selftest(evidence.selftest)
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:

@@ -134,18 +134,14 @@ def junit_xml(evidence: Evidence) -> str:
     root = ElementTree.Element("testsuites", name=_xml_text(name))
     for stratum in evidence.strata:
         suite = ElementTree.SubElement(root, "testsuite", name=_xml_text(stratum.name))
-        pairs = [
-            (claim, outcome)
-            for claim in evidence.claims
-            for outcome in claim.outcomes
-            if outcome.stratum == stratum.name
-        ]
-        for claim, outcome in pairs:
-            _case(suite, claim, outcome)
+        for claim in evidence.claims:
+            for outcome in claim.outcomes:
+                if outcome.stratum == stratum.name:
+                    _case(suite, claim, outcome)
         tags = [child.tag for case in suite for child in case]
         for name, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
             suite.set(name, str(tags.count(tag)))
-        suite.set("tests", str(len(pairs)))
+        suite.set("tests", str(len(suite)))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -172,10 +168,9 @@ LIMIT_S = 180.0
 
 def browser() -> str:
     """The installed Chromium or Chrome that prints, found on the path; InputError if there is none."""
-    for name in BROWSERS:
-        found = shutil.which(name)
-        if found is not None:
-            return found
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is not None:
+        return found
     raise InputError(
         place=Place(field="--pdf"),
         expected="an installed Chromium or Chrome, which prints the page",

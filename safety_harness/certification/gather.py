@@ -19,23 +19,16 @@ from safety_harness.certification.counterexamples import (
     Example,
     declared_counterexamples,
     numbered,
+    search_evidence,
     searched_counterexamples,
+    searches_of,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, OpenFinding, Record
+from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
-from safety_harness.certification.findings import (
-    of_claims,
-    of_examples,
-    of_record,
-    of_searches,
-    of_selftest,
-    of_strata,
-    of_worlds,
-)
+from safety_harness.certification.findings import findings_of
 from safety_harness.certification.results import bounds, claims_of, strata_of
-from safety_harness.certification.searched import search_evidence, searches_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
     Stored,
@@ -45,7 +38,7 @@ from safety_harness.certification.stored import (
     separation_of,
 )
 from safety_harness.certification.system import system_of
-from safety_harness.certification.tools import Credibility, Oracle, SelfTest
+from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
@@ -55,15 +48,6 @@ NO_SELFTEST = (
     "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
     "selftest writes one, certify --selftest FILE takes it in)."
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class HarnessTrials:
-    """What is known of the harness itself, where files of it were given."""
-
-    selftest: SelfTest | None = None
-    oracles: tuple[Oracle, ...] = ()
-    oracles_with: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,44 +69,33 @@ def gather(
     folder: Path,
     *,
     command: str,
-    trials: HarnessTrials | None = None,
+    trials: HarnessTrials = NO_TRIALS,
     declaration: str = "",
 ) -> GatheredEvidence:
     """From the ledger, the searches below ``folder``, and some runs that are made again here.
 
     ``declaration`` is the hash of what was declared of this very plan.
     """
-    known = trials or HarnessTrials()
-    return put_together(
-        plan,
-        ledger,
-        folder,
-        credibility=lambda stored: credibility_of(
-            stored, oracles=known.oracles, oracles_with=known.oracles_with
-        ),
-        selftest=known.selftest,
-        declaration=declaration,
-        origin=_origin(plan, ledger, folder, command),
-    )
+    origin = _origin(plan, ledger, folder, command)
+    return put_together(plan, ledger, folder, trials, declaration=declaration, origin=origin)
 
 
 def put_together(
     plan: Plan,
     ledger: Ledger,
     folder: Path,
+    trials: HarnessTrials,
     *,
-    credibility: Callable[[Sequence[Stored]], Credibility],
-    selftest: SelfTest | None,
     declaration: str,
     origin: Origin,
+    believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last four."""
-    record = record_of(ledger, declaration)
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
     stored, damaged = random_traces(plan, ledger)
     searches = searches_of(plan, folder)
     met = [*declared_counterexamples(plan, ledger), *searched_counterexamples(plan, searches, folder)]
-    examples, believed = numbered(met), credibility(stored)
+    examples = numbered(met)
     evidence = Evidence(
         format=FORMAT,
         interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
@@ -134,29 +107,21 @@ def put_together(
         system=system_of(plan),
         assumptions=ASSUMPTIONS,
         exclusions=EXCLUSIONS,
-        separation=separation_of(plan, stored),
-        calibration=calibration_of(plan, stored),
+        separation=tuple(separation_of(plan, stored)),
+        calibration=tuple(calibration_of(plan, stored)),
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
         search=search_evidence(searches),
-        credibility=believed,
-        selftest=selftest,
-        selftest_absent="" if selftest else NO_SELFTEST,
-        record=record,
-        findings=(
-            *of_record(record),
-            *of_claims(claims),
-            *of_strata(ledger, strata),
-            *(OpenFinding(text, "strata") for text in damaged),
-            *of_examples(met),
-            *of_searches(searches, plan.search_runs),
-            *of_worlds(believed),
-            *of_selftest(selftest),
-        ),
+        credibility=believe(stored, trials),
+        selftest=trials.selftest,
+        selftest_absent="" if trials.selftest else NO_SELFTEST,
+        record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration, drawn_with=drawn_with()),
+        findings=(),
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
     )
-    return GatheredEvidence(evidence=evidence, examples=examples)
+    findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
+    return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
@@ -214,11 +179,6 @@ def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
     began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
     return began_at, "; ".join(machines), float(spent_s)
-
-
-def record_of(ledger: Ledger, declaration_sha256: str) -> Record:
-    """With the root as the ledger is now."""
-    return Record(rows_sha256=root_of(ledger), declaration_sha256=declaration_sha256, drawn_with=drawn_with())
 
 
 def drawn_with() -> str:

@@ -67,7 +67,6 @@ def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str)
 
 
 DECLARATION_FORMAT = "safety-harness declaration 1"
-DECLARATION_SUFFIX = ".declared.json"
 
 
 @dataclass(frozen=True)
@@ -111,7 +110,7 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
 
 def declaration_file(plan: Path) -> Path:
     """Where the declaration of a plan lies if nobody says otherwise."""
-    return plan.with_suffix(DECLARATION_SUFFIX)
+    return plan.with_suffix(".declared.json")
 
 
 def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
@@ -152,7 +151,6 @@ def _short(value: Any) -> str:
 
 
 SEAL_FORMAT = "safety-harness seal 1"
-SEAL_SUFFIX = ".seal.json"
 
 
 @dataclass(frozen=True)
@@ -184,7 +182,7 @@ def seal_of(folder: Path, ledger: Ledger) -> Seal:
 def seal_file(folder: Path) -> Path:
     """Where the seal of a report lies: in the folder it would be a file that it does not cover."""
     whole = folder.resolve()
-    return whole.with_name(whole.name + SEAL_SUFFIX)
+    return whole.with_name(whole.name + ".seal.json")
 
 
 def write_seal(folder: Path) -> Seal:

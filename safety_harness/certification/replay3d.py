@@ -39,9 +39,9 @@ def replay_json(run: JudgedRun) -> str:
     predicted = np.where(ticks["track_valid"][:, :, None], ticks["predicted_hand_in_base_m"], np.nan)
     used = int(np.max(np.flatnonzero(ticks["track_valid"].any(axis=0)) + 1, initial=0))
     found: dict[str, Any] = {
-        "joint_origins": [_rows(origin) for origin in arm.joint_origins],
+        "joint_origins": [_rounded(origin, 9) for origin in arm.joint_origins],
         "joint_axes": arm.joint_axes.tolist(),
-        "flange": _rows(arm.flange),
+        "flange": _rounded(arm.flange, 9),
         "capsules": [
             {"link": int(link), "start": _rounded(start), "end": _rounded(end), "radius_m": float(radius)}
             for link, start, end, radius in zip(
@@ -112,9 +112,5 @@ def _column(values: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(values, LITTLE_ENDIAN).tobytes()).decode()
 
 
-def _rows(matrix: NDArray[np.float64]) -> list[float]:
-    return [round(float(value), 9) for value in matrix.ravel()]
-
-
-def _rounded(vector: NDArray[np.float64]) -> list[float]:
-    return [round(float(value), 5) for value in vector]
+def _rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
+    return [round(float(value), digits) for value in values.ravel()]

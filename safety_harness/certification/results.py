@@ -38,15 +38,13 @@ MOST_POINTS = 240  # of a curve
 
 def refuse_hopeless(plan: Plan) -> None:
     """InputError, with the number of runs that would do, for a target that the plan's runs cannot show."""
+    family = bounds(plan)
     for claim in plan.claims:
-        for stratum in plan.strata:
-            if claim.target is not None:
-                aim = Aim(
-                    target=claim.target,
-                    confidence=plan.confidence,
-                    family=bounds(plan),
-                    stop_early=plan.stop_early,
-                )
+        if claim.target is not None:
+            aim = Aim(
+                target=claim.target, confidence=plan.confidence, family=family, stop_early=plan.stop_early
+            )
+            for stratum in plan.strata:
                 refuse_if_impossible(aim, stratum.runs, place=claim.claim.place)
 
 
@@ -166,6 +164,7 @@ def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, 
     )
 
 
+_DECISIONS = ("proposed positions", "opposite poses", "protective stops", UNANSWERED)
 _SUMS = (
     "SELECT count(*), coalesce(sum(draws - 1), 0), coalesce(sum(proposed), 0), coalesce(sum(opposite), 0), "
     "coalesce(sum(stopped), 0), coalesce(sum(faults), 0), coalesce(sum(failure IS NOT NULL), 0) "
@@ -181,17 +180,11 @@ def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
 
 def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
     stratum = plan.strata[place]
-    ((made, again, proposed, opposite, stopped, faults, failed),) = ledger.all(_SUMS, place)
+    ((made, again, *counts, failed),) = ledger.all(_SUMS, place)
     stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
     random = random_episodes(plan, place) & stored.keys()
     file = stratum.space.file
     name = "" if file is None else next((one for one in hashes if one.endswith(f"/{file.name}")), file.name)
-    decisions = (
-        ("proposed positions", int(proposed)),
-        ("opposite poses", int(opposite)),
-        ("protective stops", int(stopped)),
-        (UNANSWERED, int(faults)),
-    )
     return StratumResult(
         name=stratum.name,
         space=name or stratum.space.name,
@@ -201,7 +194,7 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         made=int(made),
         failed=int(failed),
         refused_draws=int(again),
-        decisions=tuple((what, many) for what, many in decisions if many),
+        decisions=tuple((what, int(many)) for what, many in zip(_DECISIONS, counts, strict=True) if many),
         random_traces=len(random),
         violation_traces=sum(stored.values()),
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,8 +18,8 @@ from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
-from safety_harness.search.coverage import CoverageCell
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
 
@@ -41,9 +41,8 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
         if episode not in random[stratum]:
             continue
         try:
-            found.append(
-                Stored(stratum, episode, trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
-            )
+            data = ledger.trace(stratum, episode) or b""
+            found.append(Stored(stratum, episode, trace_of(plan, stratum, data)))
         except TraceError as error:
             where = f"{plan.strata[stratum].name}, run {episode}"
             damaged.append(f"{where}: its stored trace cannot be read: {error.got}")
@@ -59,14 +58,14 @@ def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
     return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 
-def judged_run(trace: Trace, command: str = "", file: Path | None = None) -> JudgedRun:
+def judged_run(trace: Trace) -> JudgedRun:
     """Judged again by its scenario's claims."""
-    return JudgedRun(trace=trace, evaluations=judge(trace), replay_command=command, trace_file=file)
+    return JudgedRun(trace=trace, evaluations=judge(trace), replay_command="")
 
 
-def separation_of(plan: Plan, stored: Sequence[Stored]) -> tuple[SeparationCase, ...]:
+def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
     """In each stratum the random run whose pair has least to spare, for a person who walks."""
-    prop, found = ProtectiveSeparation(), []
+    prop = ProtectiveSeparation()
     for place, stratum in enumerate(plan.strata):
         worst = [
             (case.margin_m, one.episode, case, one.trace)
@@ -77,41 +76,34 @@ def separation_of(plan: Plan, stored: Sequence[Stored]) -> tuple[SeparationCase,
         if not worst:
             continue
         _, episode, case, trace = min(worst, key=lambda item: item[:2])
-        found.append(
-            SeparationCase(
-                stratum=stratum.name,
-                run=f"run {episode}",
-                time_s=float(trace.time_s[case.tick]),
-                distance_m=case.distance_m,
-                required_m=case.required_m,
-                hand_speed_mps=case.hand_speed_mps,
-                robot_speed_mps=case.robot_speed_mps,
-                terms=tuple(
-                    SeparationTerm(symbol=term.symbol, length_m=term.length_m, meaning=term.assumption)
-                    for term in case.terms
-                ),
-            )
+        yield SeparationCase(
+            stratum=stratum.name,
+            run=f"run {episode}",
+            time_s=float(trace.time_s[case.tick]),
+            distance_m=case.distance_m,
+            required_m=case.required_m,
+            hand_speed_mps=case.hand_speed_mps,
+            robot_speed_mps=case.robot_speed_mps,
+            terms=tuple(
+                SeparationTerm(symbol=term.symbol, length_m=term.length_m, meaning=term.assumption)
+                for term in case.terms
+            ),
         )
-    return tuple(found)
 
 
-def calibration_of(plan: Plan, stored: Sequence[Stored]) -> tuple[CalibrationCheck, ...]:
+def calibration_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[CalibrationCheck]:
     """How often the avoider's intervals held, by stratum."""
-    found = []
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
         prop = SpreadCalibration(intervals=None if model is None else IntervalRule.of(model))
         evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place)
-        found.append(
-            CalibrationCheck(
-                stratum=stratum.name,
-                sentence=evaluation.sentence,
-                decided=evaluation.verdict.value,
-                why=evaluation.reason,
-                decisions=evaluation.exercised,
-            )
+        yield CalibrationCheck(
+            stratum=stratum.name,
+            sentence=evaluation.sentence,
+            decided=evaluation.verdict.value,
+            why=evaluation.reason,
+            decisions=evaluation.exercised,
         )
-    return tuple(found)
 
 
 _CELLS = (
@@ -125,17 +117,7 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
     """Of all runs of the plan; a run is in one cell."""
     rows = [(words.split(", "), int(runs), int(bad)) for words, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
-        CellCount(
-            direction=words[0],
-            speed=words[1],
-            distance=words[2],
-            seen=words[3],
-            outcome=words[4],
-            runs=runs,
-            violating=bad,
-        )
-        for words, runs, bad in rows
-        if len(words) == 5
+        CellCount(*words, runs=runs, violating=bad) for words, runs, bad in rows if len(words) == len(AXES)
     )
     ((every,),) = ledger.all("SELECT count(*) FROM episode")
     runs = sum(cell.runs for cell in cells)

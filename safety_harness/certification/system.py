@@ -78,11 +78,9 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
     if model.calibration is not None:
         known = model.calibration
         residual = " / ".join(f"{value * 1e3:.1f}" for value in known.residual_std_m)
-        yield (
-            "Calibration",
-            f"{known.samples} held-out samples: intervals of {known.interval_multiplier:.3f} times the "
-            f"spread and the residual {residual} mm together",
-        )
+        intervals = f"intervals of {known.interval_multiplier:.3f} times the spread"
+        words = f"{known.samples} held-out samples: {intervals} and the residual {residual} mm together"
+        yield "Calibration", words
 
 
 def _corner(point_m: tuple[float, ...]) -> str:
@@ -99,15 +97,10 @@ def _plain(value: Any) -> str:
 
 def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[tuple[str, str]]:
     avoidance = settings.avoidance
-    yield (
-        "Asks",
-        f"{avoidance.gate.value}: "
-        + (
-            "certain, reachable with margin, away from every hand, clear of table and robot, in time"
-            if avoidance.gate.value == "full"
-            else "finite, reachable, above the table"
-        ),
-    )
+    asked = "finite, reachable, above the table"
+    if avoidance.gate.value == "full":
+        asked = "certain, reachable with margin, away from every hand, clear of table and robot, in time"
+    yield "Asks", f"{avoidance.gate.value}: {asked}"
     if model is not None and model.calibration is not None and model.calibration.spread_threshold_m > 0.0:
         yield "Largest spread", f"{model.calibration.spread_threshold_m * 1e3:.2f} mm"
     yield "Otherwise", "the opposite pose under the same checks, and else a protective stop"

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 from safety_harness.certification.argument import STATE
 from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus, Evidence
+from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import Credibility, Rerun, SelfTest, WorldAgreement
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
@@ -248,19 +249,15 @@ def calibration(evidence: Evidence) -> CellTable:
 
 def coverage(evidence: Evidence) -> tuple[CellTable, ...]:
     """Runs for each word of each axis of the coverage map, none left out."""
-    tables = []
-    for axis, known in AXES.items():
-        counts = dict.fromkeys(known, 0)
-        for cell in evidence.coverage.cells:
-            counts[getattr(cell, axis)] = counts.get(getattr(cell, axis), 0) + cell.runs
-        tables.append(
-            _table(
-                f"By {axis}",
-                counts.items(),
-                {axis.capitalize(): lambda one: words(one[0]), "Runs": lambda one: count(one[1])},
-            )
+    cells, _ = cells_of(evidence.coverage)
+    return tuple(
+        _table(
+            f"By {axis}",
+            cells.along(axis).items(),
+            {axis.capitalize(): lambda one: words(one[0]), "Runs": lambda one: count(one[1])},
         )
-    return tuple(tables)
+        for axis in AXES
+    )
 
 
 def counterexamples(evidence: Evidence) -> CellTable:

@@ -15,6 +15,7 @@ from msgspec import Meta
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.typed_json import of_format, read_json, typed
+from safety_harness.search.coverage import CoverageCell
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,14 +121,21 @@ class SelfTest:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CellCount:
+class HarnessTrials:
+    """What is known of the harness itself, where files of it were given."""
+
+    selftest: SelfTest | None = None
+    oracles: tuple[Oracle, ...] = ()
+    oracles_with: str = ""
+
+
+NO_TRIALS = HarnessTrials()
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellCount(CoverageCell):
     """Runs in one cell of the coverage map; ``violating`` ones violate a claim."""
 
-    direction: str
-    speed: str
-    distance: str
-    seen: str
-    outcome: str
     runs: int
     violating: int
 

@@ -38,10 +38,8 @@ def standing_of(
     anything of.
     """
     if runs < planned and not may_stop_early:
-        return (
-            ClaimStatus.INCOMPLETE,
-            f"{runs} of {planned} declared runs were made, so there is no bound yet",
-        )
+        made = f"{runs} of {planned} declared runs were made"
+        return ClaimStatus.INCOMPLETE, f"{made}, so there is no bound yet"
     if tested == 0:
         return ClaimStatus.UNTESTED, f"none of {runs} runs put it to the test"
     if bound is None:
@@ -53,25 +51,19 @@ def standing_of(
         counted += f" ({fallback})"
     if target is None:
         return ClaimStatus.ESTIMATED, f"{counted}; the plan sets no target"
-    limit = percent(target)
+    limit, most = percent(target), at_most(bound.upper)
     if bound.lower > target:
         sure = confidence_words(bound.of_one_end)
         return ClaimStatus.REFUTED, f"{counted}: with {sure} confidence more than {limit} of them do"
     if bound.upper > target:
-        return (
-            ClaimStatus.NOT_SHOWN,
-            f"{counted}: it may be up to {at_most(bound.upper)} of them, and {limit} was the target",
-        )
+        return ClaimStatus.NOT_SHOWN, f"{counted}: it may be up to {most} of them, and {limit} was the target"
     if without_verdict:
         return ClaimStatus.DOUBTED, f"{counted}; they count as violations, and the target is still met"
     if world.model_only:
         return ClaimStatus.DOUBTED, f"{counted}: model only, {world}"
     if stood_in:
         return ClaimStatus.DOUBTED, f"{counted}: the target is met by the fallback"
-    return (
-        ClaimStatus.SHOWN,
-        f"{counted}: at most {at_most(bound.upper)} of them do, and {limit} was the target",
-    )
+    return ClaimStatus.SHOWN, f"{counted}: at most {most} of them do, and {limit} was the target"
 
 
 def gravest(standings: Iterable[ClaimStatus]) -> ClaimStatus:

@@ -64,14 +64,8 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
         faults.append(f"{LOG}: changes of the ledger that are not in it")
-    return Examination(
-        "files", f"{len(hashes)} files and their hashes, {MANIFEST} {_mark(folder)}", few(faults)
-    )
-
-
-def _mark(folder: Path) -> str:
-    """By which two people know that they have the same report."""
-    return sha256_of(folder / MANIFEST)[:16]
+    mark = sha256_of(folder / MANIFEST)[:16]  # by which two people know that they have the same report
+    return Examination("files", f"{len(hashes)} files and their hashes, {MANIFEST} {mark}", few(faults))
 
 
 def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:

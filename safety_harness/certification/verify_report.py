@@ -22,17 +22,16 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.counterexamples import SEARCH
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
 from safety_harness.certification.gather import GatheredEvidence, drawn_with, put_together, sessions_of
 from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
-from safety_harness.certification.searched import SEARCH
 from safety_harness.certification.stored import Stored
-from safety_harness.certification.tools import Credibility
+from safety_harness.certification.tools import Credibility, HarnessTrials
 from safety_harness.certification.verify_files import Examination, Report, few
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import read_bytes
@@ -136,31 +135,32 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
     ``again``: the runs are made again that doubt the simulator.
     """
     recorded, ledger, same = report.recorded, report.ledger, report.same
+    then = recorded.credibility
 
-    def credibility(stored: Sequence[Stored]) -> Credibility:
-        then = recorded.credibility
-        oracles_with = then.oracles_measured_with if then.oracles else ""
-        reruns = None if again else then.reruns
-        now = credibility_of(stored, oracles=then.oracles, oracles_with=oracles_with, reruns=reruns)
+    def believe(stored: Sequence[Stored], trials: HarnessTrials) -> Credibility:
+        now = credibility_of(stored, trials, reruns=None if again else then.reruns)
         return now if same else replace(now, agreement=then.agreement)
 
+    oracles_with = then.oracles_measured_with if then.oracles else ""
+    # if anything was declared, it is this very plan with the ledger's software
+    declared = recorded.record.declaration_sha256
     gathered = put_together(
         report.plan,
         ledger,
         report.folder,
-        credibility=credibility,
-        selftest=recorded.selftest,
-        declaration=_declaration(recorded, report.plan, ledger),
+        HarnessTrials(selftest=recorded.selftest, oracles=then.oracles, oracles_with=oracles_with),
+        declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
         origin=_origin(recorded.provenance, ledger, same=same),
+        believe=believe,
     )
     drawn = replace(gathered.evidence.record, drawn_with=recorded.record.drawn_with)
     now = replace(gathered.evidence, files=recorded.files, record=drawn)
     faults: list[str] = []
     notes: list[str] = []
-    for place, then, new in _differences(plain(recorded), plain(now), ""):
+    for place, was, new in _differences(plain(recorded), plain(now), ""):
         names = set(re.split(r"[.\[\]\d]+", place))
-        words = (not same and WORDS & names) or ("largest" in names and _near(then, new))
-        (notes if words else faults).append(f"{place}: {_short(then)} in the report, {_short(new)} comes out")
+        words = (not same and WORDS & names) or ("largest" in names and _near(was, new))
+        (notes if words else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
     faults += _files(report)
     faults += _told(recorded.provenance)
     text = (
@@ -173,12 +173,6 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
-
-
-def _declaration(recorded: Evidence, plan: Plan, ledger: Ledger) -> str:
-    """What was declared, if anything was, is this very plan with the ledger's software."""
-    declared = recorded.record.declaration_sha256
-    return declared and declaration_of(plan, ledger.declared.identity).sha256
 
 
 def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:

@@ -14,10 +14,10 @@ import pytest
 from safety_harness.certification import certify as certify_module
 from safety_harness.certification import folder as folder_module
 from safety_harness.certification.certify import Certification
+from safety_harness.certification.counterexamples import FINDINGS, read_findings, search_evidence, searches_of
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.findings import of_searches
-from safety_harness.certification.gather import HarnessTrials
-from safety_harness.certification.searched import FINDINGS, read_findings, search_evidence, searches_of
+from safety_harness.certification.tools import HarnessTrials
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import INTERRUPTED
 from safety_harness.exceptions import InputError, OutputError, SimulationError

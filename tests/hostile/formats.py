@@ -25,11 +25,11 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.certification.counterexamples import FINDINGS, read_findings
 from safety_harness.certification.evidence import as_text, read_evidence
 from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
 from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
 from safety_harness.certification.folder import read_manifest
-from safety_harness.certification.searched import FINDINGS, read_findings
 from safety_harness.certification.tools import read_oracles, read_selftest
 from safety_harness.learning.dataset import generate, space_named
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset

@@ -17,6 +17,7 @@ from safety_harness.admission.trial import run_all, run_trial
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.stored import random_traces
+from safety_harness.certification.tools import NO_TRIALS
 from safety_harness.cli.scenario_commands import replay
 from safety_harness.exceptions import InstallationError, ScenarioError, TraceError
 from safety_harness.search.trials import InWorld, Trials
@@ -83,7 +84,7 @@ def test_another_world_runs_a_plan_whose_bounds_are_of_the_model(half: WorldEntr
         assert declaration.model_only
         stored, damaged = random_traces(plan, ledger)
         assert not damaged
-        again = credibility_of(stored).reruns
+        again = credibility_of(stored, NO_TRIALS).reruns
     assert [one.title for one in again] == [f"These runs in {world}" for world in WORLDS if world is not half]
     assert again[0].how == "in PyBullet in place of the half speed world"
 
