@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping
 from itertools import product
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 from safety_harness.report.svg import Ink, describe
 from safety_harness.search.coverage import (
@@ -71,7 +72,7 @@ def coverage_map(
     """An ``<svg>`` element; every id starts with ``prefix``.  ``violations`` counts those runs again."""
     height = BOTTOM_PX + BELOW_PX
     size = {"viewBox": f"0 0 {WIDTH_PX} {height}", "width": str(WIDTH_PX), "height": str(height)}
-    root = ElementTree.Element("svg", size)
+    root = Element("svg", size)
     describe(root, prefix=prefix, title=title, description=_description(coverage, violations))
     root.set("font-size", "11")
     _draw_empty(root, coverage)
@@ -89,39 +90,35 @@ def _place(cell: CoverageCell) -> tuple[int, int]:
     return X_PX[cell.distance, cell.seen, cell.outcome], Y_PX[cell.direction, cell.speed]
 
 
-def _draw_empty(root: ElementTree.Element, coverage: Coverage) -> None:
+def _draw_empty(root: Element, coverage: Coverage) -> None:
     """A dot for every cell without a run, all in one path."""
     middle = CELL_PX // 2
     dots = [f"M{x + middle} {y + middle}h0" for x, y in map(_place, coverage.holes)]
     attributes = {"stroke": _colour(Ink.MISSING), "stroke-width": "2", "stroke-linecap": "round"}
-    ElementTree.SubElement(root, "path", {"d": "".join(dots), "fill": "none", **attributes})
+    SubElement(root, "path", {"d": "".join(dots), "fill": "none", **attributes})
 
 
-def _draw_cell(parent: ElementTree.Element, cell: CoverageCell, count: int, violated: int) -> None:
-    group = ElementTree.SubElement(parent, "g")
+def _draw_cell(parent: Element, cell: CoverageCell, count: int, violated: int) -> None:
+    group = SubElement(parent, "g")
     words = f"{cell}: {_runs(count)}" + (f", {violated:,} with a violation" if violated else "")
-    ElementTree.SubElement(group, "title").text = words
+    SubElement(group, "title").text = words
     _draw_square(group, SIZES_PX[size_class(count)], _place(cell), violated=bool(violated))
 
 
-def _draw_square(
-    parent: ElementTree.Element, size_px: int, where: tuple[int, int], *, violated: bool
-) -> None:
+def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, violated: bool) -> None:
     """A square in the middle of a cell, with the cell's frame if something was violated there."""
     ink = _colour(Ink.LIMIT if violated else Ink.TCP)
     size_px = min(size_px, CELL_PX - 5) if violated else size_px
     inset = (CELL_PX - size_px) / 2
     attributes = {"x": f"{where[0] + inset:g}", "y": f"{where[1] + inset:g}", "fill": ink}
-    ElementTree.SubElement(parent, "rect", {**attributes, "width": str(size_px), "height": str(size_px)})
+    SubElement(parent, "rect", {**attributes, "width": str(size_px), "height": str(size_px)})
     if violated:
         side = str(CELL_PX - 2)
         frame = {"x": str(where[0] + 1), "y": str(where[1] + 1), "width": side, "height": side}
-        ElementTree.SubElement(
-            parent, "rect", {**frame, "fill": "none", "stroke": ink, "stroke-width": "1.2"}
-        )
+        SubElement(parent, "rect", {**frame, "fill": "none", "stroke": ink, "stroke-width": "1.2"})
 
 
-def _name_rows(root: ElementTree.Element, coverage: Coverage) -> None:
+def _name_rows(root: Element, coverage: Coverage) -> None:
     speeds = coverage.table("direction", "speed")
     for direction, runs in coverage.along("direction").items():
         top = Y_PX[direction, SPEEDS[0]]
@@ -134,7 +131,7 @@ def _name_rows(root: ElementTree.Element, coverage: Coverage) -> None:
                 _label(root, WIDTH_PX, Y_PX[direction, speed] + 10, total, text_anchor="end")
 
 
-def _name_columns(root: ElementTree.Element, coverage: Coverage) -> None:
+def _name_columns(root: Element, coverage: Coverage) -> None:
     for distance, runs in coverage.along("distance").items():
         left = X_PX[distance, SEEN[0], OUTCOMES[0]]
         _text(root, left, 14, distance, font_weight="600", size=12.5)
@@ -157,7 +154,7 @@ def _name_columns(root: ElementTree.Element, coverage: Coverage) -> None:
             _label(root, left + 10, BOTTOM_PX + 8, total, text_anchor="end", transform=turn)
 
 
-def _draw_key(root: ElementTree.Element, top: int) -> None:
+def _draw_key(root: Element, top: int) -> None:
     _text(root, 0, top + 10, "Runs in a cell:", ink=Ink.MUTED)
     left = LEFT_PX
     for size_px, words in zip(SIZES_PX, CLASSES, strict=True):
@@ -172,23 +169,16 @@ def _draw_key(root: ElementTree.Element, top: int) -> None:
 
 
 def _text(
-    parent: ElementTree.Element,
-    x: float,
-    y: float,
-    words: str,
-    *,
-    ink: Ink = Ink.TEXT,
-    size: float = 11,
-    **others: str,
+    parent: Element, x: float, y: float, words: str, ink: Ink = Ink.TEXT, size: float = 11, **others: str
 ) -> None:
     """``others`` are attributes by their names, with ``_`` in place of a hyphen."""
     attributes = {"x": f"{x:g}", "y": f"{y:g}", "fill": _colour(ink), "font-size": f"{size:g}"}
     attributes |= {name.replace("_", "-"): value for name, value in others.items()}
-    ElementTree.SubElement(parent, "text", attributes).text = words
+    SubElement(parent, "text", attributes).text = words
 
 
-def _label(parent: ElementTree.Element, x: float, y: float, words: str, **others: str) -> None:
-    _text(parent, x, y, words, ink=Ink.MUTED, size=10, **others)
+def _label(parent: Element, x: float, y: float, words: str, **others: str) -> None:
+    _text(parent, x, y, words, Ink.MUTED, 10, **others)
 
 
 def _runs(count: int) -> str:

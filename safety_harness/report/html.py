@@ -122,6 +122,8 @@ def _section(run: JudgedRun, number: int) -> Row:
     section, trace = f"run-{number}", run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
+    modes = {words: trace.ticks["mode"] == mode for mode, words in MODE_WORDS.items()}
+    limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "id": section,
         "run": run,
@@ -137,8 +139,8 @@ def _section(run: JudgedRun, number: int) -> Row:
         "failed_checks": failed_checks(trace),  # name, meaning
         "faults": fault_notes(trace),
         "latency": latency_words(trace),
-        "limits": limit_rows(trace),
-        "modes": mode_rows(trace),
+        "limits": _ticks_rows(trace, limits),
+        "modes": _ticks_rows(trace, modes),
         "notes": notes(run),
         "changes": changes(run),
         "text": write_scenario(trace.scenario),
@@ -170,18 +172,6 @@ def file_name(run: JudgedRun) -> str:
         return scenario.name
     label = scenario.name.removeprefix(scenario.file.stem)  # which one of a matrix
     return scenario.file.name + (f" {label}" if label.startswith("[") else "")
-
-
-def limit_rows(trace: Trace) -> list[Row]:
-    """Each limit that acted on at least one tick."""
-    acted = trace.ticks["limits"]
-    return _ticks_rows(trace, {flag_words(flag): (acted & flag.value) != 0 for flag in Limit if flag})
-
-
-def mode_rows(trace: Trace) -> list[Row]:
-    """Each controller mode that occurred."""
-    modes = trace.ticks["mode"]
-    return _ticks_rows(trace, {words: modes == mode for mode, words in MODE_WORDS.items()})
 
 
 def _ticks_rows(trace: Trace, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:

@@ -73,20 +73,16 @@ def _run(run: JudgedRun) -> dict[str, Any]:
         "decisions": asdict(DecisionTally.of([trace])),
         "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
-        "claims": _claims(run),
+        "claims": [
+            {
+                "claim": claim.sentence,
+                "expected": claim.expected.value,
+                **_outcome(evaluation),
+                "parts": [{"claim": part.sentence, **_outcome(part)} for part in evaluation.parts],
+            }
+            for claim, evaluation in run.judged_claims()
+        ],
     }
-
-
-def _claims(run: JudgedRun) -> list[dict[str, Any]]:
-    return [
-        {
-            "claim": claim.sentence,
-            "expected": claim.expected.value,
-            **_outcome(evaluation),
-            "parts": [{"claim": part.sentence, **_outcome(part)} for part in evaluation.parts],
-        }
-        for claim, evaluation in run.judged_claims()
-    ]
 
 
 def _outcome(evaluation: Evaluation) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from safety_harness.whole_file import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the base frame [m]
 
@@ -36,7 +35,8 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
     _draw_image(camera, previews)
     _write_legend(words, previews, regions)
     figure.suptitle(plain(title, longest=100), x=0.01, ha="left", fontsize=15, fontweight="bold")
-    _save(figure, path)
+    with replacing(path) as unfinished:
+        figure.savefig(unfinished, format=path.suffix.removeprefix(".") or None)
 
 
 def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxes) -> None:
@@ -125,8 +125,3 @@ def _write_legend(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> No
     note = "Hands that head for the TCP are drawn as if it stayed where it starts."
     count = f"{len(previews)} draws.\n" if many else ""
     axes.text(0.02, 0.08, count + note, transform=axes.transAxes, fontsize=10, color=TEXT, wrap=True)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    with replacing(path) as unfinished:
-        figure.savefig(unfinished, format=path.suffix.removeprefix(".") or None)

@@ -17,17 +17,8 @@ from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachabl
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 
-MODE_WORDS = {
-    Mode.SERVOING: "servoing",
-    Mode.REPULSING: "repulsing",
-    Mode.PROTECTIVE_STOP: "protective stop",
-    Mode.OBJECT_LOST: "object lost",
-}
-TRIGGER_WORDS = {
-    Trigger.HAND_ENTERED: "hand entered",
-    Trigger.HAND_STILL_THERE: "hand still there",
-    Trigger.ANOTHER_HAND: "another hand",
-}
+MODE_WORDS = {mode: mode.name.lower().replace("_", " ") for mode in Mode}
+TRIGGER_WORDS = {trigger: trigger.name.lower().replace("_", " ") for trigger in Trigger}
 OUTCOME_WORDS = {
     DecisionOutcome.PROPOSED: "proposed position",
     DecisionOutcome.OPPOSITE: "opposite pose",
