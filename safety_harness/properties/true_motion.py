@@ -353,11 +353,11 @@ def _derive(
                 hands[i].elbow_in_base_m[j] = tick.elbow_position_in_base_m[i, j]
         fill_truth(
             arms,
+            derived[k : k + 1],
+            hands,
             capsules,
             capsule_endpoints_in_base_m,
-            hands,
             tick.joint_position_rad,
             tick.joint_velocity_radps,
             tick.time_s,
-            derived[k : k + 1],
         )
