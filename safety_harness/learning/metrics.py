@@ -51,7 +51,7 @@ def half_width_of_spread(spreads: Floats) -> Floats:
 
 
 def half_width_with(spreads: Floats, added_variance: Floats | float) -> Floats:
-    """1.96 sqrt(s^2 + v): s is ``spreads`` (n, 3), v the ``added_variance``, of each axis or of all."""
+    """1.96 sqrt(s^2 + v): s is ``spreads`` (n, 3), v ``added_variance`` (n, 3), (3,) or a number."""
     return NORMAL_95 * np.sqrt(spreads**2 + added_variance)
 
 
