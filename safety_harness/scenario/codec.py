@@ -311,11 +311,6 @@ class KeyTable:
         object.__setattr__(self, "told_by", self.told_by or self.keys[0].name)
         object.__setattr__(self, "names", tuple(key.name for key in self.keys))
 
-    @cached_property
-    def required(self) -> tuple[str, ...]:
-        """The keys that have to be there."""
-        return tuple(key.name for key in self.keys if key.required)
-
     def below(self) -> Iterator[KeyTable]:
         """The tables that its values lead to."""
         for key in self.keys:

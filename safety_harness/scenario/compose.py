@@ -117,6 +117,15 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
     return tuple(found)
 
 
+def only_variant(path: Path, library: Library, expected: str) -> Variant:
+    """What a file stands for that has to be one thing, ``expected``; ScenarioError for a matrix."""
+    found = variants(path, library)
+    if len(found) > 1:
+        place, got = Place(file=path, field=MATRIX), f"a matrix of {len(found)}"
+        raise ScenarioError(place=place, expected=expected, got=got)
+    return found[0]
+
+
 def merged(base: Node, over: Node) -> Node:
     """``over`` on top of ``base``: mappings key by key, anything else in its place."""
     if not isinstance(base, Mapping) or not isinstance(over, Mapping) or _WHOLE & (_keys(base) | _keys(over)):

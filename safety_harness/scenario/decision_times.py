@@ -124,16 +124,11 @@ def _parsed(text: str) -> DecisionTimes | None:
         found = json.loads(text)
         measured = Measured(**{key: found[key] for key in KEYS[1:]})
         times_s = tuple(map(float, found["quantiles_s"]))
-        whole = found["format"] == FORMAT and 2 <= len(times_s) <= MOST_QUANTILES and _plain(measured)
+        whole = found["format"] == FORMAT and 2 <= len(times_s) <= MOST_QUANTILES
+        texts: list[Any] = [measured.avoider, measured.machine, measured.sha256 or "none"]
+        whole = whole and all(isinstance(text, str) and is_sentence(text) for text in texts)
+        whole = whole and type(measured.questions) is int and measured.questions > 0
         whole = whole and all(map(math.isfinite, times_s)) and _rise(times_s)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
         return None
     return DecisionTimes(quantiles_s=times_s, measured=measured) if whole else None
-
-
-def _plain(measured: Measured) -> bool:
-    """Texts of one line, and a count."""
-    texts: list[Any] = [measured.avoider, measured.machine, measured.sha256 or "none"]
-    return all(isinstance(text, str) and is_sentence(text) for text in texts) and (
-        type(measured.questions) is int and measured.questions > 0
-    )

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.exceptions import Place, RecordingError, ScenarioError
-from safety_harness.scenario.compose import COMPOSING, MATRIX, SPACE_KEY, SUITE, Library, Variant, variants
+from safety_harness.exceptions import RecordingError
+from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
 from safety_harness.scenario.files import read_bytes
@@ -66,12 +66,7 @@ def read_scenario(path: Path) -> Scenario:
     ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
     which ``read_all_scenarios`` reads.
     """
-    found = variants(path, Library())
-    if len(found) > 1:
-        raise ScenarioError(
-            place=Place(file=path, field=MATRIX), expected="one scenario", got=f"a matrix of {len(found)}"
-        )
-    return scenario_of_variant(found[0], path)
+    return scenario_of_variant(only_variant(path, Library(), "one scenario"), path)
 
 
 def scenario_of_variant(variant: Variant, file: Path) -> Scenario:

@@ -51,8 +51,9 @@ def _table(table: KeyTable, further: KeyTable | None = None) -> Schema:
         "additionalProperties": False,
         "properties": {key.name: _key(key) for key in keys},
     }
-    if table.required:
-        schema["required"] = list(table.required)
+    required = [key.name for key in table.keys if key.required]
+    if required:
+        schema["required"] = required
     return schema
 
 

@@ -81,11 +81,9 @@ def _lines(tree: Tree) -> Iterator[str]:
     elif isinstance(tree, Mapping):
         for key, value in tree.items():
             line = in_a_line(value)
+            yield f"{key}:" if line is None else f"{key}: {line}"
             if line is None:
-                yield f"{key}:"
                 yield from (f"  {one}" for one in _lines(value))
-            else:
-                yield f"{key}: {line}"
     else:
         for item in tree:
             first, *others = _lines(item)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import ScenarioError
 from safety_harness.geometry.regions import Box, Region
-from safety_harness.scenario.compose import MATRIX, SPACE_KEY, Library, variants
+from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
@@ -32,11 +32,8 @@ def read_space(path: Path, library: Library | None = None) -> ScenarioSpace:
 
     ``library`` is told of every file that is read.
     """
-    found = variants(path, library or Library())
-    if len(found) > 1:
-        got = f"a matrix of {len(found)}"
-        raise ScenarioError(place=Place(file=path, field=MATRIX), expected="one scenario space", got=got)
-    return space_of(found[0].tree, path, name=found[0].name)
+    found = only_variant(path, library or Library(), "one scenario space")
+    return space_of(found.tree, path, name=found.name)
 
 
 def parse_space(
