@@ -77,6 +77,7 @@ def identity_of(
 
 
 MOST_BYTES = 200_000_000  # of all files together
+REFERRING = ("avoider", "recording")
 
 
 @dataclass(frozen=True)
@@ -133,9 +134,7 @@ def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
     return (folder / files[0].name).resolve()
 
 
-def references_in(
-    node: Node, keys: tuple[str, ...] = ("avoider", "recording"), *, within: bool = False
-) -> Iterator[str]:
+def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
     """What a space says below ``keys``: plain values, and their alternatives.
 
     No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.

@@ -137,6 +137,5 @@ def disagreement_of(
 def in_one_world(world: ScenarioRunner, admitted: Admitted) -> InOneWorld:
     """Run and judge a scenario."""
     run = world([admitted])[0]
-    if isinstance(run, Exception):
-        return InOneWorld(run)
-    return InOneWorld(run, tuple(prop.evaluate(run) for prop in admitted.properties))
+    found = tuple(prop.evaluate(run) for prop in admitted.properties) if isinstance(run, Trace) else ()
+    return InOneWorld(run, found)

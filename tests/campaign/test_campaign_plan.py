@@ -89,7 +89,7 @@ def test_every_file_of_a_plan_is_part_of_its_identity(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("class Mine:\n    name = 'other'\n")
     after = read_plan(tmp_path / "a" / "plan.yaml")
     assert before.identity.changes(after.identity) == ["the file mine.py changed"]
-    assert before.sha256 != after.sha256
+    assert before.identity.sha256 != after.identity.sha256
 
 
 def test_what_a_space_extends_is_part_of_a_plan(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_network_the_package_and_the_libraries_are_part_of_the_identity(tmp_pa
 
 
 def test_the_identity_does_not_hang_on_where_the_files_are(tmp_path: Path) -> None:
-    assert plan_in(tmp_path / "here").sha256 == plan_in(tmp_path / "there" / "deep").sha256
+    assert plan_in(tmp_path / "here").identity == plan_in(tmp_path / "there" / "deep").identity
 
 
 def test_the_files_of_a_plan_are_enough_to_read_it_elsewhere(tmp_path: Path) -> None:
