@@ -272,8 +272,10 @@ def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool
 def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
     """A ring where a path (n, 3) starts, a square where it ends."""
     for point, marker, fill in ((path_mm[0], "o", Ink.PAPER), (path_mm[-1], "s", ink)):
-        style = {"markerfacecolor": fill.sentinel, "markeredgecolor": ink.sentinel, "markeredgewidth": 1.6}
-        axes.plot(point[0], point[axis], marker=marker, markersize=6.5, zorder=5.5, **style)
+        style: dict[str, Any] = {"markerfacecolor": fill.sentinel, "markeredgecolor": ink.sentinel}
+        axes.plot(
+            point[0], point[axis], marker=marker, markersize=6.5, markeredgewidth=1.6, zorder=5.5, **style
+        )
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
