@@ -204,7 +204,7 @@ class FallbackPoses:
         if not findings:
             evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
         else:
-            worst, count = min(findings, key=lambda finding: finding.margin_m), len(findings)
+            worst, count = worst_of(findings), len(findings)
             reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
             evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
         return replace(evaluation, sentence=f"fallback poses {what}")
@@ -262,7 +262,7 @@ class StopsWhereNothingIsReachable:
             findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
         if not findings:
             return inconclusive(self, "never exercised: one of the two could always be reached")
-        worst = min(findings, key=lambda finding: finding.margin_m)
+        worst = worst_of(findings)
         reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
         return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))
 
