@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InadmissibleError
+from safety_harness.geometry.arrays import Array6
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
@@ -16,7 +17,7 @@ from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import cell_capsules
 
 
-def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]) -> None:
+def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: Array6) -> None:
     """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
     table_m = scenario.settings.cell.table_height_m
     for number, hand in enumerate(scenario.hands):

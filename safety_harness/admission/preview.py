@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
 from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.geometry.arrays import Array3, Array4x4
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.camera import principal_point_px, transform_camera_to_tcp
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
@@ -63,7 +64,7 @@ def preview_of(checked: Checked) -> Preview:
     )
 
 
-def hand_paths(scenario: Scenario, tcp_in_base_m: Floats) -> tuple[Floats, ...]:
+def hand_paths(scenario: Scenario, tcp_in_base_m: Array3) -> tuple[Floats, ...]:
     """(n, 3) for each hand: where it would go if the TCP stayed at ``tcp_in_base_m``."""
     hands = hands_at_start(scenario)
     steps = int(np.ceil(scenario.duration_s / STEP_S))
@@ -74,7 +75,7 @@ def hand_paths(scenario: Scenario, tcp_in_base_m: Floats) -> tuple[Floats, ...]:
     return tuple(paths)
 
 
-def object_image_px(scenario: Scenario, transform_tcp_to_base: Floats) -> Floats:
+def object_image_px(scenario: Scenario, transform_tcp_to_base: Array4x4) -> Floats:
     """(k, 2) the object's corners in pixels from the image's upper left corner, wherever they fall."""
     camera = scenario.settings.camera
     camera_to_base = transform_tcp_to_base @ transform_camera_to_tcp(camera, calibrated=False)

@@ -82,7 +82,7 @@ def draw_admissible(
 def admit_points(
     space: ScenarioSpace, u: NDArray[np.float64], seeds: Iterable[int], *, avoider: Avoider | None = None
 ) -> Iterator[Admitted | InputError]:
-    """For each point (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
+    """For each point ``u`` (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
 
     ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
     are drawn for all points at once.  A mistake in the text itself is raised.

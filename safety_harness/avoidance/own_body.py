@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array6
 from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, segment_segment_distance
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
 from safety_harness.robot.description import ArmModel
@@ -49,7 +50,7 @@ def own_distance(arm: ArmModel, capsules: CapsuleSet, joint_position_rad: NDArra
 
 
 @compiled
-def _own_distance(arm: Arm, joint_position_rad: NDArray[np.float64]) -> float:
+def _own_distance(arm: Arm, joint_position_rad: Array6) -> float:
     """``wrist_distance`` [m] at the joint position (6,)."""
     transforms, ends = np.empty((FRAMES, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     forward_kinematics(arm.chain[0], joint_position_rad, transforms)

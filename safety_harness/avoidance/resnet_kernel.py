@@ -34,6 +34,7 @@ from safety_harness.avoidance.model_file import (
     layer_names,
 )
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3, ArrayNx3
 
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
@@ -323,7 +324,7 @@ def _answer(
 
 
 @compiled
-def _summarise(network: FoldedNetwork, answers: Float32s, position: Float64s, spread: Float64s) -> None:
+def _summarise(network: FoldedNetwork, answers: Float32s, position: Array3, spread: Array3) -> None:
     """Mean and standard deviation (ddof 0) of all answers, as positions in the base frame [m]."""
     members, passes = answers.shape[0], answers.shape[1]
     for k in range(OUTPUTS):
@@ -344,11 +345,11 @@ def _summarise(network: FoldedNetwork, answers: Float32s, position: Float64s, sp
 @compiled
 def decide(
     network: FoldedNetwork,
-    hands_in_base_m: Float64s,
-    tcps_in_base_m: Float64s,
+    hands_in_base_m: ArrayNx3,
+    tcps_in_base_m: ArrayNx3,
     seeds: NDArray[np.uint64],  # (n,)
-    positions: Float64s,
-    spreads: Float64s,
+    positions: ArrayNx3,
+    spreads: ArrayNx3,
 ) -> None:
     """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame, seeds (n,).
 

@@ -142,7 +142,7 @@ def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBoun
 
 
 def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
-    """The margins of a comparison whose signal lies between ``low`` and ``high`` (NaN: unknown)."""
+    """The margins of a comparison whose signal lies between ``low`` and ``high`` (n,), NaN where unknown."""
     limit, relation = comparison.limit.value, comparison.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     least = low - limit if above else limit - high
@@ -157,7 +157,7 @@ def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> Marg
 
 
 def truth_bounds(value: Values) -> MarginBounds:
-    """The margins of a truth that is 1.0, 0.0, or NaN where it is unknown."""
+    """The margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
     margin = np.where(value > 0.5, np.inf, -np.inf)
     unknown = np.isnan(value)
     return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
@@ -165,7 +165,7 @@ def truth_bounds(value: Values) -> MarginBounds:
 
 @compiled
 def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """out[k] = min of x[k:]."""
+    """out[k] = min of x[k:] of ``x`` (n,)."""
     out = np.empty(x.shape[0])
     least = np.inf
     for k in range(x.shape[0] - 1, -1, -1):

@@ -151,12 +151,12 @@ def absent(trace: Trace, why: str) -> Sampled:
 
 
 def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
-    """Speeds (n, ...) with the mean ones (n-1, ...) from tick to tick; the largest of each row.
+    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
 
     Within a cell each is taken to lie between its least and its largest value at both ends and in
     the mean.  Occasions: the ticks from which on it moves.
 
-    ``at_tick`` (n, ...), ``mean`` (n-1, ...).
+    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
     """
     low, high = at_tick.copy(), at_tick.copy()
     low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
@@ -170,7 +170,7 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
 
 
 def bounded(value: Values, way: Values) -> Sampled:
-    """A signal (n,) that changes by at most ``way`` (n-1,) within each cell."""
+    """A signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
     low, high = value.copy(), value.copy()
     low[:-1], high[:-1] = tent(value, way, 0.0)
     return Sampled(value=value, low=low, high=high)

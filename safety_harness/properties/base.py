@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3
 from safety_harness.scenario.model import MAX_HANDS, Verdict
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import COLUMNS, as_numbers
@@ -204,8 +205,8 @@ def _first_unreal(
     return found
 
 
-def is_somewhere(position_in_base_m: NDArray[np.float64]) -> bool:
-    """Is a position (3,) of a decision one at all: finite, and on this side of the horizon?"""
+def is_somewhere(position_in_base_m: Array3) -> bool:
+    """Is a position of a decision one at all: finite, and on this side of the horizon?"""
     return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import Array3
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.robot.description import load_arm
@@ -287,6 +288,6 @@ def _behind(
 
 
 @compiled
-def _apart(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """|a - b| of two points (3,)."""
+def _apart(a: Array3, b: Array3) -> float:
+    """|a - b| of two points."""
     return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.geometry.arrays import ArrayNx6
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import (
@@ -89,8 +90,8 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
 
 
 @compiled
-def _farthest_turn_rad(joints_rad: NDArray[np.float64]) -> float:
-    """The largest angle of any joint (n, 6) from zero."""
+def _farthest_turn_rad(joints_rad: ArrayNx6) -> float:
+    """The largest angle of any joint from zero."""
     farthest = 0.0
     for k in range(joints_rad.shape[0]):
         for joint in range(joints_rad.shape[1]):

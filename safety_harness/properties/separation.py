@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
+from safety_harness.geometry.arrays import Array2x3, Array3, Array6
 from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.distance import place_capsules
@@ -328,8 +329,8 @@ def _twists(
 
 
 @inlined
-def _velocity(twist: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[float, float, float]:
-    """The velocity v + w x p [m/s] of a point p (3,) of a link, both in the base frame."""
+def _velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
+    """The velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
     x, y, z = point[0], point[1], point[2]
     return (
         twist[3] + twist[1] * z - twist[2] * y,
@@ -339,8 +340,8 @@ def _velocity(twist: NDArray[np.float64], point: NDArray[np.float64]) -> tuple[f
 
 
 @inlined
-def _fastest_end(twist: NDArray[np.float64], ends: NDArray[np.float64]) -> float:
-    """The speed [m/s] of the faster of two points (2, 3) of a link."""
+def _fastest_end(twist: Array6, ends: Array2x3) -> float:
+    """The speed [m/s] of the faster of two points of a link."""
     fastest = 0.0
     for end in range(2):
         x, y, z = _velocity(twist, ends[end])

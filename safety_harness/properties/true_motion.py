@@ -243,7 +243,7 @@ def _follow(
     moving: NDArray[np.bool_],  # (n - 1, hands), written
     corner_hand: NDArray[np.int64],  # written, as the next two
     corner_at: NDArray[np.float64],  # (c,)
-    corners: NDArray[np.float64],  # (., 2, 3)
+    corners: NDArray[np.float64],  # (c, 2, 3)
 ) -> int:
     """Positions at the ticks and corners between them; returns the number of corners.
 

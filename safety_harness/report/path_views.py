@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from safety_harness.geometry.arrays import Array3
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, drawing, keep_extremes, new_figure, to_svg
 from safety_harness.report.words import with_minus
@@ -168,7 +169,7 @@ def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
     axes.plot(*rectangle(low, high, axis), color=Ink.MUTED.sentinel, linewidth=0.8, zorder=3)
 
 
-def rectangle(low: Floats, high: Floats, axis: int) -> Floats:
+def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
     """The closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
     across = np.array([low[0], high[0], high[0], low[0], low[0]])
     return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
@@ -222,7 +223,7 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
         axes.fill(*outline.T, facecolor=HANDS[hand].sentinel, edgecolor="none", alpha=0.16, zorder=1.6)
 
 
-def capsule_outline(start: Floats, end: Floats, radius: float) -> Floats:
+def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
     """The outline (k, 2) of all points within ``radius`` of the segment; a disc when it has no length."""
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))

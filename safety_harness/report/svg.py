@@ -124,7 +124,9 @@ def keep_extremes(time_s: Floats, values: Floats, columns: int) -> tuple[Floats,
 
 
 def spans(time_s: Floats, mask: NDArray[np.bool_], end_s: float, columns: int) -> list[tuple[float, float]]:
-    """Stretches (start, length) [s] in which ``mask`` (n,) is true, each tick lasting to the next.
+    """Stretches (start, length) [s] in which ``mask`` is true, each tick lasting to the next.
+
+    ``mask`` (n,) and ``time_s`` (n,) are of the ticks.
 
     Gaps shorter than one of ``columns`` columns are closed, so that a mode which flickers costs no
     more ink than one can see; nothing that is true is ever left out.

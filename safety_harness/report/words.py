@@ -10,8 +10,8 @@ from enum import Enum, IntFlag
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from safety_harness.geometry.arrays import Array3
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.settings import DEFAULTS, Settings
@@ -109,8 +109,8 @@ def milliseconds_words(time_s: float) -> str:
     return f"{shown:.0f} ms" if shown >= 10.0 else f"{shown:.2g} ms"
 
 
-def spread_words(spread_m: NDArray[np.float64], threshold_m: float) -> str:
-    """The largest axis of a predictive spread (3,) [mm], and what it may be at most.
+def spread_words(spread_m: Array3, threshold_m: float) -> str:
+    """The largest axis of a predictive spread [mm], and what it may be at most.
 
     Empty for an avoider that states neither.  As many digits as it takes to see which is larger.
     """
@@ -129,8 +129,8 @@ def spread_words(spread_m: NDArray[np.float64], threshold_m: float) -> str:
     return f"{largest:.{digits}f} {sign} {allowed:.{digits}f}"
 
 
-def point_words(position_m: NDArray[np.float64]) -> str:
-    """A position (3,) in whole millimetres; a dash when it is not finite."""
+def point_words(position_m: Array3) -> str:
+    """A position in whole millimetres; a dash when it is not finite."""
     if not np.all(np.isfinite(position_m)):
         return "\u2013"
     whole = np.rint(position_m * 1e3).astype(np.int64)

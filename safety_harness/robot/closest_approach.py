@@ -112,8 +112,8 @@ def closest_approach_between(
 
 
 @inlined
-def _longest_chord(left: NDArray[np.float64], right: NDArray[np.float64]) -> float:
-    """The farthest [m] that any end of a capsule's axis (n, 2, 3) is from where it was."""
+def _longest_chord(left: ArrayNx2x3, right: ArrayNx2x3) -> float:
+    """The farthest [m] that any end of a capsule's axis is from where it was."""
     longest = 0.0
     for capsule in range(left.shape[0]):
         for i in range(2):

@@ -91,8 +91,8 @@ def hand_distance(
 
 
 @inlined
-def segment_length(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-    """The length [m] of a segment, ends (3,) each."""
+def segment_length(start: Array3, end: Array3) -> float:
+    """The length [m] of a segment."""
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     return sqrt(x * x + y * y + z * z)
 

@@ -197,7 +197,7 @@ class MendedTrack:
     note: str  # what was bridged and removed; empty when nothing was
 
     def at(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(k, 3) the positions at the times (k,), straight between usable samples."""
+        """(k, 3) the positions at the times ``time_s`` (k,), straight between usable samples."""
         known_s, known_m = self.track.time_s[self.usable], self.track.position_m[self.usable]
         return np.stack([np.interp(time_s, known_s, known_m[:, axis]) for axis in range(3)], axis=1)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
 from safety_harness.seeds import Branch, generator
 
@@ -23,9 +24,9 @@ class Descent:
 
     def __init__(
         self,
-        low: Points,
-        high: Points,
-        start: Points,
+        low: Point,
+        high: Point,
+        start: Point,
         step: float,
         rng: np.random.Generator,
         population: int | None = None,
@@ -49,7 +50,7 @@ class Descent:
         if self.size < 2:  # which cma cannot
             mean = np.concatenate([mean, np.full(2 - self.size, 0.5)])
         self._cma = cma.CMAEvolutionStrategy(np.clip(mean, 0.0, 1.0), step, options)
-        self._population: list[Points] = []
+        self._population: list[Point] = []
         self._scores: list[float] = []
         self._handed_out = 0
         self.best = np.inf
@@ -68,8 +69,8 @@ class Descent:
             row[self._free] = self._low[self._free] + within * self._size[self._free]
         return np.clip(found, 0.0, 1.0)
 
-    def learn(self, scores: Points) -> None:
-        """(m,) scores of the points that were proposed last; +inf where there is none."""
+    def learn(self, scores: NDArray[np.float64]) -> None:
+        """``scores`` (m,) of the points that were proposed last; +inf where there is none."""
         self._scores += scores.tolist()
         if len(self._scores) < len(self._population):
             return
@@ -115,6 +116,6 @@ class CmaEs:
             self._descent = self._begin()
         return self._descent.propose(count)
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """The least score of each point."""
         self._descent.learn(least(scores))

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from safety_harness.space.distributions import Choice, InRegion
 from safety_harness.space.space import ScenarioSpace
 
-Points = NDArray[np.float64]
+Point = NDArray[np.float64]  # (d,): of the unit cube
+Points = NDArray[np.float64]  # (n, d): of the unit cube, one a row
+Scores = NDArray[np.float64]  # (n, k): one a claim, NaN where nothing was learnt of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +26,14 @@ class Column:
     edges: tuple[float, ...] = (0.0, 1.0)
     flat: bool = False
 
-    def interval_of(self, u: Points) -> NDArray[np.int64]:
-        """(n,) coordinates -> (n,) in which interval each is."""
+    def interval_of(self, u: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Coordinates ``u`` (n,) -> (n,) in which interval each is."""
         return np.searchsorted(np.array(self.edges[1:-1]), u, side="right")
 
-    def middle_of(self, interval: NDArray[np.int64]) -> Points:
+    def middle_of(self, interval: NDArray[np.int64]) -> NDArray[np.float64]:
         """(n,) intervals -> (n,) their middles."""
         edges = np.array(self.edges)
-        middle: Points = (edges[interval] + edges[interval + 1]) / 2.0
+        middle: NDArray[np.float64] = (edges[interval] + edges[interval + 1]) / 2.0
         return middle
 
 
@@ -93,7 +95,7 @@ class Cube:
             found[:, number] = column.middle_of(column.interval_of(points[:, number]))
         return found
 
-    def distances(self, points: Points, to: Points) -> Points:
+    def distances(self, points: Points, to: Point) -> NDArray[np.float64]:
         """(n, d) and (d,), both canonical -> (n,): the root mean square over the coordinates.
 
         A different alternative counts as 1.  Two random points of a cube of many coordinates are about
@@ -102,5 +104,5 @@ class Cube:
         difference = points - to
         flat = self.flat_columns
         difference[:, flat] = difference[:, flat] != 0.0
-        apart: Points = np.sqrt(np.mean(difference**2, axis=1))
+        apart: NDArray[np.float64] = np.sqrt(np.mean(difference**2, axis=1))
         return apart

@@ -13,9 +13,10 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.search.cma_es import Descent
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 from safety_harness.seeds import Branch, generator
 
@@ -37,8 +38,8 @@ class Archive:
         self._free = np.empty(0, bool)
         self._taken = np.empty((0, cube.dimension))
 
-    def add(self, points: Points, scores: Points) -> None:
-        """(n, d) canonical points and (n,) scores, of which those that are NaN are left out."""
+    def add(self, points: Points, scores: NDArray[np.float64]) -> None:
+        """Canonical points and their ``scores`` (n,), of which those that are NaN are left out."""
         known = np.isfinite(scores)
         if not known.any():
             return
@@ -52,13 +53,13 @@ class Archive:
         for new in np.flatnonzero(order >= before):
             self._free[new] = np.all(self._cube.distances(self._taken, self.points[new]) > self._apart)
 
-    def take(self, place: Points) -> None:
-        """A descent began or ended at this canonical point (d,)."""
+    def take(self, place: Point) -> None:
+        """A descent began or ended at this canonical point."""
         self._taken = np.vstack([self._taken, place])
         self._free &= self._cube.distances(self.points, place) > self._apart
 
     @property
-    def worst_free(self) -> Points | None:
+    def worst_free(self) -> Point | None:
         """(d,) the point with the least score that is far from every place taken."""
         return self.points[int(np.argmax(self._free))].copy() if self._free.any() else None
 
@@ -80,7 +81,7 @@ class _Island:
 
     claim: int
     descent: Descent
-    end: Points  # (d,) canonical, the best place so far
+    end: Point  # canonical, the best place so far
     known: float  # the claim's least score when it began
     score: float = np.inf
 
@@ -130,7 +131,7 @@ class Default:
         descending = sum(shares) if any(flat) else self._claims
         return 1.0 - (1.0 - _EXPLORING) * descending / self._claims
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """Remember, and let each descent have its own."""
         canonical = self._cube.canonical(points)
         for claim, archive in enumerate(self._archives):
@@ -142,7 +143,7 @@ class Default:
             if island is not None:
                 self._advance(island, canonical[part], scores[part, island.claim])
 
-    def _advance(self, island: _Island, canonical: Points, scores: Points) -> None:
+    def _advance(self, island: _Island, canonical: Points, scores: Scores) -> None:
         told = np.where(np.isnan(scores), np.inf, scores)
         island.descent.learn(told)
         if told.min() < island.score:
@@ -153,9 +154,9 @@ class Default:
             self._archives[island.claim].take(island.end)
             self._islands.remove(island)
 
-    def _descending(self, room: int) -> list[Points]:
+    def _descending(self, room: int) -> list[Point]:
         """Points of the descents under way, then of new ones while there is room."""
-        found: list[Points] = []
+        found: list[Point] = []
         if self._explored < self._first:
             return found
         under_way = iter(list(self._islands))
@@ -186,7 +187,7 @@ class Default:
                 return island
         return None
 
-    def _bounds(self, start: Points) -> tuple[Points, Points]:
+    def _bounds(self, start: Point) -> tuple[Point, Point]:
         """Where a descent from ``start`` may go: its alternatives stay, what is not used is fixed."""
         low, high = np.zeros_like(start), np.ones_like(start)
         for number, column in enumerate(self._cube.columns):

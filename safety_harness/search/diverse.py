@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 from safety_harness.search.search import least
 from safety_harness.seeds import Branch, generator
@@ -23,7 +23,7 @@ _FIRST = 64
 
 @dataclass(eq=False)
 class _Elite:
-    point: Points  # (d,)
+    point: Point
     score: float
     visits: int = 1
 
@@ -62,7 +62,7 @@ class Diverse:
         varied: Points = np.clip(first + along + around, 0.0, 1.0)
         return varied
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """Keep what is nearer to a violation than the cell's elite."""
         lowest = least(scores)
         alternatives = self._cube.canonical(points)[:, self._cube.flat_columns]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.properties.base import Property, Unit
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Point, Points, Scores
 
 # What a margin of each unit is divided by, so that margins of several claims can be compared: a difference
 # that matters and is common.  Searching one claim at a time does not depend on it.
@@ -63,7 +63,7 @@ class Outcomes:
     ``kinds`` tells violations apart that have different causes; ``cells`` is for coverage.
     """
 
-    margins: Points
+    margins: Scores
     conclusive: NDArray[np.bool_]
     refused: Sequence[str]
     mishaps: Sequence[str]
@@ -71,7 +71,7 @@ class Outcomes:
     cells: Sequence[Hashable]
 
     @classmethod
-    def of_margins(cls, margins: Points) -> Outcomes:
+    def of_margins(cls, margins: Scores) -> Outcomes:
         """Every point was tried, and nothing but margins is known."""
         none = ("",) * len(margins)
         return cls(margins, np.isfinite(margins), none, none, none, (None,) * len(margins))
@@ -93,8 +93,8 @@ class TriedPoint:
     """One tried point (d,): ``number`` counts all points of the search, ``margins`` (k,) are SI."""
 
     number: int
-    point: Points
-    margins: Points
+    point: Point
+    margins: NDArray[np.float64]
 
 
 @dataclass(eq=False)
@@ -108,7 +108,7 @@ class Group:
     kind: str
     first: TriedPoint
     worst: TriedPoint
-    leader: Points  # (d,) canonical point of the first
+    leader: Point  # canonical point of the first
     count: int = 1
 
     def worst_margin(self) -> float:
@@ -194,7 +194,7 @@ class Findings:
                 self.nearest[claim] = episode
                 self.improvements[claim].append((self.tried, float(margin)))
 
-    def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Points) -> None:
+    def _join(self, claim: int | None, kind: str, episode: TriedPoint, canonical: Point) -> None:
         """Mishaps are told apart by their words alone."""
         rivals = [group for group in self.groups if group.claim == claim and group.kind == kind]
         if rivals:

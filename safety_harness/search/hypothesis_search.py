@@ -15,7 +15,7 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from safety_harness.search.cube import Column, Cube, Points
+from safety_harness.search.cube import Column, Cube, Points, Scores
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 
@@ -50,7 +50,7 @@ class HypothesisSearch:
             raise example
         return example[None]
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """Let the engine go on."""
         self._scores.put(scores[0])
 

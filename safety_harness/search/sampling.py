@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Points, Scores
 from safety_harness.seeds import Branch, generator
 
 
@@ -26,7 +26,7 @@ class UniformSampling:
         """Independent points."""
         return self._rng.random((count, self._dimension))
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """Nothing."""
 
 
@@ -46,7 +46,7 @@ class QuasiRandom:
             points: Points = self._sequence.random(count)
         return points
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """Nothing."""
 
 

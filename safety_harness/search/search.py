@@ -9,9 +9,10 @@ from collections.abc import Callable, Hashable, Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.exceptions import InadmissibleError, SearchOrderError
-from safety_harness.search.cube import Cube, Points
+from safety_harness.search.cube import Cube, Points, Scores
 from safety_harness.search.findings import Evaluate, Findings, Goal
 
 
@@ -30,7 +31,7 @@ class Searcher(Protocol):
     def propose(self, count: int) -> Points:
         """(m, d) points of the unit cube, at least one and at most ``count``."""
 
-    def learn(self, points: Points, scores: Points, cells: Sequence[Hashable]) -> None:
+    def learn(self, points: Points, scores: Scores, cells: Sequence[Hashable]) -> None:
         """(m, d) points, (m, k) scores, and in which cell of the coverage each run was (None: in none)."""
 
 
@@ -62,7 +63,7 @@ class AskTell:
         self._asked = points
         return points
 
-    def tell(self, scores: Points, cells: Sequence[Hashable] | None = None) -> None:
+    def tell(self, scores: Scores, cells: Sequence[Hashable] | None = None) -> None:
         """What came of the points that were asked for last: (m, k) scores, NaN where nothing did."""
         if self._asked is None:
             raise SearchOrderError(f"{self.name}: tell() before ask()")
@@ -78,9 +79,9 @@ class AskTell:
         self._searcher.learn(points, told, cells)
 
 
-def least(scores: Points) -> Points:
+def least(scores: Scores) -> NDArray[np.float64]:
     """(n, k) scores -> (n,) the least of each row, +inf for rows without any."""
-    lowest: Points = np.where(np.isnan(scores), np.inf, scores).min(axis=1)
+    lowest: NDArray[np.float64] = np.where(np.isnan(scores), np.inf, scores).min(axis=1)
     return lowest
 
 

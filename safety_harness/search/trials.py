@@ -29,7 +29,7 @@ from safety_harness.properties.answered import (
 from safety_harness.properties.base import Property
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
-from safety_harness.search.cube import Points
+from safety_harness.search.cube import Point, Points
 from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
@@ -113,8 +113,8 @@ class Trials:
         # That the avoider answered leads a search only where nothing else is claimed.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
 
-    def scenario(self, point: Points, number: int) -> Scenario:
-        """The scenario of a point (d,); InputError where the reader refuses it."""
+    def scenario(self, point: Point, number: int) -> Scenario:
+        """The scenario of a point; InputError where the reader refuses it."""
         own = leaf(self.seed, Branch.SEARCH, 4, number)
         return self._completed(self.space.at(point, seed=own, name=f"{self.space.name}-{number}"))
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from safety_harness.controller.records import CommandRecords
 from safety_harness.exceptions import SimulationError
+from safety_harness.geometry.arrays import Array6
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
 from safety_harness.perception.moments import MOMENT_COUNT
@@ -44,7 +45,7 @@ class PyBulletWorld(RecordedWorld):
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: NDArray[np.float64],
+        joint_position_rad: Array6,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> None:

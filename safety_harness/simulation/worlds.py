@@ -13,10 +13,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from safety_harness.exceptions import InstallationError, Place, TraceError
+from safety_harness.geometry.arrays import Array6
 
 if TYPE_CHECKING:
     from safety_harness.perception.detector import BoundingBoxDetector
@@ -32,7 +30,7 @@ class OpensWorld(Protocol):
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: NDArray[np.float64],
+        joint_position_rad: Array6,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
@@ -77,7 +75,7 @@ class WorldEntry:
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: NDArray[np.float64],
+        joint_position_rad: Array6,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:

@@ -21,6 +21,7 @@ from safety_harness.geometry.regions import Box, Region
 from safety_harness.settings import Vector3
 
 Vector = NDArray[np.float64]
+Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number
 
 _INVERSE = np.frompyfunc(NormalDist().inv_cdf, 1, 1)
 _ERFC = np.frompyfunc(math.erfc, 1, 1)
@@ -45,17 +46,17 @@ class Uniform:
         """The value nearest to zero: slow, short, straight."""
         return (min(max(self.low, 0.0), self.high),)
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 1) -> (n, 1), rising; 0 and 1 are the ends themselves."""
         inside = np.minimum(self.low + u * (self.high - self.low), self.high)  # rounding may overshoot
         return np.where(u >= 1.0, self.high, inside)
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The inverse of ``values_at``."""
         u = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
         return _polished(self, u, values)
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 1) -> (n,) natural logarithm; -inf outside."""
         inside = (values[:, 0] >= self.low) & (values[:, 0] <= self.high)
         return np.where(inside, -math.log(self.high - self.low), -np.inf)
@@ -85,7 +86,7 @@ class TruncatedNormal:
         """The value nearest to zero."""
         return (min(max(self.low, 0.0), self.high),)
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 1) -> (n, 1), rising; 0 and 1 are the ends themselves."""
         p = self._below + (1.0 - u if self._mirrored else u) * self._mass
         z = np.asarray(_INVERSE(np.clip(p, _SMALLEST, _LARGEST)), float)
@@ -93,13 +94,13 @@ class TruncatedNormal:
         inside = np.clip(self.mean + self.std * z, self.low, self.high)
         return np.where(u <= 0.0, self.low, np.where(u >= 1.0, self.high, inside))
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The inverse of ``values_at``."""
         z = (values - self.mean) / self.std
         share = (_lower_tail(-z if self._mirrored else z) - self._below) / self._mass
         return _polished(self, np.clip(1.0 - share if self._mirrored else share, 0.0, 1.0), values)
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 1) -> (n,) natural logarithm; -inf outside."""
         value = values[:, 0]
         z = (value - self.mean) / self.std
@@ -163,18 +164,18 @@ class Choice:
         scaled: Vector = edges / edges[-1]
         return scaled
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 1) -> (n, 1) numbers from 0, rising."""
         number = np.searchsorted(self.edges[1:-1], u[:, 0], side="right")
         return number.astype(float)[:, None]
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The middle of each number's interval."""
         edges, number = self.edges, values[:, 0].astype(int)
         middle: Vector = (edges[number] + edges[number + 1])[:, None] / 2.0
         return middle
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 1) -> (n,) natural logarithm of the probability; -inf for what is no number of it."""
         value = np.nan_to_num(values[:, 0], nan=-1.0)
         number = np.clip(value, 0, len(self.chances) - 1).astype(int)
@@ -205,7 +206,7 @@ class InShell:
         x, y, z = self.centre
         return x + self.inner, y, z
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 3) -> (n, 3): radius, height and azimuth."""
         r = np.cbrt(self.inner**3 + u[:, 0] * (self.outer**3 - self.inner**3))
         height, azimuth = 2.0 * u[:, 1] - 1.0, 2.0 * math.pi * u[:, 2]
@@ -214,17 +215,17 @@ class InShell:
         points: Vector = self.centre + r[:, None] * direction
         return points
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The inverse of ``values_at``; the centre and the poles, which have no azimuth, get 0."""
         x, y, z = (values - np.array(self.centre)).T
         r = np.sqrt(x * x + y * y + z * z)
         volume = (r**3 - self.inner**3) / (self.outer**3 - self.inner**3)
         height = np.divide(z, r, out=np.zeros_like(z), where=r > 0.0)
         azimuth = np.mod(np.arctan2(y, x) / (2.0 * math.pi), 1.0)
-        u: Vector = np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
+        u: Rows = np.clip(np.stack([volume, (height + 1.0) / 2.0, azimuth], axis=1), 0.0, 1.0)
         return u
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside (but for rounding)."""
         r = np.linalg.norm(values - np.array(self.centre), axis=1)
         slack = 1e-12 * (self.outer + float(np.abs(self.centre).max()))
@@ -258,15 +259,15 @@ class InBox:
             for low, high in zip(self.low, self.high, strict=True)
         )
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 3) -> (n, 3), coordinate by coordinate."""
         return np.hstack([side.values_at(u[:, [k]]) for k, side in enumerate(self.sides)])
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The inverse of ``values_at``."""
         return np.hstack([side.cube_at(values[:, [k]]) for k, side in enumerate(self.sides)])
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside."""
         each = (side.log_density(values[:, [k]]) for k, side in enumerate(self.sides))
         return sum(each, np.zeros(len(values)))
@@ -314,7 +315,7 @@ class InRegion:
         ]
         return sorted(sides, key=lambda side: round(abs(side[3] - centre[side[0]]), 9))
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, 3) -> (n, 3): the first coordinate picks one of at most six boxes as well."""
         low, high, edges = self._pieces
         piece = np.searchsorted(edges[1:-1], u[:, 0], side="right")
@@ -323,18 +324,18 @@ class InRegion:
         points: Vector = np.clip(low[piece] + within * (high - low)[piece], low[piece], high[piece])
         return points
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """The inverse of ``values_at``; of a side that two boxes share, in the first."""
         low, high, edges = self._pieces
         inside = np.all((values[:, None] >= low) & (values[:, None] <= high), axis=2)
         piece = inside.argmax(axis=1)
-        u: Vector = np.clip((values - low[piece]) / (high - low)[piece], 0.0, 1.0)
+        u: Rows = np.clip((values - low[piece]) / (high - low)[piece], 0.0, 1.0)
         first = edges[piece] + u[:, 0] * (edges[piece + 1] - edges[piece])
         last = piece == len(low) - 1
         u[:, 0] = np.where(last, first, np.minimum(first, np.nextafter(edges[piece + 1], 0.0)))
         return u
 
-    def log_density(self, values: Vector) -> Vector:
+    def log_density(self, values: Rows) -> Vector:
         """(n, 3) -> (n,) natural logarithm; -inf outside."""
         low, high, _ = self._pieces
         volume_m3 = math.fsum(np.prod(high - low, axis=1))
@@ -363,7 +364,7 @@ def _lower_tail(z: Vector) -> Vector:
     return tail
 
 
-def _polished(distribution: Uniform | TruncatedNormal, u: Vector, values: Vector) -> Vector:
+def _polished(distribution: Uniform | TruncatedNormal, u: Rows, values: Rows) -> Vector:
     """``u``, moved by the few last digits that rounding took, where that gives the value exactly."""
     wrong = np.flatnonzero(distribution.values_at(u)[:, 0] != values[:, 0])
     if not len(wrong):

@@ -26,7 +26,7 @@ from safety_harness.scenario.settings_keys import TOP_GROUPS
 from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.space.distributions import Choice
+from safety_harness.space.distributions import Choice, Rows
 from safety_harness.space.template import Condition, Keyed, Parameter, filled, matches
 from safety_harness.space.tracing import Form, Values
 
@@ -102,7 +102,7 @@ class ScenarioSpace:
         """
         return self.scenario(self.values_at(np.asarray(u, float)[None])[0], seed=seed, name=name)
 
-    def values_at(self, u: Vector) -> Vector:
+    def values_at(self, u: Rows) -> Vector:
         """(n, d) points of the unit cube -> (n, d) values in SI, NaN where a scenario does not use them."""
         self._refuse_other_shape(u)
         if not np.all((u >= 0.0) & (u <= 1.0)):
@@ -112,7 +112,7 @@ class ScenarioSpace:
             values[:, parameter.columns] = parameter.distribution.values_at(u[:, parameter.columns])
         return self.without_unused(values)
 
-    def cube_at(self, values: Vector) -> Vector:
+    def cube_at(self, values: Rows) -> Vector:
         """(n, d) values -> (n, d) points of the unit cube; ScenarioError for values outside the space."""
         outside = np.flatnonzero(~np.isfinite(self.log_density_at(values)))
         if len(outside):
@@ -123,7 +123,7 @@ class ScenarioSpace:
                 u[used, parameter.columns] = parameter.distribution.cube_at(values[used, parameter.columns])
         return u
 
-    def log_density_at(self, values: Vector) -> Vector:
+    def log_density_at(self, values: Rows) -> Vector:
         """(n, d) values -> (n,) natural logarithm of the density, -inf outside.
 
         The measure is the product of lengths, volumes (SI) and counts over the parameters that are used.
@@ -135,14 +135,14 @@ class ScenarioSpace:
                 density[used] += parameter.distribution.log_density(values[used, parameter.columns])
         return density
 
-    def without_unused(self, values: Vector) -> Vector:
+    def without_unused(self, values: Rows) -> Vector:
         """(n, d) -> (n, d) with NaN in place of what the choices among the values leave unused."""
         cleared = values.copy()
         for parameter, used in zip(self.parameters, self.used_by(values), strict=True):
             cleared[~used, parameter.columns] = np.nan
         return cleared
 
-    def used_by(self, values: Vector, of: Sequence[Parameter] | None = None) -> list[NDArray[np.bool_]]:
+    def used_by(self, values: Rows, of: Sequence[Parameter] | None = None) -> list[NDArray[np.bool_]]:
         """For each parameter (``of`` those) of values (n, d) -> (n,): which of the scenarios use it."""
 
         @cache
@@ -157,7 +157,7 @@ class ScenarioSpace:
         ]
 
     def scenario(self, values: Vector, *, seed: int = 0, name: str | None = None) -> Scenario:
-        """The scenario of values (d,), as ``values_at`` gives them.
+        """The scenario of ``values`` (d,), as ``values_at`` gives them.
 
         Of each structure one is read; in the others the values are filled in at their paths.
         """
