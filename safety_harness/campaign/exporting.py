@@ -21,7 +21,7 @@ _COLUMNS = (
     ("stratum", "s.name", "string"),
     ("episode", "j.episode", "int64"),
     ("claim", "c.sentence", "string"),
-    ("outcome", OUTCOME, "string"),
+    ("outcome", f"COALESCE({OUTCOME}, j.outcome)", "string"),  # a code that stands for none as it is
     ("margin_si", "j.margin", "float64"),
     ("worst_time_s", "j.worst_time_s", "float64"),
     ("exercised", "j.exercised", "int64"),

@@ -95,7 +95,7 @@ class JudgedRun:
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
     """What a reader has to know of the recordings: gaps that were bridged, jumps removed."""
     return tuple(
-        f"{hand.name} hand, {hand.recording}: {note}"
+        f"{hand.name}, {hand.recording}: {note}"
         for hand in scenario.hands
         if isinstance(hand, RecordedHand)
         for note in hand.motion.notes

@@ -22,7 +22,7 @@ from safety_harness.report.decisions import (
     fault_notes,
     latency_words,
 )
-from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
@@ -35,7 +35,7 @@ from safety_harness.report.words import (
     share_words,
 )
 from safety_harness.scenario.faults import fault_words
-from safety_harness.scenario.model import RecordedHand, Robot, Verdict
+from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
@@ -190,11 +190,8 @@ def _ticks_rows(trace: Trace, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
 
 def notes(run: JudgedRun) -> list[str]:
     """What the reader has to know: the caller's notes, what recordings bridged, which faults acted."""
-    found = list(run.notes)
-    for hand in run.trace.scenario.hands:
-        if isinstance(hand, RecordedHand):
-            found += [f"{hand.name}: {note}" for note in hand.motion.notes if note not in run.notes]
-    return found + acted_faults(run.trace)
+    told = dict.fromkeys((*run.notes, *notes_of(run.trace.scenario)))  # commands note the recordings too
+    return [*told, *acted_faults(run.trace)]
 
 
 def acted_faults(trace: Trace) -> list[str]:

@@ -15,17 +15,19 @@ import pytest
 from page import Node, parse
 
 from safety_harness.report.decisions import MOST_DECISION_ROWS
-from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.html import render
+from safety_harness.report.evidence import JudgedRun, notes_of
+from safety_harness.report.html import notes, render
 from safety_harness.report.page_parts import asset
 from safety_harness.report.svg import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
 from safety_harness.scenario.model import Robot, Verdict
+from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import DECISION, TICK
 
 WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 
 def text_for(runs: Sequence[JudgedRun], *, title: str = "A report", interrupted: bool = False) -> str:
@@ -188,6 +190,15 @@ def test_limits_settings_notes_provenance_and_replay_are_there(full: Node) -> No
         assert expected in text
     assert section.all("code", "copy")[0].text == factory.violated_run().replay_command
     assert "All settings are the defaults" in full.one("run-1").text
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_was_bridged_in_a_recording_is_said_once(told: bool) -> None:
+    source = read_scenario(SCENARIOS / "recorded-giving.yaml")
+    (note,) = notes_of(source)
+    run = factory.no_hands_run()
+    run = replace(run, trace=replace(run.trace, scenario=source), notes=(note,) if told else ())
+    assert notes(run) == [note]
 
 
 def test_the_scenario_is_there_as_a_file_that_can_be_saved_again(full: Node) -> None:
