@@ -194,10 +194,11 @@ def test_limits_settings_notes_provenance_and_replay_are_there(full: Node) -> No
 
 @pytest.mark.parametrize("told", [True, False])
 def test_what_was_bridged_in_a_recording_is_said_once(told: bool) -> None:
-    source = read_scenario(SCENARIOS / "recorded-giving.yaml")
-    (note,) = notes_of(source)
+    hands = read_scenario(SCENARIOS / "recorded-giving.yaml").hands
     run = factory.no_hands_run()
-    run = replace(run, trace=replace(run.trace, scenario=source), notes=(note,) if told else ())
+    trace = replace(run.trace, scenario=replace(run.trace.scenario, hands=hands))
+    (note,) = notes_of(trace.scenario)
+    run = replace(run, trace=trace, notes=(note,) if told else ())
     assert notes(run) == [note]
 
 
