@@ -73,6 +73,11 @@ class Coverage:
         return found
 
     @property
+    def touching(self) -> int:
+        """Runs in which a hand touched the arm's capsules, whatever was claimed of them."""
+        return self.along("distance")[DISTANCES[0]]
+
+    @property
     def holes(self) -> list[CoverageCell]:
         """Cells without a run; many of them cannot be reached by any."""
         return [cell for words in product(*AXES.values()) if not self.counts[cell := CoverageCell(*words)]]

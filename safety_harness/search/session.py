@@ -315,7 +315,13 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
             lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
-    if not findings.found and findings.tried:
+    touching = trials.coverage.touching
+    if not findings.found and touching:
+        lines.append(
+            f"no claim was violated in {findings.tried} runs, but in {touching} a hand touched the arm: no "
+            "claim here says that it must not (--claim 'hand distance never below 0 mm' searches for that)"
+        )
+    elif not findings.found and findings.tried:
         lines.append(
             f"nothing found in {findings.tried} runs. A search estimates nothing: that is no evidence of "
             "safety in the rest of the space"

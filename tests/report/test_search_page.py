@@ -234,11 +234,21 @@ def test_only_so_many_disagreements_are_drawn_and_the_others_are_counted() -> No
     assert "The first 1 are drawn." in page.text
 
 
-def test_finding_nothing_is_called_no_evidence() -> None:
-    nothing = evidence(findings=findings_of([(0.1, 0.1)]), shown=(), unconfirmed=(), confirmed=0)
-    page = parse(render(nothing))
-    assert banners(page) == ["Nothing found."]
-    assert "no evidence of safety" in page.text
+@pytest.mark.parametrize(
+    ("distance", "banner", "said"),
+    [
+        ("touching", "Hands touched the arm.", "in 3 a hand touched the arm"),
+        ("to 50 mm", "Nothing found.", "no evidence of safety"),
+    ],
+)
+def test_finding_nothing_is_called_no_evidence_and_not_said_beside_a_touch(
+    distance: str, banner: str, said: str
+) -> None:
+    coverage = Coverage(Counter({replace(CELL, distance=distance): 3}))
+    none = findings_of([(0.1, 0.1)])
+    page = parse(render(evidence(findings=none, coverage=coverage, shown=(), unconfirmed=(), confirmed=0)))
+    assert banners(page) == [banner]
+    assert said in page.text
 
 
 def test_interruption_a_claim_that_always_fails_and_one_never_tested_are_said_first() -> None:
