@@ -1,18 +1,25 @@
-"""For the API reference: the comment beside a parameter or a field, its shape say, is its description."""
+"""For the API reference: the shape of its type and the comment beside it describe a parameter or a field."""
 
 from __future__ import annotations
 
 import ast
 import io
+import re
 import tokenize
 from pathlib import Path
 from typing import Any
 
 import griffe
 
+ARRAYS = Path(__file__).parents[1] / "safety_harness" / "geometry" / "arrays.py"
+SHAPES = dict(re.findall(r"^(\w+) = NDArray.*?# (\(.*?\))", ARRAYS.read_text(encoding="utf-8"), re.MULTILINE))
+
 
 class Comments(griffe.Extension):
-    """``start: NDArray[np.float64],  # (3,) [m]`` becomes a line of the list below the docstring."""
+    """``start: NDArray[np.float64],  # (3,) [m]`` becomes a line of the list below the docstring.
+
+    And so does ``start: Array3,  # [m]``, since ``geometry/arrays.py`` says the shape of an Array3.
+    """
 
     def __init__(self) -> None:
         self._read: dict[Path, dict[int, str]] = {}
@@ -21,18 +28,23 @@ class Comments(griffe.Extension):
         """The parameters."""
         if isinstance(node, ast.FunctionDef):
             given = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
-            self._describe(func, {one.arg: one.end_lineno for one in given})
+            self._describe(func, {one.arg: one for one in given})
 
     def on_class_instance(self, *, node: Any, cls: griffe.Class, **_: Any) -> None:
         """The fields."""
         if isinstance(node, ast.ClassDef):
             fields = [one for one in node.body if isinstance(one, ast.AnnAssign)]
-            self._describe(cls, {ast.unparse(one.target): one.end_lineno for one in fields})
+            self._describe(cls, {ast.unparse(one.target): one for one in fields})
 
-    def _describe(self, what: griffe.Function | griffe.Class, line_of: dict[str, int | None]) -> None:
+    def _describe(
+        self, what: griffe.Function | griffe.Class, given: dict[str, ast.arg] | dict[str, ast.AnnAssign]
+    ) -> None:
         if what.docstring is not None and isinstance(what.filepath, Path):
-            told = {name: self._beside(what.filepath, line) for name, line in line_of.items()}
-            lines = [f"- `{name}`: {text}" for name, text in told.items() if text]
+            lines = []
+            for name, one in given.items():
+                shape = SHAPES.get(ast.unparse(one.annotation) if one.annotation else "", "")
+                text = f"{shape} {self._beside(what.filepath, one.end_lineno)}".strip()
+                lines += [f"- `{name}`: {text}"] * bool(text)
             what.docstring.value += "\n\n" * bool(lines) + "\n".join(lines)
 
     def _beside(self, file: Path, line: int | None) -> str:
