@@ -27,11 +27,13 @@ from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
 from safety_harness.search.trials import ScenarioRunner, Trials, in_pybullet
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import write_text, writing
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
+NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 SHRINKING_RUNS = 200  # for each
 MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
@@ -139,7 +141,7 @@ class SearchSession:
         for line in remarks(self.trials, findings):
             say(line)
         if self.unconfirmed:
-            say(f"{len(self.unconfirmed)} findings were not confirmed in PyBullet; they are in {FINDINGS}")
+            say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
         if self.unwritable is None:
             write_page(self)
         if self.written:
@@ -193,7 +195,7 @@ class SearchSession:
                 if len(self.unconfirmed) < MOST_RUN_TWICE
                 else Disagreement(group, complaint)
             )
-            self.output.say(f"not confirmed in PyBullet: {complaint.sentence}, point {group.worst.number}")
+            self.output.say(f"{NOT_CONFIRMED}: {complaint.sentence}, point {group.worst.number}")
             return None
         self.confirmed += 1
         self.findings.interrupted |= one.shrunk.interrupted
