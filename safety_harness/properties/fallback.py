@@ -5,6 +5,7 @@ The fallback is there when it is needed, and where there is nothing to give way 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -196,8 +197,9 @@ class FallbackPoses:
         ]
         away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
         parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
-        known = [part for part in parts if part.margin is not None]
-        worst = min(known, key=lambda part: part.margin or 0.0) if known else parts[0]
+        tried = [part for part in parts if part.exercised]  # each decision has a pose to be reached
+        # A margin that is not finite is worse than one that holds, and hides none that is violated.
+        worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
         return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
 
     def _part(self, trace: Trace, what: str, findings: list[Finding]) -> Evaluation:

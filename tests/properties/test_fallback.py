@@ -19,6 +19,7 @@ from broken import (
 )
 from examples import VISIT, AnswersNothing, Displaced, StoppingGate, run, scenario
 
+from safety_harness.properties import fallback
 from safety_harness.properties.base import Property
 from safety_harness.properties.fallback import (
     CertainIsUsed,
@@ -218,3 +219,41 @@ def test_what_is_not_finite_is_no_evidence(prop: Property, field: str) -> None:
 @pytest.mark.parametrize("prop", [UNCERTAIN, USED, STOPS, POSES], ids=lambda prop: prop.sentence)
 def test_without_a_decision_there_is_nothing_to_judge(prop: Property) -> None:
     assert prop.evaluate(run(scenario(duration_s=0.2))).verdict is Verdict.INCONCLUSIVE
+
+
+def twice(trace: Trace) -> Trace:
+    """Its first decision, and the same a tick later."""
+    ticks, decisions = trace.ticks.copy(), np.repeat(trace.decisions[:1], 2)
+    later = int(decisions["tick"][0]) + 1
+    ticks["decision"] = -1
+    ticks["decision"][later - 1 : later + 1] = 0, 1
+    decisions["tick"][1] = decisions["asked_tick"][1] = later
+    decisions["time_s"][1] = ticks["time_s"][later]
+    decisions["joint_position_rad"][1] = ticks["joint_position_rad"][later]
+    decisions["tcp_position_in_base_m"][1] = ticks["transform_tcp_to_base"][later, :3, 3]
+    return replace(trace, ticks=ticks, decisions=decisions, decision_latency_s=np.zeros(2))
+
+
+def test_a_margin_that_is_not_finite_decides_wherever_it_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for later in (np.nan, np.inf):
+        reach_m, stopped_m = iter([0.1, later]), iter([0.1, later])
+        monkeypatch.setattr(fallback, "reach_m", lambda *_, reach_m=reach_m: next(reach_m))
+        told = POSES.evaluate(twice(doubting()))
+        assert (told.verdict, "not finite" in told.reason) == (Verdict.INCONCLUSIVE, True), told.reason
+        monkeypatch.setattr(fallback, "reach_m", lambda *_: -1.0)
+        monkeypatch.setattr(fallback, "stopped_m", lambda *_, stopped_m=stopped_m: next(stopped_m))
+        told = STOPS.evaluate(twice(doubting()))
+        assert (told.verdict, "not finite" in told.reason) == (Verdict.INCONCLUSIVE, True), told.reason
+
+
+def test_a_part_that_is_violated_is_not_hidden_by_one_that_is_not_finite(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(fallback, "reach_m", lambda *_: np.nan)
+    trace = doubting()
+    hand = trace.ticks["hand_position_in_base_m"][int(trace.decisions["tick"][0]), 0]
+    evaluation = POSES.evaluate(edited(trace, opposite_position_in_base_m=hand))
+    assert [part.verdict for part in evaluation.parts] == [Verdict.INCONCLUSIVE, Verdict.VIOLATED]
+    assert evaluation.verdict is Verdict.VIOLATED
