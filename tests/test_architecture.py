@@ -28,6 +28,8 @@ ORDER = [
     {"admission"},
     {"search"},
     {"statistics"},
+    {"scoring"},
+    {"attribution"},
     {"campaign"},
     {"report"},
     {"certification"},

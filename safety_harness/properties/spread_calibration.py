@@ -13,7 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.candidates import continuous_optimum
+from safety_harness.avoidance.measures import optimum_in_base_m
 from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate
@@ -132,5 +132,4 @@ def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> N
         fresh = seed(int(decision["seed"]), Branch.DECISION, 1)
         label = oracle.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh)
         return label.position_in_base_m
-    optimum = continuous_optimum(settings, tcp[None])[0]
-    return np.asarray(optimum + oracle.hand_pull * (tcp - hand))
+    return np.asarray(optimum_in_base_m(settings, hand[None], tcp[None])[0])
