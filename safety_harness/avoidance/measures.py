@@ -33,7 +33,7 @@ def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.
     distance = np.linalg.norm(apart, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         along = np.einsum("ij,ij->i", way, apart) / distance
-    return np.where(distance > 0.0, along, np.linalg.norm(way, axis=1))
+    return np.asarray(np.where(distance > 0.0, along, np.linalg.norm(way, axis=1)))
 
 
 def off_m(proposed: ArrayNx3, optimum: ArrayNx3) -> NDArray[np.float64]:  # (n,)
@@ -41,7 +41,10 @@ def off_m(proposed: ArrayNx3, optimum: ArrayNx3) -> NDArray[np.float64]:  # (n,)
     return np.asarray(np.linalg.norm(proposed - optimum, axis=1))
 
 
-def is_sure(spreads_m: ArrayNx3, threshold_m: float | NDArray[np.float64]) -> NDArray[np.bool_]:
+def is_sure(
+    spreads_m: ArrayNx3,
+    threshold_m: float | NDArray[np.float64],  # (n,)
+) -> NDArray[np.bool_]:
     """(n,) is no spread (n, 3) above the avoider's own threshold?  Without one (NaN) every answer is sure."""
     sure: NDArray[np.bool_] = ~(spreads_m.max(axis=1) > threshold_m)
     return sure
