@@ -49,8 +49,10 @@ def fuzz(
 
     Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
     a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
-    Exit code 0: no claim violated, which is no evidence of safety; 1: violations, or an avoider that gave no
-    answer; 2: bad input, or a place that cannot be written; 130: interrupted.
+    A claim that the space expects to be violated has to be found within the budget.
+    Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
+    none of what it does, or an avoider that gave no answer; 2: bad input, or a place that cannot be written;
+    130: interrupted.
     """
     from safety_harness.cli.progress import watching_search
     from safety_harness.report.search_files import write_search
@@ -83,4 +85,4 @@ def fuzz(
         return BAD_INPUT
     if made.interrupted:
         return INTERRUPTED
-    return DIFFERS if made.written else AS_EXPECTED
+    return DIFFERS if made.differs else AS_EXPECTED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.distributions import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
-from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.whole_file import write_text, writing
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -53,7 +54,8 @@ def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
     drawn = draw_admissible(space, seed, count)
     for scenario in drawn.scenarios:
         path = out / f"{scenario.name.replace('#', '-')}.yaml"
-        write_text(path, write_scenario(as_seen_from(out, scenario)))
+        one = replace(scenario, claims=each_to_hold(scenario.claims))
+        write_text(path, write_scenario(as_seen_from(out, one)))
         result(str(path))
     say(*space.notes, str(drawn))
     return AS_EXPECTED

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from datetime import UTC, datetime
+from math import isfinite
 
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import told_avoider
@@ -65,6 +66,8 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         shown=tuple(session.written),
         confirmed=session.confirmed,
         unconfirmed=tuple(session.unconfirmed),
+        not_found=tuple(session.not_found),
+        nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),
         provenance=provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider),
     )
@@ -95,6 +98,9 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "tried": findings.tried,
         "refused": dict(findings.refused.most_common()),
         "interrupted": findings.interrupted,
+        "nearest hand in m": evidence.nearest_hand_m if isfinite(evidence.nearest_hand_m) else None,
+        "runs in which a hand touched the arm": evidence.coverage.touching,
+        "expected to be violated and not found": list(evidence.not_found),
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
         "claims": _of_claims(findings),

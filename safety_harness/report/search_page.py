@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import dataclass
 from datetime import datetime
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
@@ -12,7 +13,7 @@ from markupsafe import Markup
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.avoidance.avoider import described
-from safety_harness.properties.base import Evaluation
+from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
@@ -24,7 +25,7 @@ from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
-from safety_harness.search.session import WrittenCounterexample
+from safety_harness.search.session import WrittenCounterexample, not_found_words
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.trace import Provenance, Trace
 
@@ -42,7 +43,8 @@ class SearchEvidence:
 
     ``fallback`` says how often the fallback stood in for the avoider, if it did.  ``baseline`` is uniform
     sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
-    that PyBullet does not show, ``confirmed`` counts those that it does.
+    that PyBullet does not show, ``confirmed`` counts those that it does.  ``not_found`` are the claims that
+    the space expects to be violated and that no counterexample violates.
     """
 
     title: str
@@ -61,6 +63,8 @@ class SearchEvidence:
     shown: tuple[WrittenCounterexample, ...]
     confirmed: int
     unconfirmed: tuple[Disagreement, ...]
+    not_found: tuple[str, ...]
+    nearest_hand_m: float
     agreement: Agreement
     provenance: Provenance
 
@@ -101,6 +105,10 @@ def render(evidence: SearchEvidence) -> str:
         ],
         map=Markup(map_of(evidence)),
         refused=findings.refused.most_common(),
+        nearest_hand=Unit.LENGTH.margin_text(evidence.nearest_hand_m)
+        if isfinite(evidence.nearest_hand_m)
+        else "",
+        not_found_words=not_found_words(findings),
         share=share_words,
         minus=with_minus,
         draws=DRAWS,

@@ -13,9 +13,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.answered import fallback_words
+from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -33,6 +36,7 @@ from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import write_text, writing
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
+AS_EXPECTED = " (as the space expects)"
 NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
 MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 SHRINKING_RUNS = 200  # for each
@@ -52,7 +56,10 @@ class SearchOutput:
 
 @dataclass(frozen=True, eq=False)
 class WrittenCounterexample:
-    """A counterexample, the groups of runs that shrank to it, the searcher of its first, and its files."""
+    """A counterexample, the groups of runs that shrank to it, the searcher of its first, and its files.
+
+    ``expected``: the space says that the claim is violated somewhere.
+    """
 
     one: Counterexample
     groups: list[Group]
@@ -60,6 +67,7 @@ class WrittenCounterexample:
     path: Path
     trace_file: Path | None
     text: str
+    expected: bool
 
     @property
     def lines(self) -> list[str]:
@@ -68,7 +76,7 @@ class WrittenCounterexample:
         margin = "-" if one.evaluation is None else one.evaluation.margin_text()
         apart = f" in {len(self.groups)} groups that lie apart" if len(self.groups) > 1 else ""
         return [
-            f"violated {margin:>13}  {one.complaint.words}",
+            f"violated {margin:>13}  {one.complaint.words}{AS_EXPECTED if self.expected else ''}",
             f"  {self.path}: {runs} runs led to it{apart}; shrunk in {one.shrunk.used} runs",
             *(f"  {line}" for line in one.explanation),
         ]
@@ -98,6 +106,17 @@ class SearchSession:
     def interrupted(self) -> bool:
         """Was it ended by Ctrl-C?"""
         return self.findings.interrupted
+
+    @property
+    def not_found(self) -> list[str]:
+        """Claims that the space expects to be violated, and no confirmed counterexample violates."""
+        missing = self.trials.to_be_found - {one.one.complaint.sentence for one in self.written}
+        return [goal.sentence for goal in self.trials.goals if goal.sentence in missing]
+
+    @property
+    def differs(self) -> bool:
+        """Was anything found that the space does not expect, or not found what it does?"""
+        return bool(self.not_found) or not all(one.expected for one in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
@@ -140,6 +159,8 @@ class SearchSession:
                 self._shrink_groups(claim)
         for line in remarks(self.trials, findings):
             say(line)
+        for sentence in self.not_found:
+            self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
         if self.unconfirmed:
             say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
         if self.unwritable is None:
@@ -219,7 +240,10 @@ class SearchSession:
                     save_trace(one.run, trace_file)
             except OutputError as error:
                 self.unwritable = error
-        self.written.append(WrittenCounterexample(one, [group], findings.searcher, path, trace_file, text))
+        expected = one.complaint.claim is not None and one.complaint.sentence in self.trials.to_be_found
+        self.written.append(
+            WrittenCounterexample(one, [group], findings.searcher, path, trace_file, text, expected)
+        )
         return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
@@ -299,6 +323,14 @@ def nearest_lines(findings: Findings) -> list[str]:
     return lines
 
 
+def not_found_words(findings: Findings) -> str:
+    """That what a space expects to be violated was not, and what that may come from."""
+    return (
+        f"the space expects it to be violated, and of {findings.tried} runs none is known to do so; the "
+        "avoider does better than the space says, or the budget is too small"
+    )
+
+
 def summary(findings: Findings, budget: int) -> str:
     """Tried, refused, found."""
     violations = sum(group.claim is not None for group in findings.groups)
@@ -318,10 +350,13 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
     touching = trials.coverage.touching
+    if np.isfinite(trials.nearest_hand_m):
+        near = Unit.LENGTH.margin_text(trials.nearest_hand_m)
+        lines.append(f"nearest hand: {near}; in {touching} of {findings.tried} runs a hand touched the arm")
     if not findings.found and touching:
         lines.append(
-            f"no claim was violated in {findings.tried} runs, but in {touching} a hand touched the arm: no "
-            "claim here says that it must not (--claim 'hand distance never below 0 mm' searches for that)"
+            "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
+            "distance never below 0 mm' searches for that)"
         )
     elif not findings.found and findings.tried:
         lines.append(

@@ -35,7 +35,7 @@ from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
-from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.trace.trace import Trace
 
 
@@ -79,7 +79,10 @@ class Trials:
 
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
-    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer.
+    say something of it.  A claim that the space expects to be violated is searched like the others, and
+    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  ``nearest_hand_m`` is the
+    least distance between a hand and the arm in any run.  ``decisions`` counts those of all runs,
+    ``unanswered`` those without an answer.
     Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
     it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
     """
@@ -92,19 +95,22 @@ class Trials:
     coverage: Coverage = field(default_factory=Coverage)
     violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
+    nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
         simplest = self._completed(self.space.simplest)
+        given = () if self.sentences else self.space.simplest.claims
+        self.to_be_found = frozenset(c.sentence for c in given if c.expected is Verdict.VIOLATED)
         expected = [claim for claim in simplest.claims if claim.expected is Verdict.HOLDS]
         others = tuple(claim for claim in expected if not is_claimed([claim]))
         self.claims = others or tuple(claim for claim in expected if claim is not DEFAULT_CLAIM)
         if not self.claims:
             raise ScenarioError(
                 place=Place(file=self.space.file, field="claims"),
-                expected="a claim that should hold, for a search to refute",
+                expected="a claim that holds or is violated, for a search to refute",
                 got="none",
                 hint="write one below claims, or give --claim",
             )
@@ -119,7 +125,7 @@ class Trials:
         return self._completed(self.space.at(point, seed=own, name=f"{self.space.name}-{number}"))
 
     def _completed(self, scenario: Scenario) -> Scenario:
-        claims = scenario.claims
+        claims = each_to_hold(scenario.claims)
         if self.sentences:
             place = Place(field="--claim")
             claims = tuple(Claim(sentence=s, expected=Verdict.HOLDS, place=place) for s in self.sentences)
@@ -152,8 +158,15 @@ class Trials:
             self.decisions += len(trace.decisions)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             mishaps[k] = fault_of(trace) if self.answered else ""
+            self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
         self.coverage.add(cells[k] for k in admitted)
         self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
+
+
+def least_hand_distance_m(trace: Trace) -> float:
+    """The least distance of a hand that is there from the arm, surface to surface; infinite without one."""
+    there = trace.ticks["hand_distance_m"][trace.ticks["hand_present"]]
+    return float(np.fmin.reduce(there, initial=np.inf))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.decision_times import refuse_wall_clock
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.nodes import Node
 from safety_harness.scenario.read import scenario_of
 from safety_harness.scenario.settings_keys import TOP_GROUPS
@@ -267,3 +267,9 @@ class ScenarioSpace:
 
     def _error(self, expected: str, got: str) -> ScenarioError:
         return ScenarioError(place=Place(file=self.file, field=self.name), expected=expected, got=got)
+
+
+def each_to_hold(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """The claims of one scenario of a space: what the space has violated somewhere should hold in each."""
+    violated = Verdict.VIOLATED
+    return tuple(replace(c, expected=Verdict.HOLDS) if c.expected is violated else c for c in claims)

@@ -16,7 +16,7 @@ from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.read import space_of
-from safety_harness.space.space import ScenarioSpace
+from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
 from safety_harness.testing.session import session
 from safety_harness.testing.simulating import as_asked, digest_of, looker
@@ -97,4 +97,5 @@ def _admissible(draw: st.DrawFn, space: ScenarioSpace) -> Scenario:
         looker.look(as_asked(scenario))
     except InputError:  # out of reach, out of view: what one draw in so many is
         reject()
-    return replace(scenario, name=f"{space.name}#{digest_of(scenario)[:6]}")
+    name = f"{space.name}#{digest_of(scenario)[:6]}"
+    return replace(scenario, name=name, claims=each_to_hold(scenario.claims))

@@ -11,6 +11,7 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
+from safety_harness.cli.show import sample
 from safety_harness.exceptions import OutputError
 from safety_harness.scenario.expand import gather
 from safety_harness.search import session as search_session
@@ -74,7 +75,8 @@ def test_a_space_in_which_nothing_is_violated_ends_well_and_says_what_that_is_wo
     assert fuzz(space, out=tmp_path / "out", budget=3, claims=["joint speeds within limits"]) == AS_EXPECTED
     err = capsys.readouterr().err
     touching = json.loads((tmp_path / "out" / "findings.json").read_text())["coverage"]
-    assert f"but in {sum(n for cell, n in touching.items() if 'touching' in cell)} a hand touched" in err
+    runs = sum(n for cell, n in touching.items() if "touching" in cell)
+    assert f"in {runs} of 3 runs a hand touched the arm" in err
     assert "nothing found" not in err
     assert counterexamples(tmp_path / "out") == []
 
@@ -193,3 +195,37 @@ def test_a_scenario_is_no_space(tmp_path: Path, capsys: pytest.CaptureFixture[st
     file.write_text(TEXT.replace("scenario space:", "scenario:"))
     assert fuzz(file, out=tmp_path / "out") == BAD_INPUT
     assert "one.yaml" in capsys.readouterr().err
+
+
+def expecting(space: Path, verdict: str, claim: str = "hand distance never below 150 mm") -> Path:
+    space.write_text(TEXT.replace(f"{claim}: holds", f"{claim}: {verdict}"))
+    return space
+
+
+def test_what_the_space_expects_to_be_violated_is_searched_and_found_as_expected(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fuzz(expecting(space, "violated"), out=tmp_path / "out", budget=12) == AS_EXPECTED
+    assert "hand distance never below 150 mm (as the space expects)" in capsys.readouterr().out
+    (file,) = counterexamples(tmp_path / "out")
+    assert run([file], tmp_path / "again") == AS_EXPECTED
+
+
+def test_what_the_space_expects_to_be_violated_and_is_not_found_differs(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, claim = tmp_path / "out", "joint speeds within limits"
+    space = expecting(expecting(space, "violated"), "violated", claim)
+    space.write_text(space.read_text().replace("150 mm: holds", "150 mm: violated"))
+    assert fuzz(space, out=out, budget=12) == DIFFERS
+    assert f"NOT FOUND  {claim}: the space expects it to be violated" in capsys.readouterr().out
+    assert json.loads((out / "findings.json").read_text())["expected to be violated and not found"] == [claim]
+    assert "<strong>Not found.</strong> joint speeds within limits" in (out / "fuzz.html").read_text()
+
+
+def test_a_draw_of_a_space_is_to_keep_what_the_space_has_violated_somewhere(
+    space: Path, tmp_path: Path
+) -> None:
+    assert sample(expecting(space, "violated"), out=tmp_path, count=1, seed=0) == AS_EXPECTED
+    (file,) = tmp_path.glob("*-0.yaml")
+    assert "hand distance never below 150 mm: holds" in file.read_text()

@@ -88,6 +88,7 @@ def shown() -> WrittenCounterexample:
         path=Path("out/space-claim-1.yaml"),
         trace_file=Path("out/space-claim-1.trace"),
         text="# A counterexample\nscenario: x\n",
+        expected=False,
     )
 
 
@@ -121,6 +122,8 @@ def evidence(**changes: object) -> SearchEvidence:
         shown=(shown(),),
         confirmed=2,
         unconfirmed=(apart(),),
+        not_found=(),
+        nearest_hand_m=0.012,
         agreement=AGREEMENT,
         provenance=factory.PROVENANCE,
     )

@@ -81,7 +81,7 @@ def test_a_mistake_in_the_text_is_no_refusal_of_a_point() -> None:
 
 def test_a_space_that_claims_nothing_to_hold_cannot_be_searched() -> None:
     text = TEXT.replace(": holds", ": inconclusive")
-    with pytest.raises(ScenarioError, match="a claim that should hold"):
+    with pytest.raises(ScenarioError, match="a claim that holds or is violated"):
         Trials(parse_space(text), in_pybullet)
 
 
