@@ -356,7 +356,7 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
     if not findings.found and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
-            "distance never below 0 mm' searches for that)"
+            "distance never below 1 mm' searches for that)"
         )
     elif not findings.found and findings.tried:
         lines.append(
