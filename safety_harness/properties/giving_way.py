@@ -65,12 +65,14 @@ class MovesAway:
     was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
     controller goes on because it has arrived, at most a tenth of the way may be left.
 
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.
+
     Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
     for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
     to move away").
     """
 
-    tolerance_m: float = 0.0  # how much nearer to a hand a planned way may lead
+    tolerance_m: float = 0.0
     unit: Unit = Unit.LENGTH
 
     @property
@@ -143,7 +145,7 @@ def away_from(
     distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
     nearest = int(np.argmin(distances))
     nearer = Finding(
-        float(distances[nearest]) - distance + unavoidable_m + DIP_M,
+        float(distances[nearest]) - distance + unavoidable_m + DIP_M + tolerance_m,
         float(trace.time_s[first + nearest]),
         f"executed way, nearer to {name}",
     )
