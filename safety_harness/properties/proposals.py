@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.flaky import question_of
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
 from safety_harness.properties.base import (
-    ENDLESS,
     Evaluation,
     Property,
     Unit,
@@ -27,6 +26,7 @@ from safety_harness.properties.base import (
 from safety_harness.properties.entry import CatalogueEntry, quantity, share
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.overruling import Overruling, answered, overruled
+from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m")
@@ -39,8 +39,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
     Left out is an answer to an earlier question of which the trace does not tell the hand.
     """
-    there = answered(trace) & (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
-    found = trace.decisions[there]  # a copy
+    found = trace.decisions[answered(trace)]  # a copy
     told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
         axis=1
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -216,12 +217,13 @@ def test_a_larger_allowance_is_as_much_more_margin(
         assert found is not None
         return found
 
-    for kind in (
+    kinds: tuple[Callable[[float], Property], ...] = (
         lambda length_m: ProposalsLeadAway(tolerance_m=length_m),
         lambda length_m: NearOptimum(within_m=length_m),
         lambda length_m: WithinSpread(spreads=2.0, allowance_m=length_m),
         lambda length_m: NeverSureAndOff(within_m=length_m),
-    ):
+    )
+    for kind in kinds:
         change_m = margin(kind(second_m)) - margin(kind(first_m))
         assert change_m == pytest.approx(second_m - first_m, abs=1e-12)
 
