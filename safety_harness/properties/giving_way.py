@@ -201,7 +201,8 @@ MOVES_AWAY = CatalogueEntry(
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "
     "the arm does not do it",
-    parameters="the repulsion speed and acceleration of the settings",
+    parameters='a tolerance if it ends in "to within 5 mm", say: how much nearer to a hand the planned way and '
+    "the executed one may lead; the repulsion speed and acceleration of the settings",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
