@@ -65,12 +65,14 @@ class MovesAway:
     was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
     controller goes on because it has arrived, at most a tenth of the way may be left.
 
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.
+
     Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
     for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
     to move away").
     """
 
-    tolerance_m: float = 0.0  # how much nearer to a hand a planned way may lead
+    tolerance_m: float = 0.0
     unit: Unit = Unit.LENGTH
 
     @property
@@ -143,7 +145,7 @@ def away_from(
     distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
     nearest = int(np.argmin(distances))
     nearer = Finding(
-        float(distances[nearest]) - distance + unavoidable_m + DIP_M,
+        float(distances[nearest]) - distance + unavoidable_m + DIP_M + tolerance_m,
         float(trace.time_s[first + nearest]),
         f"executed way, nearer to {name}",
     )
@@ -199,7 +201,8 @@ MOVES_AWAY = CatalogueEntry(
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "
     "the arm does not do it",
-    parameters="the repulsion speed and acceleration of the settings",
+    parameters='a tolerance if it ends in "to within 5 mm", say: how much nearer to a hand the planned way and '
+    "the executed one may lead; the repulsion speed and acceleration of the settings",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",

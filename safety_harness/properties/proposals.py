@@ -14,12 +14,22 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.flaky import question_of
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
-from safety_harness.properties.base import ENDLESS, Evaluation, Property, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import (
+    Evaluation,
+    Property,
+    Unit,
+    inconclusive,
+    is_somewhere,
+    judged,
+    readable,
+)
 from safety_harness.properties.entry import CatalogueEntry, quantity, share
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.overruling import Overruling, answered, overruled
+from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace, once_a_trace
 
+QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m")
 NEVER = "the avoider never answered"
 
 
@@ -29,15 +39,14 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
     Left out is an answer to an earlier question of which the trace does not tell the hand.
     """
-    there = answered(trace) & (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
-    found = trace.decisions[there]  # a copy
+    found = trace.decisions[answered(trace)]  # a copy
     told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
         axis=1
     )
     found = found[told]
     for one in found:
-        hand_in_base_m, tcp_in_base_m = question_of(trace, one)
-        one["hand_position_in_base_m"], one["tcp_position_in_base_m"] = hand_in_base_m, tcp_in_base_m
+        for name, position in zip(QUESTION, question_of(trace, one), strict=True):
+            one[name] = position if is_somewhere(position) else np.nan
     return found
 
 
@@ -138,7 +147,7 @@ class WithinSpread:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
         found = proposals(trace)
         spread_m = np.minimum(found["proposed_spread_m"], ENDLESS)
-        if len(found) and np.isnan(found["spread_threshold_m"]).all() and not spread_m.any():
+        if len(found) and np.isnan(found["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
             return inconclusive(self, "never exercised: the avoider gives no spread")
         errors_m = np.abs(found["proposed_position_in_base_m"] - optima_in_base_m(trace, found))  # (m, 3)
         margins_m = self.spreads * spread_m + self.allowance_m - errors_m
