@@ -59,6 +59,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         generated_at=datetime.now(UTC),
         findings=session.findings,
         fallback=fallback_words(trials.unanswered, trials.decisions),
+        overruling=trials.overruling,
         baseline=session.baseline,
         coverage=trials.coverage,
         violations=trials.violations,
@@ -97,6 +98,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "interrupted": findings.interrupted,
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
+        "overruling": evidence.overruling.named,
         "claims": _of_claims(findings),
         "baseline": None
         if baseline is None

@@ -36,6 +36,7 @@ from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
 
@@ -79,8 +80,8 @@ class Trials:
 
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
-    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer.
-    Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
+    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer,
+    ``overruling`` is of all of them.  Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
     it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
     """
 
@@ -94,6 +95,7 @@ class Trials:
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
+    overruling: Overruling = field(default_factory=Overruling, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -151,6 +153,7 @@ class Trials:
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             self.decisions += len(trace.decisions)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
+            self.overruling += Overruling.of([trace])
             mishaps[k] = fault_of(trace) if self.answered else ""
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"

@@ -19,6 +19,7 @@ from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.testing.session import TestRun, session
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
 MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
@@ -110,6 +111,9 @@ def _run(admitted: Admitted) -> Trace:
     refuse_flaky(admitted.avoider, trace)
     if (test := session().test) is not None and len(trace.decisions):
         test.computing_times.append(ComputingTime.of(trace))
+        if test.counts:
+            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
+            test.overruled[run] = Overruling.of([trace])
     return trace
 
 

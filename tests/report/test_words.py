@@ -8,6 +8,7 @@ import pytest
 
 from safety_harness.properties.base import Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
+from safety_harness.proportions import share_words
 from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,
@@ -18,7 +19,6 @@ from safety_harness.report.words import (
     milliseconds_words,
     point_words,
     setting_words,
-    share_words,
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.settings import DEFAULTS, HandSensorKind
