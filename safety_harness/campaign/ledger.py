@@ -137,12 +137,12 @@ class Ledger:
         with self.transaction():
             for row in rows:
                 counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
-                counts += row.overruling.counts
+                own = (row.stratum, row.episode, row.seed, row.draws, *counts, *row.overruling.counts)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
                 words = (row.cell, row.mishap or None, row.failure or None)
                 here = (row.seconds, row.worker)
-                execute(_EPISODE, (row.stratum, row.episode, row.seed, row.draws, *counts, *words, *here))
+                execute(_EPISODE, (*own, *words, *here))
                 for claim, one in enumerate(row.judgements):
                     found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
                     execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL

@@ -71,7 +71,8 @@ def _take_over(whole: Ledger, path: Path) -> None:
         whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
         whole.connection.execute(
             "INSERT OR IGNORE INTO episode "
-            f"SELECT e.stratum, e.episode, e.{', e.'.join(_NUMBERS)}, c.id, e.mishap, e.failure, e.seconds, e.worker "
+            f"SELECT e.stratum, e.episode, e.{', e.'.join(_NUMBERS)}, c.id, e.mishap, e.failure, "
+            "e.seconds, e.worker "
             "FROM part.episode e LEFT JOIN part.cell p ON p.id = e.cell LEFT JOIN cell c ON c.words = p.words"
         )
         whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")

@@ -220,7 +220,8 @@ CREATE TABLE session (
 );
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
-        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(COUNTS)}, c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
+        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(COUNTS)},
+        c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
     FROM episode e JOIN stratum s ON s.id = e.stratum LEFT JOIN cell c ON c.id = e.cell;
 CREATE VIEW results AS
     SELECT s.name AS stratum, j.episode, c.sentence AS claim, {OUTCOME} AS outcome,

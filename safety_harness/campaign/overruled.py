@@ -70,14 +70,15 @@ class OverrulingCompared:
         """One line."""
         one, more = self.episodes, self.after.share - self.before.share
         was, now = (
-            f"{share_words(of.overruled, of.proposals)} of {of.proposals:,}" for of in (self.before, self.after)
+            f"{share_words(of.overruled, of.proposals)} of {of.proposals:,}"
+            for of in (self.before, self.after)
         )
         difference = f" ({more:+.1%})" if math.isfinite(more) else ""
         unclear = f", unclear {one.unclear}" if one.unclear else ""
         return (
-            f"{self.stratum}: overruled {now} proposals, before {was}{difference}; of {one.episodes} episodes "
-            f"some proposal was overruled both times in {one.both}, only after in {one.only_first}, only before "
-            f"in {one.only_second}{unclear}; p {one.p_value:.3g} (McNemar, of its own line alone)"
+            f"{self.stratum}: overruled {now} proposals, before {was}{difference}; of {one.episodes} "
+            f"episodes some proposal was overruled both times in {one.both}, only after in {one.only_first}, "
+            f"only before in {one.only_second}{unclear}; p {one.p_value:.3g} (McNemar, of its own line alone)"
         )
 
 

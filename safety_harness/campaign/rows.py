@@ -40,7 +40,7 @@ class Row:
     stopped: int = 0
     faults: int = 0
     late: int = 0
-    overruling: Overruling = Overruling()
+    overruling: Overruling = field(default_factory=Overruling)
     cell: str = ""
     mishap: str = ""
     failure: str = ""

@@ -210,7 +210,9 @@ def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
 
 def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
     whole, bound = overruling_in(ledger, place), None
-    some = "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"
+    some = (
+        "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"
+    )
     ((runs, overruled),) = ledger.all(some, stratum)
     try:
         one = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)

@@ -370,7 +370,18 @@ def kills(test: SelfTest) -> CellTable:
 
 
 _EVERY: tuple[Callable[..., object], ...] = (
-    *(verdicts, outcomes, quantiles, hazards, strata, overruling, separation, coverage, counterexamples, calibration),
+    *(
+        verdicts,
+        outcomes,
+        quantiles,
+        hazards,
+        strata,
+        overruling,
+        separation,
+        coverage,
+        counterexamples,
+        calibration,
+    ),
     *(agreement, rerun, oracles, kills, files),
 )
 TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them

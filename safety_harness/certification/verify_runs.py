@@ -161,8 +161,9 @@ class Compared:
 
 _JUDGEMENTS = "SELECT claim, outcome, margin FROM judgement WHERE stratum = ? AND episode = ?"
 _COUNTS = (
-    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *overruling.COUNTS))}, c.words, e.failure IS NOT NULL FROM episode e "
-    "LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? AND e.episode = ?"
+    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *overruling.COUNTS))}, c.words, "
+    "e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
+    "WHERE e.stratum = ? AND e.episode = ?"
 )
 
 

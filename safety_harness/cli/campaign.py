@@ -200,7 +200,8 @@ def compare(
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
-    episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of margin first.
+    episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
+    margin first.
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
     """
     from safety_harness.campaign.ledger import Ledger

@@ -86,7 +86,7 @@ def _fallback_lines(ledger: Ledger) -> list[str]:
 
 
 def _overruled_lines(ledger: Ledger) -> list[str]:
-    """What the gate overruled, and if there are several strata the share in each; nothing without proposals."""
+    """What the gate overruled, of several strata the share in each; nothing without proposals."""
     strata = ledger.declared.strata
     each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
     by = ", ".join(f"{name} {share_words(one.overruled, one.proposals)}" for name, one in each)

@@ -40,11 +40,11 @@ def write_json(
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs`` and
-    ``coverage``; each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a formula that
-    "and" joins also each of its ``parts``), and coverage says of each claim over all runs how often it was
-    put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null
-    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such
-    number.
+    ``coverage``; each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a
+    formula that "and" joins also each of its ``parts``), and coverage says of each claim over all runs how
+    often it was put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full
+    precision, null where there is none; one that is not finite is the text "inf", "-inf" or "nan", since
+    JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {

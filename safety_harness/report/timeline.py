@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from safety_harness.properties.base import Evaluation
-from safety_harness.report.evidence import JudgedRun
 from safety_harness.proportions import share_words
+from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import (
     DASHES,
     HANDS,

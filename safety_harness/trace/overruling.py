@@ -13,7 +13,8 @@ from safety_harness.proportions import share_words
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
-REASONS = tuple(check for check in Check if check and check not in (Check.NOT_FINITE, Check.LATE))
+_NO_ANSWER = Check.NOT_FINITE | Check.LATE
+REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
 
 _NAMES = {check: str(check.name).lower() for check in REASONS}
 COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
