@@ -76,7 +76,12 @@ class Simulate:
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
         test = session().test
-        if test is not None and test.counts and test.fallback is None and by_default(trace) is not None:
+        if test is None or not test.counts:
+            return trace
+        if len(trace.decisions):
+            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
+            test.overruled[run] = Overruling.of([trace])
+        if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace
 
@@ -111,9 +116,6 @@ def _run(admitted: Admitted) -> Trace:
     refuse_flaky(admitted.avoider, trace)
     if (test := session().test) is not None and len(trace.decisions):
         test.computing_times.append(ComputingTime.of(trace))
-        if test.counts:
-            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
-            test.overruled[run] = Overruling.of([trace])
     return trace
 
 
