@@ -114,6 +114,7 @@ def evidence(**changes: object) -> SearchEvidence:
         generated_at=datetime(2026, 11, 21, 9, 30, tzinfo=UTC),
         findings=findings_of([(0.3, 0.2), (0.1, 0.2), (-0.05, 0.1), (-0.11, 0.1)]),
         fallback="",
+        overruling=Overruling(2810, 2500, 310, Counter({Check.UNCERTAIN: 2700, Check.TABLE: 110})),
         computing_time="computing time not modelled",
         baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
         coverage=Coverage(Counter({CELL: 4})),

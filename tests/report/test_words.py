@@ -8,7 +8,6 @@ import pytest
 
 from safety_harness.properties.base import Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
-from safety_harness.proportions import share_words
 from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,
@@ -94,21 +93,6 @@ def test_a_violation_never_reads_as_zero(margin: float) -> None:
     number, unit = words.replace("\u2212", "-").split()
     assert unit == "mm"
     assert float(number) == pytest.approx(margin * 1e3, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("count", "total", "words"),
-    [
-        (0, 7, "0 %"),
-        (7, 7, "100 %"),
-        (1, 7, "14.3 %"),
-        (1, 8126, "under 0.1 %"),
-        (8125, 8126, "over 99.9 %"),
-        (0, 0, "\u2013"),
-    ],
-)
-def test_a_share_is_never_nothing_of_something_nor_all_of_less(count: int, total: int, words: str) -> None:
-    assert share_words(count, total) == words
 
 
 @pytest.mark.parametrize(
