@@ -156,8 +156,8 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                 stratum=name,
                 proposals=3000,
                 overruled=189,
-                words="overruled 189 of 3,000 proposals (6.3 %): 150 uncertain, 39 table; 120 replaced by the "
-                "opposite pose, 69 by a stop",
+                words="overruled 189 of 3,000 proposals (6.3 %): 150 uncertain, 39 table; 120 replaced "
+                "by the opposite pose, 69 by a stop",
                 runs=2960,
                 runs_overruled=160,
                 bound=bound(0.0462, 0.0629),

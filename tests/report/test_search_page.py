@@ -28,6 +28,8 @@ from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.session import WrittenCounterexample
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
+from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.records import Check
 from tests.search.short_space import SHORT
 
 GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))

@@ -34,7 +34,8 @@ def test_a_proposal_that_fails_two_checks_is_overruled_once_for_two_reasons() ->
     found = Overruling.of([trace, trace])
     assert found == Overruling(6, 2, 2, Counter({Check.UNCERTAIN: 4, Check.TABLE: 2}))
     assert found.words == (
-        "overruled 4 of 6 proposals (66.7 %): 4 uncertain, 2 table; 2 replaced by the opposite pose, 2 by a stop"
+        "overruled 4 of 6 proposals (66.7 %): 4 uncertain, 2 table; "
+        "2 replaced by the opposite pose, 2 by a stop"
     )
     assert found.share == 4 / 6
 
