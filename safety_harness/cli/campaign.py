@@ -142,6 +142,8 @@ def query(
 ) -> int:
     """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
 
+    Of what the gate overruled the view episodes has the columns proposals, overruled, overruled_replaced,
+    overruled_stopped and one for each reason, such as overruled_uncertain.
     Exit code 0; 2: a question that cannot be answered.
     """
     import sqlite3
