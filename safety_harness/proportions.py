@@ -1,4 +1,7 @@
-"""Exact statements about independent trials: shares with their bounds, signs, ranks of a median."""
+"""Exact statements about independent trials: shares with their bounds, signs, ranks of a median.
+
+And a share in words.
+"""
 
 from __future__ import annotations
 
@@ -37,6 +40,18 @@ class Proportion:
     def share(self) -> float:
         """Between 0 and 1."""
         return self.count / self.trials
+
+
+def share_words(count: int, total: int) -> str:
+    """Per cent with one decimal; never 0 % of something nor 100 % of less than all."""
+    if total == 0:
+        return "\u2013"
+    if count in (0, total):
+        return "0 %" if count == 0 else "100 %"
+    per_mille = round(1000.0 * count / total)
+    if per_mille == 0:
+        return "under 0.1 %"
+    return "over 99.9 %" if per_mille == 1000 else f"{per_mille / 10:.1f} %"
 
 
 def upper_bound(count: int, trials: int, chance: float) -> float:

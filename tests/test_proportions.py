@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 from disagreement import noted
 
-from safety_harness.proportions import Proportion, median_rank, sign_test
+from safety_harness.proportions import Proportion, median_rank, share_words, sign_test
 
 
 @pytest.mark.parametrize("trials", [1, 2, 7, 59, 1_000, 30_000])
@@ -39,3 +39,18 @@ def test_the_sign_test_is_the_binomial_one(more: int, fewer: int) -> None:
 def test_the_rank_of_a_median_is_the_greatest_that_misses_seldom_enough(n: int) -> None:
     rank = median_rank(n, 0.025)
     assert scipy.stats.binom.cdf(rank - 1, n, 0.5) <= 0.025 < scipy.stats.binom.cdf(rank, n, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("count", "total", "words"),
+    [
+        (0, 7, "0 %"),
+        (7, 7, "100 %"),
+        (1, 7, "14.3 %"),
+        (1, 8126, "under 0.1 %"),
+        (8125, 8126, "over 99.9 %"),
+        (0, 0, "\u2013"),
+    ],
+)
+def test_a_share_is_never_nothing_of_something_nor_all_of_less(count: int, total: int, words: str) -> None:
+    assert share_words(count, total) == words

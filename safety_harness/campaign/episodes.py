@@ -32,6 +32,7 @@ from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.records import DecisionOutcome as Decided
 from safety_harness.trace.store import save_trace
@@ -176,6 +177,7 @@ class EpisodeRunner:
             stopped=int(np.count_nonzero(decided == Decided.STOP)),
             faults=int(np.count_nonzero(unanswered(run))),
             late=int(np.count_nonzero(run.decisions["proposed_failed"] & Check.LATE)),
+            overruling=Overruling.of([run]),
             cell="" if cell is None else str(cell),
             mishap=fault_of(run),
             failure=broken,

@@ -9,13 +9,14 @@ from itertools import islice
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.opening import OUTCOME
+from safety_harness.campaign.opening import OUTCOME, OVERRULED
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, parse_quantity
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
-_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late")
+_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
 # Name, where it is, and its type in Parquet.
 _COLUMNS = (
     ("stratum", "s.name", "string"),
@@ -26,6 +27,7 @@ _COLUMNS = (
     ("worst_time_s", "j.worst_time_s", "float64"),
     ("exercised", "j.exercised", "int64"),
     *((name, f"e.{name}", "int64") for name in _NUMBERS),
+    ("overruled", OVERRULED, "int64"),
     ("cell", "l.words", "string"),
     ("mishap", "e.mishap", "string"),
     ("failure", "e.failure", "string"),

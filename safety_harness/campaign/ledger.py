@@ -28,9 +28,11 @@ from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
+from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
-_EPISODE = f"INSERT INTO episode VALUES ({'?, ' * 10}(SELECT id FROM cell WHERE words = ?){', ?' * 4})"
+_NUMBERS = 10 + len(COUNTS)
+_EPISODE = f"INSERT INTO episode VALUES ({'?, ' * _NUMBERS}(SELECT id FROM cell WHERE words = ?){', ?' * 4})"
 _SAMPLE = (
     "SELECT j.episode, j.outcome, e.seed, j.exercised, j.margin FROM judgement j JOIN episode e "
     "ON e.stratum = j.stratum AND e.episode = j.episode WHERE j.stratum = ? AND j.claim = ? "
@@ -135,11 +137,12 @@ class Ledger:
         with self.transaction():
             for row in rows:
                 counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
+                own = (row.stratum, row.episode, row.seed, row.draws, *counts, *row.overruling.counts)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
                 words = (row.cell, row.mishap or None, row.failure or None)
                 here = (row.seconds, row.worker)
-                execute(_EPISODE, (row.stratum, row.episode, row.seed, row.draws, *counts, *words, *here))
+                execute(_EPISODE, (*own, *words, *here))
                 for claim, one in enumerate(row.judgements):
                     found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
                     execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL
@@ -227,21 +230,25 @@ class Ledger:
         number, of = _place(declared.strata, stratum), _place(declared.claims, claim)
         after = self.stopped_after(number)
         rows = list(self.all(_SAMPLE, number, of, after))
-        declaration = Declaration(
-            plan_sha256=declared.identity.sha256,
-            draws_sha256=self.draws_sha256,
-            stratum=stratum,
-            seed=declared.seed,
-            planned=declared.planned[number],
-            world=declared.world,
-            stop_early=declared.stop_early,
-        )
         episodes, outcomes, seeds, exercised = (
             np.array([row[k] for row in rows], np.int64) for k in range(4)
         )
         margins = np.array([row[4] for row in rows], np.float64)
         return IndependentSample.of_stream(
-            declaration, episodes, outcomes, margins, seeds=seeds, exercised=exercised, claim=claim
+            self.stream(number), episodes, outcomes, margins, seeds=seeds, exercised=exercised, claim=claim
+        )
+
+    def stream(self, stratum: int) -> Declaration:
+        """What was said of a stratum's episodes before the first was run."""
+        declared = self.declared
+        return Declaration(
+            plan_sha256=declared.identity.sha256,
+            draws_sha256=self.draws_sha256,
+            stratum=declared.strata[stratum],
+            seed=declared.seed,
+            planned=declared.planned[stratum],
+            world=declared.world,
+            stop_early=declared.stop_early,
         )
 
     @contextmanager

@@ -12,9 +12,11 @@ from safety_harness.campaign.session import plan_of
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
+from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
-_EPISODE = "seed, draws, decisions, proposed, opposite, stopped, faults, late, mishap, failure"
+_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
+_EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
 
 
@@ -69,8 +71,8 @@ def _take_over(whole: Ledger, path: Path) -> None:
         whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
         whole.connection.execute(
             "INSERT OR IGNORE INTO episode "
-            "SELECT e.stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, "
-            "e.stopped, e.faults, e.late, c.id, e.mishap, e.failure, e.seconds, e.worker "
+            f"SELECT e.stratum, e.episode, e.{', e.'.join(_NUMBERS)}, c.id, e.mishap, e.failure, "
+            "e.seconds, e.worker "
             "FROM part.episode e LEFT JOIN part.cell p ON p.id = e.cell LEFT JOIN cell c ON c.words = p.words"
         )
         whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")

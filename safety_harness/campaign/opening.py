@@ -13,9 +13,10 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
-from safety_harness.exceptions import LedgerError, OutputError
+from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import writing
 
 BUSY_MS = 30_000  # that others may keep the ledger from being written
@@ -98,8 +99,14 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise unusable(path, "a ledger", "an SQLite database of something else")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
-    if not 1 <= version <= VERSION:
-        raise unusable(path, f"a ledger of version 1 to {VERSION}", f"version {version}, of a newer program")
+    if version != VERSION:
+        whose = "a newer" if version > VERSION else "an older"
+        raise LedgerError(
+            place=Place(file=path),
+            expected=f"a ledger of version {VERSION}",
+            got=f"version {version}, of {whose} program",
+            hint="use the program that made it, or run its plan anew into another ledger (--ledger FILE)",
+        )
 
 
 def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
@@ -169,10 +176,11 @@ def refuse_any_file(path: Path) -> None:
 
 
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
-VERSION = 1
+VERSION = 2  # of its tables: 2 has what the gate overruled
 
 _WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
 OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
+OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
 
 _TABLES = f"""
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
@@ -192,6 +200,7 @@ CREATE TABLE episode (
     decisions INTEGER NOT NULL, proposed INTEGER NOT NULL, opposite INTEGER NOT NULL,
     stopped INTEGER NOT NULL,
     faults INTEGER NOT NULL, late INTEGER NOT NULL,
+    {" INTEGER NOT NULL, ".join(COUNTS)} INTEGER NOT NULL,
     cell INTEGER REFERENCES cell, mishap TEXT, failure TEXT,
     seconds REAL NOT NULL, worker TEXT NOT NULL,
     PRIMARY KEY (stratum, episode)
@@ -211,7 +220,8 @@ CREATE TABLE session (
 );
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
-        e.faults, e.late, c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
+        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(COUNTS)},
+        c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
     FROM episode e JOIN stratum s ON s.id = e.stratum LEFT JOIN cell c ON c.id = e.cell;
 CREATE VIEW results AS
     SELECT s.name AS stratum, j.episode, c.sentence AS claim, {OUTCOME} AS outcome,

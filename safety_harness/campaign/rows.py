@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.overruling import Overruling
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class Row:
     stopped: int = 0
     faults: int = 0
     late: int = 0
+    overruling: Overruling = field(default_factory=Overruling)
     cell: str = ""
     mishap: str = ""
     failure: str = ""

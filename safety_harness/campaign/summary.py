@@ -4,9 +4,9 @@ The hash is the root of a Merkle tree over the episodes, that of RFC 6962, secti
 Kasper, 2013): SHA-256, a zero byte before what a leaf hashes and a one before what a node does, so that no
 node can be taken for a leaf; of n leaves the left subtree has the largest power of two below n.
 
-A leaf is an episode, as JSON: its stratum's and its own number, seed, draws, decisions, cell, run error,
-outcome, margin, moment and occasions of each claim, and the SHA-256 of its trace if that is kept.  Hashes are
-computed when they are asked for: stored in the same file they would protect nothing.
+A leaf is an episode, as JSON: its stratum's and its own number, seed, draws, decisions, overruled proposals,
+cell, run error, outcome, margin, moment and occasions of each claim, and the SHA-256 of its trace if that is
+kept.  Hashes are computed when they are asked for: stored in the same file they would protect nothing.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.overruling import COUNTS
 
 _COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
 _FAILED = (
@@ -28,8 +29,8 @@ _FAILED = (
     f"WHERE outcome = {int(EpisodeOutcome.FAILED)} GROUP BY 1"
 )
 _OF_EPISODE = (
-    "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, c.words, "
-    "e.mishap, e.failure"
+    "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
+    f"e.{', e.'.join(COUNTS)}, c.words, e.mishap, e.failure"
 )
 _JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ?"
 # Everything that is the same wherever an episode runs, in an order that is.

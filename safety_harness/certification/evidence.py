@@ -141,6 +141,24 @@ class StratumResult:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OverrulingResult:
+    """How often the gate overruled the avoider in one stratum: of its proposals, and of runs with a proposal.
+
+    ``bound`` is of the share of runs with some proposal overruled, an interval of its own: it is none of the
+    bounds that hold together, and None without such runs, or while runs are missing.  ``words`` say for
+    which reasons, and what came instead.
+    """
+
+    stratum: str
+    proposals: int
+    overruled: int
+    words: str
+    runs: int
+    runs_overruled: int
+    bound: Bound | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class DeclaredPlan:
     """The plan that the runs were made by."""
 
@@ -293,6 +311,7 @@ class Evidence:
     plan: DeclaredPlan
     standing: ClaimStatus
     strata: tuple[StratumResult, ...]
+    overruling: tuple[OverrulingResult, ...]
     claims: tuple[ClaimEvidence, ...]
     system: SystemDescription
     assumptions: tuple[str, ...]

@@ -28,7 +28,7 @@ from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence,
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
-from safety_harness.certification.results import bounds, claims_of, strata_of
+from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
     Stored,
@@ -103,6 +103,7 @@ def put_together(
         plan=_plan(plan, ledger),
         standing=gravest(claim.standing for claim in claims),
         strata=strata,
+        overruling=overruling_of(ledger),
         claims=claims,
         system=system_of(plan),
         assumptions=ASSUMPTIONS,

@@ -12,6 +12,7 @@ import numpy as np
 from safety_harness.admission.claims import property_of
 from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.overruled import overruled_episodes, overruling_in
 from safety_harness.campaign.plan import Plan, PlannedClaim
 from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.evidence import (
@@ -19,6 +20,7 @@ from safety_harness.certification.evidence import (
     Bound,
     ClaimEvidence,
     ClaimResult,
+    OverrulingResult,
     Quantile,
     StratumResult,
 )
@@ -26,7 +28,8 @@ from safety_harness.certification.standards import entry_of, traced
 from safety_harness.certification.verdicts import overall, standing_of
 from safety_harness.exceptions import StatisticsError
 from safety_harness.properties.answered import is_claimed
-from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
+from safety_harness.proportions import LEVEL
+from safety_harness.statistics.binomial import Sides, bounds_of, ends_of, violation_bounds
 from safety_harness.statistics.distances import tolerance_bound
 from safety_harness.statistics.planning import Aim, refuse_if_impossible
 from safety_harness.statistics.sample import EpisodeOutcome as Code
@@ -197,4 +200,32 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         decisions=tuple((what, int(many)) for what, many in zip(_DECISIONS, counts, strict=True) if many),
         random_traces=len(random),
         violation_traces=sum(stored.values()),
+    )
+
+
+def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
+    """How often the gate overruled the avoider, by stratum, each with an interval of its own."""
+    return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
+
+
+def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
+    whole, bound = overruling_in(ledger, place), None
+    some = (
+        "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"
+    )
+    ((runs, overruled),) = ledger.all(some, stratum)
+    try:
+        one = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
+        if one.trials:
+            bound = Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
+    except StatisticsError:  # episodes are missing yet
+        pass
+    return OverrulingResult(
+        stratum=stratum,
+        proposals=whole.proposals,
+        overruled=whole.overruled,
+        words=whole.words,
+        runs=int(runs),
+        runs_overruled=int(overruled),
+        bound=bound,
     )

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from safety_harness.certification.argument import STATE
-from safety_harness.certification.evidence import ClaimEvidence, ClaimResult, ClaimStatus, Evidence
+from safety_harness.certification.evidence import (
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    Evidence,
+    OverrulingResult,
+)
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import Credibility, Rerun, SelfTest, WorldAgreement
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
@@ -139,7 +145,7 @@ def _confidence(claim: ClaimEvidence) -> str:
     return next((confidence_words(one.bound.confidence) for one in claim.outcomes if one.bound), "")
 
 
-def _bounds(outcome: ClaimResult) -> TableCell:
+def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
     if outcome.bound is None:
         return number("none")
     return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
@@ -200,6 +206,24 @@ def strata(evidence: Evidence) -> CellTable:
             "Stored traces": lambda one: words(
                 f"{one.random_traces} at random, {one.violation_traces} of violations"
             ),
+        },
+    )
+
+
+def overruling(evidence: Evidence) -> CellTable:
+    """How often the gate did not let the arm do what the avoider proposed."""
+    return _table(
+        "What the gate overruled: of all proposals, and of the runs with a proposal those in which at least "
+        "one was overruled. A proposal may be overruled for several reasons. Each interval holds with 95 % "
+        "confidence alone, and is none of the bounds that hold together; its upper end counts runs that "
+        "could not be carried on as overruled, its lower end counts none of them.",
+        evidence.overruling,
+        {
+            "Stratum": lambda one: words(one.stratum),
+            "Proposals": lambda one: words(one.words or "none"),
+            "Runs with a proposal": lambda one: count(one.runs),
+            "Runs with one overruled": lambda one: count(one.runs_overruled),
+            "Share of runs": _bounds,
         },
     )
 
@@ -346,7 +370,18 @@ def kills(test: SelfTest) -> CellTable:
 
 
 _EVERY: tuple[Callable[..., object], ...] = (
-    *(verdicts, outcomes, quantiles, hazards, strata, separation, coverage, counterexamples, calibration),
+    *(
+        verdicts,
+        outcomes,
+        quantiles,
+        hazards,
+        strata,
+        overruling,
+        separation,
+        coverage,
+        counterexamples,
+        calibration,
+    ),
     *(agreement, rerun, oracles, kills, files),
 )
 TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them

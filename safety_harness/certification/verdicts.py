@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from safety_harness.certification.evidence import Bound, ClaimResult, ClaimStatus
+from safety_harness.certification.evidence import Bound, ClaimResult, ClaimStatus, OverrulingResult
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.simulation.worlds import WorldEntry
 
@@ -100,6 +100,13 @@ def at_most(share: float) -> str:
 def at_least(share: float) -> str:
     """A lower bound in per cent: its digits are never above it."""
     return f"{100.0 * float(rounded_down(share)):.3g} %"
+
+
+def overruling_line(one: OverrulingResult) -> str:
+    """How often the gate overruled the avoider in a stratum, and in how many of its runs it may."""
+    bound = one.bound
+    ends = "" if bound is None else f" ({at_least(bound.lower)} to {at_most(bound.upper)}, 95 % alone)"
+    return f"{one.stratum}: {one.words}; in {one.runs_overruled} of {one.runs} runs with a proposal{ends}"
 
 
 def confidence_words(confidence: float) -> str:

@@ -16,6 +16,7 @@ from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import JSON, JUNIT, LOG, MANIFEST, PAGE, PLAN, names_in, sha256_of
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.overruling import COUNTS
 
 MOST_NAMED = 10
 
@@ -184,7 +185,7 @@ def _not(table: str, **kinds: str) -> str:
 
 _COUNTS = (
     *("stratum", "episode", "seed", "draws", "decisions"),
-    *("proposed", "opposite", "stopped", "faults", "late"),
+    *("proposed", "opposite", "stopped", "faults", "late", *COUNTS),
 )
 _ODD = {
     "runs with values of another kind": _not(
@@ -215,7 +216,9 @@ _ODD = {
     "sessions with values of another kind": _not("session", began="text", workers="text", machine="text"),
     "files with values of another kind": _not("file", name="text", data="blob"),
     "impossible counts": "SELECT count(*) FROM episode WHERE draws NOT BETWEEN 0 AND "
-    f"{MAX_REJECTION_RATIO} OR min(proposed, opposite, stopped, faults, late) < 0 "
+    f"{MAX_REJECTION_RATIO} OR min(proposed, opposite, stopped, faults, late, {', '.join(COUNTS)}) < 0 "
+    "OR overruled_replaced > opposite OR overruled_stopped > stopped "
+    "OR proposals <> proposed + overruled_replaced + overruled_stopped "
     "OR seconds NOT BETWEEN 0 AND 1e12",
     "traces of runs that were never drawn": "SELECT count(*) FROM trace t JOIN episode e "
     "ON e.stratum = t.stratum AND e.episode = t.episode WHERE e.draws < 1",

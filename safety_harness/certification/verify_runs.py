@@ -28,6 +28,7 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace import overruling
 from safety_harness.trace.compare import first_difference
 
 MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
@@ -120,7 +121,8 @@ class Compared:
         if faults:
             return
         counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
-        if counts != (*(getattr(row, name) for name in COUNTS), row.cell or None, bool(row.failure)):
+        now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
+        if counts != (*now, row.cell or None, bool(row.failure)):
             self.otherwise += 1
             if self.same:
                 where = self.where(row.stratum, row.episode)
@@ -159,8 +161,9 @@ class Compared:
 
 _JUDGEMENTS = "SELECT claim, outcome, margin FROM judgement WHERE stratum = ? AND episode = ?"
 _COUNTS = (
-    f"SELECT {', '.join(f'e.{name}' for name in COUNTS)}, c.words, e.failure IS NOT NULL FROM episode e "
-    "LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? AND e.episode = ?"
+    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *overruling.COUNTS))}, c.words, "
+    "e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
+    "WHERE e.stratum = ? AND e.episode = ?"
 )
 
 

@@ -142,6 +142,8 @@ def query(
 ) -> int:
     """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
 
+    Of what the gate overruled the view episodes has the columns proposals, overruled, overruled_replaced,
+    overruled_stopped and one for each reason, such as overruled_uncertain.
     Exit code 0; 2: a question that cannot be answered.
     """
     import sqlite3
@@ -200,11 +202,13 @@ def compare(
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
-    episode; then the episodes that only B violates, the largest loss of margin first.
+    episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
+    margin first.
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
     """
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
+    from safety_harness.campaign.overruled import compare_overruling
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
 
@@ -214,6 +218,7 @@ def compare(
                 result(f"{one_of.path}: {words}")
         compared = compare_ledgers(before, after)
         result(*difference_lines(compared, before.declared.confidence))
+        result(*(one.words for one in compare_overruling(before, after)))
         for found in worse_episodes(before, after):
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")

@@ -7,9 +7,11 @@ import io
 from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
+from safety_harness.campaign.overruled import overruling_in
 from safety_harness.campaign.summary import CampaignTally, fallback_of, fingerprint_of, tally_of
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import Unit
+from safety_harness.proportions import share_words
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import Sides, bounds_of
 from safety_harness.statistics.paired import PairedComparison
@@ -23,7 +25,7 @@ def ledger_lines(ledger: Ledger) -> Iterator[str]:
     declared, tally = ledger.declared, tally_of(ledger)
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
-    yield from (*_failure_lines(ledger), *_fallback_lines(ledger))
+    yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
         yield from _bound_lines(ledger)
@@ -81,6 +83,15 @@ def _fallback_lines(ledger: Ledger) -> list[str]:
     episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
     where = f"in {found.episodes} of {episodes} episodes; most often: {found.reason}"
     return [f"  {found.words}, {where}"] if found.words else []
+
+
+def _overruled_lines(ledger: Ledger) -> list[str]:
+    """What the gate overruled, of several strata the share in each; nothing without proposals."""
+    strata = ledger.declared.strata
+    each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
+    by = ", ".join(f"{name} {share_words(one.overruled, one.proposals)}" for name, one in each)
+    whole = overruling_in(ledger).words
+    return [f"  {whole}", *([f"    by stratum: {by}"] if by else [])] if whole else []
 
 
 def _bound_lines(ledger: Ledger) -> list[str]:

@@ -71,7 +71,7 @@ def certify(
     from safety_harness.certification.certify import Certification
     from safety_harness.certification.evidence import ClaimStatus
     from safety_harness.certification.folder import PAGE
-    from safety_harness.certification.verdicts import percent
+    from safety_harness.certification.verdicts import overruling_line, percent
     from safety_harness.cli.progress import watching_campaign, watching_search
     from safety_harness.scenario.files import told
     from safety_harness.search.session import SearchOutput
@@ -87,6 +87,7 @@ def certify(
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
+    result(*(overruling_line(one) for one in evidence.overruling if one.words))
     bounds, confidence = evidence.plan.bounds, percent(evidence.plan.confidence)
     result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:

@@ -28,7 +28,13 @@ from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_co
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.tally import table_lines
-from safety_harness.report.decisions import DecisionTally, computing_time_lines, fault_notes
+from safety_harness.report.decisions import (
+    DecisionTally,
+    computing_time_lines,
+    fault_notes,
+    overruling_lines,
+    overruling_of_each,
+)
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
@@ -125,6 +131,7 @@ class RunSession:
         untested = self._say_coverage()
         times = computing_time_lines(run.trace for run in self.runs)
         say(*(f"computing time: {line}" for line in times))
+        say(*overruling_lines(overruling_of_each(run.trace for run in self.runs)))
         verdicts = [same for one in self.runs for same in one.as_expected]
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(

@@ -57,8 +57,15 @@ class Ending:
             say(f"never put to the test: {sentence}; the session has failed", red=True)
         if self._fallback():
             say(self._fallback(), red=True)
-        for line in (*self._computing_times(), *self._remarks()):
+        for line in (self._overruled(), *self._computing_times(), *self._remarks()):
             say(line)
+
+    def _overruled(self) -> str:
+        """How often the gate overruled the avoiders; each run counts once, whichever workers made it."""
+        from safety_harness.trace.overruling import Overruling
+
+        runs = {run: counts for sent in self._sent for run, counts in sent["overruled"].items()}
+        return sum(map(Overruling.of_counts, runs.values()), Overruling()).words
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import ComputingTime, lines_of

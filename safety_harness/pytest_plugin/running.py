@@ -153,6 +153,7 @@ def payload(test: TestRun) -> Payload:
         "replayed": [str(file) for file in test.replayed],
         "draws": test.draws,
         "computing": [list(astuple(one)) for one in test.computing_times],
+        "overruled": {run: list(one.counts) for run, one in test.overruled.items()},
         "traces": [],
         "executed": list(executed.values()),
         "failed": False,

@@ -6,7 +6,7 @@ That is what decisions cost in simulated time, and what they took on the machine
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,7 @@ from safety_harness.report.words import (
     spread_words,
 )
 from safety_harness.settings import DecisionCost, DecisionTimes
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 
@@ -101,6 +102,21 @@ class DecisionTally:
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
     """(name, runs) of every avoider that was asked, in the order in which they first occur."""
     return list(Counter(trace.provenance.avoider for trace in traces).items())
+
+
+def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
+    """Of every avoider that proposed anything, in the order in which they first occur."""
+    found: dict[str, Overruling] = {}
+    for trace in traces:
+        name = trace.provenance.avoider
+        found[name] = found.get(name, Overruling()) + Overruling.of([trace])
+    return {name: one for name, one in found.items() if one.proposals}
+
+
+def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
+    """Of all together, and below it of each avoider if there are several."""
+    whole = sum(each.values(), Overruling()).words
+    return [whole, *(f"{name}: {one.words}" for name, one in each.items() if len(each) > 1)] if whole else []
 
 
 def decision_rows(trace: Trace) -> list[DecisionRow]:

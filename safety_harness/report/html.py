@@ -12,6 +12,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from safety_harness.properties.tally import ClaimTally
+from safety_harness.proportions import share_words
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
@@ -21,6 +22,8 @@ from safety_harness.report.decisions import (
     failed_checks,
     fault_notes,
     latency_words,
+    overruling_lines,
+    overruling_of_each,
 )
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.report.page_parts import in_words, render_page
@@ -32,7 +35,6 @@ from safety_harness.report.words import (
     count_words,
     flag_words,
     margin_words,
-    share_words,
 )
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.model import Robot, Verdict
@@ -113,6 +115,7 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "interrupted": interrupted,
         "avoiders": avoiders(traces),  # name, runs
         "computing_time": computing_time_lines(traces),
+        "overruling": overruling_lines(overruling_of_each(traces)),
         "decisions": DecisionTally.of(traces),
     }
 

@@ -13,9 +13,10 @@ from typing import Any
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.report.decisions import DecisionTally, computing_time_lines
+from safety_harness.report.decisions import DecisionTally, computing_time_lines, overruling_of_each
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.scenario.files import told
+from safety_harness.trace.overruling import Overruling
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
@@ -37,17 +38,21 @@ def write_json(
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
-    each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a formula that
-    "and" joins also each of its ``parts``), and coverage says of each claim over all runs how often it was
-    put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null
-    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such
-    number.
+    An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
+    avoider: of its proposals how many were overruled, why, and what came instead), ``runs`` and
+    ``coverage``; each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a
+    formula that "and" joins also each of its ``parts``), and coverage says of each claim over all runs how
+    often it was put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full
+    precision, null where there is none; one that is not finite is the text "inf", "-inf" or "nan", since
+    JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
         "format": FORMAT,
         "interrupted": interrupted,
+        "overruling": {
+            name: one.named for name, one in overruling_of_each(run.trace for run in runs).items()
+        },
         "runs": [_run(run) for run in runs],
         "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
     }
@@ -71,6 +76,7 @@ def _run(run: JudgedRun) -> dict[str, Any]:
         "trace_file": str(told(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
         "decisions": asdict(DecisionTally.of([trace])),
+        "overruling": Overruling.of([trace]).named,
         "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         "claims": [

@@ -60,6 +60,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         generated_at=datetime.now(UTC),
         findings=session.findings,
         fallback=fallback_words(trials.unanswered, trials.decisions),
+        overruling=trials.overruling,
         baseline=session.baseline,
         coverage=trials.coverage,
         violations=trials.violations,
@@ -103,6 +104,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "expected to be violated and not found": list(evidence.not_found),
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
+        "overruling": evidence.overruling.named,
         "claims": _of_claims(findings),
         "baseline": None
         if baseline is None

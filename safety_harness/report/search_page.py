@@ -14,12 +14,13 @@ from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.proportions import share_words
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
-from safety_harness.report.words import margin_words, share_words, with_minus
+from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
@@ -27,6 +28,7 @@ from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.session import WrittenCounterexample, not_found_words
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Provenance, Trace
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ class SearchEvidence:
     generated_at: datetime
     findings: Findings
     fallback: str
+    overruling: Overruling  # in the runs of the search
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

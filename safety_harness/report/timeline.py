@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from safety_harness.properties.base import Evaluation
+from safety_harness.proportions import share_words
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import (
     DASHES,
@@ -32,7 +33,6 @@ from safety_harness.report.words import (
     OUTCOME_WORDS,
     claimed_hand_distance_m,
     claimed_tcp_speed_mps,
-    share_words,
     with_minus,
 )
 from safety_harness.scenario.model import Verdict

@@ -71,18 +71,6 @@ def margin_words(evaluation: Evaluation) -> str:
     return "\u2013" if text == "-" else with_minus(text)
 
 
-def share_words(count: int, total: int) -> str:
-    """Per cent with one decimal; never 0 % of something nor 100 % of less than all."""
-    if total == 0:
-        return "\u2013"
-    if count in (0, total):
-        return "0 %" if count == 0 else "100 %"
-    per_mille = round(1000.0 * count / total)
-    if per_mille == 0:
-        return "under 0.1 %"
-    return "over 99.9 %" if per_mille == 1000 else f"{per_mille / 10:.1f} %"
-
-
 def rounded_up(share: float) -> str:
     """An upper bound with three digits, none of which makes it look better than it is."""
     return _rounded(share, math.ceil)

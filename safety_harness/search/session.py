@@ -147,7 +147,8 @@ class SearchSession:
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
-        lines = [*self.trials.space.notes, whole, *nearest_lines(findings)]
+        overruled = filter(None, [self.trials.overruling.words])
+        lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
         if self.baseline is not None:
             lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
         for line in lines:

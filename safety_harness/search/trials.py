@@ -36,6 +36,7 @@ from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
 
@@ -80,11 +81,11 @@ class Trials:
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
     say something of it.  A claim that the space expects to be violated is searched like the others, and
-    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  ``nearest_hand_m`` is the
-    least distance between a hand and the arm in any run.  ``decisions`` counts those of all runs,
-    ``unanswered`` those without an answer.
-    Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
-    it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
+    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  Of all runs,
+    ``nearest_hand_m`` is the least distance between a hand and the arm, ``decisions`` their number,
+    ``unanswered`` those without an answer, ``overruling`` what the gate did.  Each point's scenario has a
+    seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
+    of its own keeps it from run to run, as ``Admitter`` says.
     """
 
     space: ScenarioSpace
@@ -98,6 +99,7 @@ class Trials:
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
+    overruling: Overruling = field(default_factory=Overruling, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -157,6 +159,7 @@ class Trials:
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             self.decisions += len(trace.decisions)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
+            self.overruling += Overruling.of([trace])
             mishaps[k] = fault_of(trace) if self.answered else ""
             self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from safety_harness.properties.base import Evaluation
     from safety_harness.report.decisions import ComputingTime
     from safety_harness.scenario.model import Verdict
+    from safety_harness.trace.overruling import Overruling
     from safety_harness.trace.trace import Trace
 
 
@@ -87,6 +88,7 @@ class TestRun:
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
     computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
+    overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
 
     @property
     def counts(self) -> bool:

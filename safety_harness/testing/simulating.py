@@ -19,6 +19,7 @@ from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.testing.session import TestRun, session
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
 MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
@@ -75,7 +76,12 @@ class Simulate:
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
         test = session().test
-        if test is not None and test.counts and test.fallback is None and by_default(trace) is not None:
+        if test is None or not test.counts:
+            return trace
+        if len(trace.decisions):
+            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
+            test.overruled[run] = Overruling.of([trace])
+        if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace
 

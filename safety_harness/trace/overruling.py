@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.proportions import share_words
 from safety_harness.trace.records import ENDLESS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
-REASONS = tuple(check for check in Check if check and check not in (Check.NOT_FINITE, Check.LATE))
+_NO_ANSWER = Check.NOT_FINITE | Check.LATE
+REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
+
+_NAMES = {check: str(check.name).lower() for check in REASONS}
+COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
 
 
 def answered(trace: Trace) -> NDArray[np.bool_]:
@@ -63,6 +68,35 @@ class Overruling:
             self.stopped + other.stopped,
             self.reasons + other.reasons,
         )
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Plain numbers, named by ``COUNTS``."""
+        return (self.proposals, self.replaced, self.stopped, *(self.reasons[check] for check in REASONS))
+
+    @classmethod
+    def of_counts(cls, counts: Sequence[int]) -> Overruling:
+        """Of such numbers."""
+        proposals, replaced, stopped, *failed = counts
+        reasons = Counter({check: n for check, n in zip(REASONS, failed, strict=True) if n})
+        return cls(proposals, replaced, stopped, reasons)
+
+    @property
+    def named(self) -> dict[str, int]:
+        """For JSON: all counts by their names, those of reasons too."""
+        return {"overruled": self.overruled, **dict(zip(COUNTS, self.counts, strict=True))}
+
+    @property
+    def words(self) -> str:
+        """One line, the most frequent reason first; empty if nothing was proposed."""
+        if not self.proposals:
+            return ""
+        of_all = f"{self.proposals:,} {'proposal' if self.proposals == 1 else 'proposals'}"
+        said = f"overruled {self.overruled:,} of {of_all} ({share_words(self.overruled, self.proposals)})"
+        why = ", ".join(f"{n:,} {_NAMES[check].replace('_', ' ')}" for check, n in self.reasons.most_common())
+        ways = ((self.replaced, "replaced by the opposite pose"), (self.stopped, "by a stop"))
+        instead = ", ".join(f"{n:,} {how}" for n, how in ways if n)
+        return "; ".join(filter(None, (f"{said}: {why}" if why else said, instead)))
 
     @property
     def overruled(self) -> int:

@@ -7,6 +7,7 @@ import os
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -173,15 +174,18 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
     text = tmp_path / "text.sqlite"
     text.write_text("no ledger " * 100)
     newer = filled(tmp_path, plan)
-    connection = sqlite3.connect(newer)
-    connection.execute(f"PRAGMA user_version = {opening.VERSION + 1}")
-    connection.close()
+    older = tmp_path / "older.sqlite"
+    older.write_bytes(newer.read_bytes())
+    for path, version in ((newer, opening.VERSION + 1), (older, opening.VERSION - 1)):
+        with closing(sqlite3.connect(path)) as connection:
+            connection.execute(f"PRAGMA user_version = {version}")
     for path, words in (
         (other, "something else"),
         (text, "another file"),
         (tmp_path / "none", "no such file"),
         (tmp_path, "not a regular file"),
-        (newer, "of a newer program"),
+        (newer, f"version {opening.VERSION + 1}, of a newer program"),
+        (older, f"version {opening.VERSION - 1}, of an older program"),
     ):
         with pytest.raises(LedgerError, match=words):
             Ledger.open(path)

@@ -81,6 +81,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "UPDATE episode SET seed = seed + 1 WHERE episode = 1",
         "UPDATE episode SET mishap = 'it hung' WHERE episode = 1",
         "UPDATE episode SET cell = NULL WHERE episode = 0",
+        "UPDATE episode SET overruled_uncertain = 1 WHERE episode = 0",
         "UPDATE trace SET data = x'00'",
         "DELETE FROM trace WHERE stratum = 0",
     ],
@@ -92,6 +93,7 @@ def test_every_row_is_in_the_root(made: Path, tmp_path: Path, statement: str) ->
         assert connection.execute(statement).rowcount
     with Ledger.open(made) as before, Ledger.open(other) as after:
         assert root_of(before) != root_of(after)
+        assert fingerprint_of(before) != fingerprint_of(after) or "data" in statement
 
 
 def test_who_ran_it_and_how_long_is_in_neither_root_nor_fingerprint_and_merging_keeps_both(

@@ -14,6 +14,7 @@ from safety_harness.certification.evidence import (
     Evidence,
     EvidenceProvenance,
     OpenFinding,
+    OverrulingResult,
     Quantile,
     Record,
     SearchSummary,
@@ -147,6 +148,19 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                 decisions=(("proposed position", 2811), ("opposite pose", 120), ("protective stop", 69)),
                 random_traces=20,
                 violation_traces=7,
+            )
+            for name in STRATA
+        ),
+        overruling=tuple(
+            OverrulingResult(
+                stratum=name,
+                proposals=3000,
+                overruled=189,
+                words="overruled 189 of 3,000 proposals (6.3 %): 150 uncertain, 39 table; 120 replaced "
+                "by the opposite pose, 69 by a stop",
+                runs=2960,
+                runs_overruled=160,
+                bound=bound(0.0462, 0.0629),
             )
             for name in STRATA
         ),

@@ -193,6 +193,14 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
         "hand distance never below 150 mm: a margin of",
     ),
     "other seeds": (("UPDATE episode SET seed = seed + 1",), "its seed is not the plan's"),
+    "other reasons of the gate": (
+        ("UPDATE episode SET overruled_uncertain = overruled_uncertain + 1",),
+        "its draws, decisions or cell come out otherwise",
+    ),
+    "proposals that were never made": (
+        ("UPDATE episode SET proposals = proposals + 1",),
+        "impossible counts",
+    ),
     "fewer stops": (
         ("UPDATE episode SET opposite = opposite + 1, decisions = decisions + 1",),
         "its draws, decisions or cell come out otherwise",
@@ -245,6 +253,7 @@ def edited(report: Path, **parts: object) -> None:
         ({"findings": ()}, "findings: 0 of them in the report"),
         ({"counterexamples": ()}, "counterexamples: 0 of them"),
         ({"strata": ()}, "strata: 0 of them"),
+        ({"overruling": ()}, "overruling: 0 of them"),
         ({"interrupted": True}, "interrupted: True in the report"),
         ({"files": ()}, "lists others than the manifest"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),

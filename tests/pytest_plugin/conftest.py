@@ -51,6 +51,14 @@ class Upwards:
         return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])
 
 
+class Doubting(Upwards):
+    name = "doubting"
+    spread_threshold_m = 0.01
+
+    def propose(self, *, tcp_position_in_base_m, **question):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1], np.full(3, 0.02))
+
+
 class Unseeded(Upwards):
     name = "unseeded"
 

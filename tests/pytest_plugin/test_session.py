@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,9 @@ def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
     result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
     result.assert_outcomes(passed=4, failed=2)
     result.stdout.fnmatch_lines([f"{SPEED} * 8 *", "report: out/report.html"])
+    alone = run("fast.yaml", "fine.yaml", "test_it.py", "--safety-derandomize")
+    of_both = [[line for line in one.outlines if line.startswith("overruled ")] for one in (result, alone)]
+    assert of_both[0] == of_both[1] != []
     cases = {case.get("name"): case for case in ET.parse(project / "junit.xml").iter("testcase")}
     found = {p.get("name"): p.get("value") for p in cases["test_is_slow"].iter("property")}
     assert found["claim"] == SPEED
@@ -76,6 +80,17 @@ def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
     coverage = {one["claim"]: one for one in report["coverage"]}
     assert coverage[SPEED]["runs"] == 8
     assert "hand distance" in (project / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("avoider", "share"), [("avoiders.py:Doubting", "(100 %): * uncertain"), ("", "(0 %)")]
+)
+def test_the_end_says_how_often_the_gate_overruled(run, project: Path, avoider: str, share: str) -> None:
+    fast = (project / "fast.yaml").read_text()
+    (project / "reach.yaml").write_text(fast + "settings: {avoidance: {gate: reach}}\n")
+    result = run(*(["fast.yaml", f"--avoider={avoider}"] if avoider else ["reach.yaml"]))
+    (line,) = [line for line in result.outlines if line.startswith("overruled ")]
+    assert fnmatch(line, f"overruled * of * proposal* {share}*")
 
 
 def test_an_avoider_that_answers_differently_is_named_with_the_decision(run, project: Path) -> None:

@@ -100,9 +100,8 @@ def test_the_avoider_its_decisions_and_their_outcomes_are_summed_up_first(full: 
     assert terms == {
         "Avoider": "opposite",
         "Decisions": "8",  # the run that was cut short has only two of three
-        "Own position used": "3 37.5 %",
-        "Fell back to the opposite pose": "3 37.5 %",
-        "Stopped the arm": "2 25.0 %",
+        "Proposals at the gate": "overruled 5 of 8 proposals (62.5 %): 3 path unreachable, 2 unreachable, "
+        "2 table; 3 replaced by the opposite pose, 2 by a stop",
         "Faults: no usable answer": "0 0 %",
         "Computing time": "opposite: computing time not modelled",
     }

@@ -51,6 +51,9 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
         "faults": 0,
         "unanswered": 0,
     }
+    overruling = found["overruling"]
+    assert [overruling[name] for name in ("proposals", "overruled", "overruled_stopped")] == [3, 2, 1]
+    assert written(tmp_path / "r.json", run, run)["overruling"]["opposite"]["overruled"] == 4
 
 
 def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> None:

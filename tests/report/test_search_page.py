@@ -28,6 +28,8 @@ from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.session import WrittenCounterexample
 from safety_harness.search.shrink import Shrunk
 from safety_harness.search.trials import in_kinematic
+from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.records import Check
 from tests.search.short_space import SHORT
 
 GOALS = (Goal(factory.APART, 0.1, Unit.LENGTH), Goal("TCP speed never above 250 mm/s", 0.1, Unit.SPEED))
@@ -115,6 +117,7 @@ def evidence(**changes: object) -> SearchEvidence:
         generated_at=datetime(2026, 11, 21, 9, 30, tzinfo=UTC),
         findings=findings_of([(0.3, 0.2), (0.1, 0.2), (-0.05, 0.1), (-0.11, 0.1)]),
         fallback="",
+        overruling=Overruling(2810, 2500, 310, Counter({Check.UNCERTAIN: 2700, Check.TABLE: 110})),
         computing_time="computing time not modelled",
         baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
         coverage=Coverage(Counter({CELL: 4})),

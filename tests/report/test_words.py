@@ -18,7 +18,6 @@ from safety_harness.report.words import (
     milliseconds_words,
     point_words,
     setting_words,
-    share_words,
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.settings import DEFAULTS, HandSensorKind
@@ -94,21 +93,6 @@ def test_a_violation_never_reads_as_zero(margin: float) -> None:
     number, unit = words.replace("\u2212", "-").split()
     assert unit == "mm"
     assert float(number) == pytest.approx(margin * 1e3, rel=0.01)
-
-
-@pytest.mark.parametrize(
-    ("count", "total", "words"),
-    [
-        (0, 7, "0 %"),
-        (7, 7, "100 %"),
-        (1, 7, "14.3 %"),
-        (1, 8126, "under 0.1 %"),
-        (8125, 8126, "over 99.9 %"),
-        (0, 0, "\u2013"),
-    ],
-)
-def test_a_share_is_never_nothing_of_something_nor_all_of_less(count: int, total: int, words: str) -> None:
-    assert share_words(count, total) == words
 
 
 @pytest.mark.parametrize(
