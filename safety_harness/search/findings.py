@@ -14,22 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.properties.against import SCALES
 from safety_harness.properties.base import Property, Unit
 from safety_harness.search.cube import Cube, Point, Points, Scores
-
-# What a margin of each unit is divided by, so that margins of several claims can be compared: a difference
-# that matters and is common.  Searching one claim at a time does not depend on it.
-SCALES = {
-    Unit.LENGTH: 0.1,
-    Unit.ANGLE: np.pi / 18.0,
-    Unit.SPEED: 0.1,
-    Unit.ANGULAR_SPEED: np.pi / 6.0,
-    Unit.TIME: 1.0,
-    Unit.ACCELERATION: 1.0,
-    Unit.ANGULAR_ACCELERATION: np.pi,
-    Unit.FRACTION: 0.1,
-    Unit.COUNT: 1.0,
-}
 
 RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
 
