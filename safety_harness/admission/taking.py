@@ -1,6 +1,6 @@
 """Scenarios that an avoider of the command line cannot take: they are skipped, and the others are tried.
 
-A network that was trained for another workspace is one reason, a measured profile of another avoider one more.
+A network that was trained for another workspace is one reason, a measured profile of another avoider another.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class NotTaken:
 def taken(
     scenario: Scenario, avoiders: Sequence[tuple[str | None, str]], look: Callable[[Scenario], _Looked]
 ) -> list[_Looked] | NotTaken:
-    """What ``look`` makes of the scenario with each of ``avoiders``: (None: its own, the option that names it).
+    """What ``look`` makes of the scenario with each of ``avoiders`` (None: its own), named by their option.
 
     InputError if the scenario is not in order whichever avoider it has, or its own is not.
     """

@@ -109,7 +109,7 @@ class RunSession:
     unwritable: OutputError | None = None
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
-        """One after another, with the reference if there is one, until Ctrl-C or a disk that takes no more."""
+        """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""
         progress = ScenarioProgress([one.scenario for each in admitted for one in each])
         with progress.bar:
             for number, (one, *others) in enumerate(admitted):

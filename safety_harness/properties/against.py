@@ -154,7 +154,8 @@ class Against:
     @property
     def sentence(self) -> str:
         """Violations in pairs, with the exact test.  Where one has no verdict the pair tells nothing."""
-        new, gone = ([self._certain(run, change) for run in self.runs] for change in (Change.NEW, Change.GONE))
+        new = [self._certain(run, Change.NEW) for run in self.runs]
+        gone = [self._certain(run, Change.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
         unclear = sum(run.has(Change.NEW) for run in self.runs) - sum(new)
         words = paired_words(
@@ -193,7 +194,7 @@ class Against:
             if not parts:
                 continue
             run, worst = max(found, key=lambda pair: -np.inf if np.isnan(pair[1].lost) else pair[1].lost)
-            if worst.change in _TOLD:
+            if worst.change in _TOLD and worst.lost > 0.0:
                 parts.append(f"the most lost in {run.run}: {worst.words(self.reference)}")
             yield f"{sentence}: {'; '.join(parts)}"
         if not self.worse:
@@ -220,12 +221,12 @@ class Against:
 
 
 def _as_json(one: ClaimDifference) -> dict[str, Any]:
-    margins = (e.margin if e.margin is not None and isfinite(e.margin) else None for e in (one.mine, one.reference))
+    margins = (found.margin for found in (one.mine, one.reference))
     return {
         "claim": one.mine.sentence,
         "change": one.change.value,
         "verdicts": [one.mine.verdict.value, one.reference.verdict.value],
-        "margins_si": list(margins),
+        "margins_si": [m if m is not None and isfinite(m) else None for m in margins],
     }
 
 
@@ -237,21 +238,26 @@ def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, b
     as_well = f"; in {both} each violates one that the other keeps" if both else ""
     return (
         f"{mine} violates a claim that {reference} keeps in {new} of {runs} runs; the other way round in "
-        f"{gone}{as_well} ({p_words(new, gone)})"
+        f"{gone}{as_well} {p_words(new, gone)}"
     )
 
 
-def overruling_words(mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int) -> str:
+def overruling_words(
+    mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
+) -> str:
     """One sentence on two names with their tallies; empty if nothing was proposed."""
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
-        f"of {name} {one.overruled} of {one.proposals} proposals ({one.share:.0%})" for name, one in (mine, reference)
+        f"of {name} {one.overruled} of {one.proposals} proposals ({one.share:.0%})"
+        for name, one in (mine, reference)
     )
-    return f"overruled were {shares}: a greater share in {more} runs, a lesser in {less} ({p_words(more, less)})"
+    return (
+        f"overruled were {shares}: a greater share in {more} runs, a lesser in {less} {p_words(more, less)}"
+    )
 
 
 def p_words(more: int, fewer: int) -> str:
     """The exact test of "either is equally likely", in which ties say nothing."""
     p = sign_test(more, fewer)
-    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}"
+    return "(p < 0.001)" if p < 0.001 else f"(p = {p:.2g})"

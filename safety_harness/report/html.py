@@ -35,6 +35,7 @@ from safety_harness.report.words import (
     flag_words,
     margin_words,
     share_words,
+    with_minus,
 )
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.model import Robot, Verdict
@@ -62,8 +63,8 @@ def write_report(
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were
     planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
-    more runs than are shown; ``skipped`` is what an avoider could not take, ``against`` what is worse than with
-    a reference.  Folders that are missing are made.  Raises OSError.
+    more runs than are shown; ``skipped`` is what an avoider could not take, ``against`` what is worse than
+    with a reference.  Folders that are missing are made.  Raises OSError.
     """
     page = render(
         runs,
@@ -107,6 +108,7 @@ def render(
         share=share_words,
         count=count_words,
         margin=margin_words,
+        minus=with_minus,
         most_numbers=MOST_NUMBERS,
     )
 

@@ -45,12 +45,12 @@ def write_json(
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
-    each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a formula that
-    "and" joins also each of its ``parts``), and coverage says of each claim over all runs how often it was
-    put to the test; ``coverage``, ``skipped`` and ``against`` as for ``write_report``.  Margins are in SI units, in full precision, null
-    where there is none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such
-    number.
+    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs``, ``coverage``,
+    ``skipped`` and ``against``; each run says what was run, whether its ``avoider_answered``, and has its
+    ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each claim over
+    all runs how often it was put to the test; ``coverage``, ``skipped`` and ``against`` as for
+    ``write_report``.  Margins are in SI units, in full precision, null where there is none; one that is not
+    finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
