@@ -136,11 +136,15 @@ class RunDifference:
 
 @dataclass(frozen=True, kw_only=True)
 class Against:
-    """``mine`` (its name) held against ``reference`` in ``runs`` of the same draws."""
+    """``mine`` (its name) held against ``reference`` in ``runs`` of the same draws.
+
+    Of runs that a search chose nothing is tested: then they are not ``drawn``.
+    """
 
     mine: str
     reference: str
     runs: Sequence[RunDifference]
+    drawn: bool = True
 
     @property
     def worse(self) -> bool:
@@ -157,12 +161,11 @@ class Against:
         new = [self._certain(run, Change.NEW) for run in self.runs]
         gone = [self._certain(run, Change.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
+        alone = sum(new) - both, sum(gone) - both
         unclear = sum(run.has(Change.NEW) for run in self.runs) - sum(new)
-        words = paired_words(
-            self.mine, self.reference, sum(new) - both, sum(gone) - both, len(self.runs), both=both
-        )
         more = f"; in {unclear} more, where {self.reference} has no verdict" if unclear else ""
-        return words + more
+        words = paired_words(self.mine, self.reference, *alone, len(self.runs), both=both)
+        return words + (p_words(*alone) if self.drawn else "") + more
 
     @staticmethod
     def _certain(run: RunDifference, change: Change) -> bool:
@@ -179,7 +182,8 @@ class Against:
         )
         more = sum(run.more_overruled > 0.0 for run in self.runs)
         less = sum(run.more_overruled < 0.0 for run in self.runs)
-        return overruling_words((self.mine, mine), (self.reference, reference), more, less)
+        words = overruling_words((self.mine, mine), (self.reference, reference), more, less)
+        return words and words + (p_words(more, less) if self.drawn else "")
 
     def lines(self) -> Iterator[str]:
         """Of each claim how much of what there is, then the two sentences."""
@@ -231,33 +235,31 @@ def _as_json(one: ClaimDifference) -> dict[str, Any]:
 
 
 def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
-    """One sentence: in how many of ``runs`` only one of them violates a claim, with McNemar's exact test.
+    """One sentence, for ``p_words`` behind it: in how many of ``runs`` only one of them violates a claim.
 
     In ``both`` each violates one that the other keeps: they speak for neither.
     """
     as_well = f"; in {both} each violates one that the other keeps" if both else ""
     return (
         f"{mine} violates a claim that {reference} keeps in {new} of {runs} runs; the other way round in "
-        f"{gone}{as_well} {p_words(new, gone)}"
+        f"{gone}{as_well}"
     )
 
 
 def overruling_words(
     mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
 ) -> str:
-    """One sentence on two names with their tallies; empty if nothing was proposed."""
+    """One sentence, for ``p_words`` behind it, on two names with their tallies; empty without proposals."""
     if not (mine[1].proposals and reference[1].proposals):
         return ""
     shares = ", ".join(
         f"of {name} {one.overruled} of {one.proposals} proposals ({one.share:.0%})"
         for name, one in (mine, reference)
     )
-    return (
-        f"overruled were {shares}: a greater share in {more} runs, a lesser in {less} {p_words(more, less)}"
-    )
+    return f"overruled were {shares}: a greater share in {more} runs, a lesser in {less}"
 
 
 def p_words(more: int, fewer: int) -> str:
-    """The exact test of "either is equally likely", in which ties say nothing."""
+    """McNemar's exact test of "either is equally likely", in which ties say nothing."""
     p = sign_test(more, fewer)
-    return "(p < 0.001)" if p < 0.001 else f"(p = {p:.2g})"
+    return " (p < 0.001)" if p < 0.001 else f" (p = {p:.2g})"

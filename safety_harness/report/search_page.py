@@ -12,6 +12,7 @@ from markupsafe import Markup
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.avoidance.avoider import described
+from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -63,6 +64,7 @@ class SearchEvidence:
     unconfirmed: tuple[Disagreement, ...]
     agreement: Agreement
     provenance: Provenance
+    against: Against | None = None  # how the runs differ from those with a reference
 
 
 def render(evidence: SearchEvidence) -> str:
@@ -206,9 +208,13 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
     """How near it came to each claim, as an ``<svg>``: the least margin so far, one panel a claim.
 
     Of the one or two searches the second is the baseline; runs are on a logarithmic axis.  A cross is the
-    first violation.  Empty text where no claim has a margin yet.
+    first violation.  Empty text where no claim has a margin yet, and with a reference: what leads to
+    differences is no margin.
     """
-    claims = [k for k in range(len(searches[0].goals)) if any(one.improvements[k] for one in searches)]
+    goals = searches[0].goals
+    claims = [
+        k for k, g in enumerate(goals) if not g.against and any(one.improvements[k] for one in searches)
+    ]
     if not claims:
         return ""
     height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)

@@ -23,20 +23,25 @@ RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
 
 @dataclass(frozen=True)
 class Goal:
-    """A claim that a search tries to refute; margins are divided by ``scale`` (SI)."""
+    """A claim that a search tries to refute; margins are divided by ``scale`` (SI).
+
+    With a reference, whose name is ``against``, margins are differences as of ``search.against``, which are
+    for people only where they are negative.
+    """
 
     sentence: str
     scale: float
     unit: Unit = Unit.COUNT
+    against: str = ""
 
     @classmethod
-    def of(cls, prop: Property) -> Goal:
+    def of(cls, prop: Property, against: str = "") -> Goal:
         """The goal of a property, with the scale of its unit."""
-        return cls(prop.sentence, SCALES[prop.unit], prop.unit)
+        return cls(prop.sentence, SCALES[prop.unit], prop.unit, against)
 
     def margin_text(self, margin: float) -> str:
         """A margin [SI] in the unit that people read."""
-        return self.unit.margin_text(margin)
+        return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
 @dataclass(frozen=True, eq=False)
