@@ -212,10 +212,8 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
     differences is no margin.
     """
     goals = searches[0].goals
-    claims = [
-        k for k, g in enumerate(goals) if not g.against and any(one.improvements[k] for one in searches)
-    ]
-    if not claims:
+    claims = [k for k in range(len(goals)) if any(one.improvements[k] for one in searches)]
+    if not claims or goals[0].against:
         return ""
     height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)
     with drawing():

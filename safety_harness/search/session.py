@@ -299,8 +299,8 @@ def nearest_lines(findings: Findings) -> list[str]:
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
         near = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
-        counts = f"violated {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
-        counts += f" (and kept by {goal.against}; the greatest difference)" if goal.against else ""
+        kept = f", and kept by {goal.against}," if goal.against else ""
+        counts = f"violated{kept} {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
         lines.append(f"  {near:>14}  {goal.sentence}: {counts}")
     return lines
 
