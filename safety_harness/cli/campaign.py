@@ -200,9 +200,11 @@ def compare(
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
-    episode; then the episodes that only B violates, the largest loss of margin first.
+    episode; then the episodes that only B violates, the largest loss of margin first; last margins that B
+    lost though both hold, and in one sentence the episodes that only one of them violates any claim in.
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
     """
+    from safety_harness.campaign.against import against_lines
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
     from safety_harness.campaign.summary import fallback_of
@@ -217,6 +219,7 @@ def compare(
         for found in worse_episodes(before, after):
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
+        result(*against_lines(before, after))
     return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
 
 
