@@ -30,7 +30,7 @@ def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
     with second.attached(first.path, "first"):
         for sentence, unit in zip(second.declared.claims, second.declared.units, strict=True):
             tolerance = TOLERANCE * SCALES[unit]
-            stratum, episode, was, now, count, _ = next(second.all(_LOST, sentence, tolerance))
+            ((stratum, episode, was, now, count, _),) = second.all(_LOST, sentence, tolerance)
             if count:
                 worst = f"{unit.margin_text(was)} -> {unit.margin_text(now)} in {stratum}, episode {episode}"
                 beyond = unit.margin_text(tolerance).removeprefix("+")
