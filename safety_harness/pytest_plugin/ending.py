@@ -62,7 +62,7 @@ class Ending:
             say(line)
 
     def _against(self) -> list[str]:
-        """What the reference of ``--safety-against`` does not do; tested only if no test drew its scenarios."""
+        """What the reference does not do; tested only if no test drew its scenarios."""
         from safety_harness.admission.avoiders import told_avoider
         from safety_harness.properties.against import Against
         from safety_harness.pytest_plugin.running import differences

@@ -39,7 +39,7 @@ def against_reference(
 
 
 def is_shared(found: ClaimDifference | None) -> bool:
-    """Does the reference do no better?  Then the test that is running does not fail for it, and is skipped."""
+    """Does the reference do no better?  Then the running test does not fail for it, and is skipped."""
     test = session().test
     if found is None or test is None or found.change in _WORSE:
         return False

@@ -46,7 +46,7 @@ def as_asked(scenario: Scenario) -> Scenario:
 
 
 def avoiders_asked() -> list[tuple[str | None, str]]:
-    """That of ``--avoider``, or None, and that of ``--safety-against`` if there is one, with their options."""
+    """That of ``--avoider``, or None, and that of ``--safety-against`` if any; each with its option."""
     now = session()
     reference = [] if now.against is None else [(now.against, "--safety-against")]
     return [(now.avoider, "--avoider"), *reference]
