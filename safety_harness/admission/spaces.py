@@ -121,6 +121,6 @@ def why_refused(error: InputError) -> str:
 
     Raises ``error`` where the text is to blame.
     """
-    if _is_a_mistake(error) or error.place.field == "--avoider":
+    if _is_a_mistake(error) or error.place.field in ("--avoider", "--against"):
         raise error
     return f"{error.place.field}: expected {error.expected}"

@@ -18,6 +18,12 @@ from safety_harness.whole_file import replacing, writing
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
 _EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
+# The same claim of the same episode in two ledgers: a is this one's, b that of the one attached as "first".
+PAIRS = (
+    "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
+    "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "
+    "JOIN first.judgement b ON b.stratum = t.id AND b.claim = d.id AND b.episode = a.episode"
+)
 
 
 def merge(into: Path, ledgers: Sequence[Path]) -> int:
@@ -116,10 +122,7 @@ def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]
     """Episodes with a violation that the first did not have, the largest loss of margin first."""
     with second.attached(first.path, "first"):
         rows = second.all(
-            "SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin "
-            "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
-            "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "
-            "JOIN first.judgement b ON b.stratum = t.id AND b.claim = d.id AND b.episode = a.episode "
+            f"SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin {PAIRS} "
             "WHERE a.outcome = 1 AND b.outcome <> 1 "
             "ORDER BY ifnull(b.margin, 0) - a.margin DESC, s.name, c.sentence, a.episode LIMIT ?",
             most,

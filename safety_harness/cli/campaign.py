@@ -203,9 +203,11 @@ def compare(
 
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
     episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
-    margin first.
+    margin first; last margins that B lost though both hold, and in one sentence the episodes that only one of
+    them violates any claim in.
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
     """
+    from safety_harness.campaign.against import against_lines
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
     from safety_harness.campaign.overruled import compare_overruling
@@ -222,6 +224,7 @@ def compare(
         for found in worse_episodes(before, after):
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
+        result(*against_lines(before, after))
     return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
 
 

@@ -16,7 +16,7 @@ from safety_harness.cli.console import (
     say,
     say_shared_modules,
 )
-from safety_harness.cli.options import OfAvoider, Seed, command
+from safety_harness.cli.options import OfAvoider, OfReference, Seed, command
 from safety_harness.exceptions import Place, ScenarioError
 
 commands = Typer()
@@ -26,6 +26,7 @@ commands = Typer()
 def fuzz(
     space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
     avoider: OfAvoider = None,
+    against: OfReference = None,
     budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,
     seed: Seed = 0,
     out: Annotated[Path, Option(help="Folder for fuzz.html, counterexamples, findings.json.")] = Path(
@@ -47,6 +48,7 @@ def fuzz(
 ) -> int:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
+    With --against it searches for what the avoider violates and the reference keeps, on the same draws.
     Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
     a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     A claim that the space expects to be violated has to be found within the budget.
@@ -56,6 +58,7 @@ def fuzz(
     """
     from safety_harness.cli.progress import watching_search
     from safety_harness.report.search_files import write_search
+    from safety_harness.search.against import Reference
     from safety_harness.search.sampling import UniformSampling
     from safety_harness.search.searchers import searcher_named
     from safety_harness.search.session import SearchOutput, search_space
@@ -73,7 +76,14 @@ def fuzz(
             got="--searcher uniform",
         )
     made = search_space(
-        Trials(read_space(space), in_kinematic, seed=seed, avoider=avoider, sentences=tuple(claims or ())),
+        Trials(
+            read_space(space),
+            in_kinematic,
+            seed=seed,
+            avoider=avoider,
+            sentences=tuple(claims or ()),
+            reference=None if against is None else Reference(against),
+        ),
         make,
         out=out,
         budget=budget,

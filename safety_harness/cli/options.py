@@ -24,6 +24,14 @@ OfAvoider = Annotated[
         metavar="AVOIDER",
     ),
 ]
+OfReference = Annotated[
+    str | None,
+    Option(
+        "--against",
+        help="A reference, as for --avoider: the same draws for both, and only what it does not do is told.",
+        metavar="AVOIDER",
+    ),
+]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _Asked = ParamSpec("_Asked")
 

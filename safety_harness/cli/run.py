@@ -10,7 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import replay_command, told_avoider, with_avoider
+from safety_harness.admission.avoiders import replay_command, told_avoider
+from safety_harness.admission.taking import NotTaken, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -19,6 +20,7 @@ from safety_harness.cli.console import (
     INTERRUPTED,
     explain,
     explain_each,
+    result,
     say,
     say_shared_modules,
     usable,
@@ -27,6 +29,7 @@ from safety_harness.cli.runs import ScenarioProgress, say_results
 from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
+from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.tally import table_lines
 from safety_harness.report.decisions import (
     DecisionTally,
@@ -42,61 +45,86 @@ from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
-TRACES = "traces"
+TRACES, OF_REFERENCE = "traces", "traces-against"
 
 
-def read_all(paths: Sequence[Path], avoider: str | None = None) -> tuple[list[Admitted], list[InputError]]:
-    """Read and admit everything, with another avoider if one is given; all mistakes, not only the first."""
+def read_all(
+    paths: Sequence[Path], avoider: str | None = None, against: str | None = None
+) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
+    """Read and admit everything, with another avoider if one is given, and with the reference as well.
+
+    All mistakes, not only the first, and what the avoiders given here cannot take.
+    """
     gathered = gather(paths)
-    admitted, errors = usable(
-        gathered.scenarios, lambda one: admit(one if avoider is None else with_avoider(one, avoider))
+    avoiders = [(avoider, "--avoider")] + ([] if against is None else [(against, "--against")])
+    found, errors = usable(gathered.scenarios, lambda one: taken(one, avoiders, admit))
+    return (
+        [one for one in found if not isinstance(one, NotTaken)],
+        [one for one in found if isinstance(one, NotTaken)],
+        [*gathered.errors, *errors],
     )
-    return admitted, [*gathered.errors, *errors]
 
 
-def run(paths: Sequence[Path], out: Path, avoider: str | None = None) -> int:
+def run(paths: Sequence[Path], out: Path, avoider: str | None = None, against: str | None = None) -> int:
     """Run, judge, print, save and report; returns the exit code."""
     if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
         say("compiling the control stack; this takes a minute or two, once")
         forget_old_machine_code()
     say_shared_modules()
     try:
-        admitted, errors = read_all(paths, avoider)
+        admitted, skipped, errors = read_all(paths, avoider, against)
     except KeyboardInterrupt:
         say("interrupted: nothing was run")
         return INTERRUPTED
+    if skipped and not admitted:
+        errors += [one.error for one in skipped]
     if errors:
         say(f"{explain_each(errors)} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
-    with writing(out / TRACES):
-        (out / TRACES).mkdir(parents=True, exist_ok=True)
+    for folder in (TRACES, *[OF_REFERENCE] * (against is not None)):
+        with writing(out / folder):
+            (out / folder).mkdir(parents=True, exist_ok=True)
     again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    again += [] if avoider is None else ["--avoider", told_avoider(avoider)]
-    session = RunSession(out, shlex.join(again), len(admitted))
+    named = {"--avoider": avoider, "--against": against}
+    again += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
+    session = RunSession(out, shlex.join(again), len(admitted), skipped)
+    if against is not None:
+        mine = "each file's own avoider" if avoider is None else told_avoider(avoider)
+        session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
+    say(*(f"skipped: {one}" for one in skipped))
     session.run_all(admitted)
     return session.finish()
 
 
 @dataclass
 class RunSession:
-    """The runs of one command: what came out, and whether they came to an end."""
+    """The runs of one command: what came out, and whether they came to an end.
+
+    ``against`` holds their ``differences`` from the runs with a reference, if there is one.
+    """
 
     out: Path
     command: str
     planned: int
+    skipped: Sequence[NotTaken] = ()
+    against: Against | None = None
+    differences: list[RunDifference] = field(default_factory=list)
     runs: list[JudgedRun] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)  # scenarios that could not be simulated, and why
     interrupted: bool = False
     unwritable: OutputError | None = None
 
-    def run_all(self, admitted: Sequence[Admitted]) -> None:
-        """One after another, until Ctrl-C or a disk that takes no more."""
-        progress = ScenarioProgress([one.scenario for one in admitted])
+    def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
+        """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""
+        progress = ScenarioProgress([one.scenario for each in admitted for one in each])
         with progress.bar:
-            for number, one in enumerate(admitted):
-                progress.begin(number)
+            for number, (one, *others) in enumerate(admitted):
+                progress.begin(number * (1 + len(others)))
                 try:
                     self._take(_run_one(one, self.out / TRACES, progress))
+                    for other in others[: not self.interrupted]:
+                        progress.begin(2 * number + 1)
+                        self._compare(_run_one(other, self.out / OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self.interrupted = True
                 except OutputError as error:
@@ -108,9 +136,19 @@ class RunSession:
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
-        say_results(judged)
+        if self.against is None:
+            say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
         self.interrupted = not judged.trace.complete
+
+    def _compare(self, reference: JudgedRun) -> None:
+        """The last run with that of the reference; only what the reference does not do is a result."""
+        assert self.against is not None
+        mine, self.interrupted = self.runs[-1], not reference.trace.complete
+        if not self.interrupted:
+            pairs = zip(mine.evaluations, reference.evaluations, strict=True)
+            self.differences.append(RunDifference.of(mine.trace, reference.trace, pairs))
+            result(*self.differences[-1].lines(self.against.reference))
 
     def _fail(self, name: str, error: Exception) -> None:
         self.failed.append(f"{name} could not be run to its end: {type(error).__name__}: {error}")
@@ -136,15 +174,25 @@ class RunSession:
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
-            f"{len(self.runs)} of {self.planned} scenarios run" + (f"; {fallback}" if fallback else "")
+            f"{len(self.runs)} of {self.planned + len(self.skipped)} scenarios run"
+            + (f", {not_taken_words(self.skipped)}" if self.skipped else "")
+            + (f"; {fallback}" if fallback else "")
         )
+        if self.against is not None:
+            result(*self.against.lines())
         if self.runs:
             say(f"report: {self.out / REPORT} (for programs: {DATA})")
         if self.unwritable is not None:
             return BAD_INPUT
         if self.interrupted:
             return INTERRUPTED
-        return AS_EXPECTED if all(verdicts) and not self.failed and not untested else DIFFERS
+        good = all(verdicts) if self.against is None else self._as_good()
+        return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
+
+    def _as_good(self) -> bool:
+        """Was every run held against the reference's, and none found worse?"""
+        assert self.against is not None
+        return len(self.differences) == self.planned and not self.against.worse
 
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
@@ -172,8 +220,16 @@ class RunSession:
                     command=self.command,
                     generated_at=datetime.now(UTC),
                     interrupted=interrupted,
+                    skipped=self.skipped,
+                    against=self.against,
                 )
-                write_json(self.out / DATA, self.runs, interrupted=interrupted)
+                write_json(
+                    self.out / DATA,
+                    self.runs,
+                    interrupted=interrupted,
+                    skipped=self.skipped,
+                    against=self.against,
+                )
         except OutputError as error:
             explain(error)
             return False

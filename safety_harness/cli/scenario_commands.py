@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, result, say
-from safety_harness.cli.options import Files, OfAvoider, Out, Seed, command
+from safety_harness.cli.options import Files, OfAvoider, OfReference, Out, Seed, command
 from safety_harness.exceptions import OutputError, Place
 
 commands = Typer()
@@ -62,20 +62,25 @@ claims:
 
 
 @command(commands)
-def run(files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None) -> int:
+def run(
+    files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None, against: OfReference = None
+) -> int:
     """Run scenario files in PyBullet, judge their claims and write a report.
 
     A Python or ONNX file that they name as an avoider is executed, which is said on standard error.
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
     At the end a table says how often each claim was put to the test.
     That the avoider answered is judged of every run, whether its file claims it or not.
-    Exit code 0: every verdict as its file expects; 1: any differs, a run failed, or a claim that was
-    expected to tell something was never put to the test; 2: bad input, nothing was run; 130: interrupted,
-    what was finished is kept.
+    A scenario that an avoider of --avoider or --against cannot take (another workspace) is skipped, with the
+    reason, and counted.
+    Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
+    lost; 1: otherwise, or a run failed, a scenario was skipped, or a claim that was expected to tell
+    something was never put to the test; 2: bad input, nothing was run; 130: interrupted, what was finished
+    is kept.
     """
     from safety_harness.cli.run import run as run_files
 
-    return run_files(files, out, avoider)
+    return run_files(files, out, avoider, against)
 
 
 @command(commands)

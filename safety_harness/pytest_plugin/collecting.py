@@ -6,7 +6,7 @@ The claims of a space see the same draws, and every draw is simulated once for a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,21 +15,25 @@ import pytest
 from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.taking import NotTaken, taken
 from safety_harness.exceptions import InputError
-from safety_harness.properties.answered import by_default
+from safety_harness.properties.against import ClaimDifference
+from safety_harness.properties.answered import AvoiderAnswered, by_default
 from safety_harness.properties.base import Evaluation
 from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.testing.asserting import SafetyViolation, aim, refuse_fallback, require, run_of, settle
-from safety_harness.testing.drawing import drawn
+from safety_harness.testing.against import against_reference, is_shared
+from safety_harness.testing.asserting import aim, refuse_fallback, require, run_of, settle, violation_of
+from safety_harness.testing.drawing import drawn, first_of
 from safety_harness.testing.session import Judgement, Run, TestRun, session
-from safety_harness.testing.simulating import as_asked, digest_of, looker, simulate
+from safety_harness.testing.simulating import avoiders_asked, digest_of, looker, simulate
 from safety_harness.testing.watching import kept_for, under_profile, watching
 from safety_harness.trace.trace import Trace
 
+Claims = tuple[Claim, ...]
 Nodes = Iterator[pytest.Item | pytest.Collector]
 
 
@@ -41,8 +45,10 @@ class ScenarioFile(pytest.File):
 
         CollectError with every mistake of the file, each with its place.
         """
-        scenarios, spaces = self._read()
-        several = len(scenarios) + len(spaces) > 1
+        scenarios, spaces, refused = self._read()
+        several = len(scenarios) + len(spaces) + len(refused) > 1
+        for one, claims in refused:
+            yield from self._below(several, one.scenario, partial(_skipped_items, claims=claims, why=one))
         for scenario in scenarios:
             yield from self._below(several, scenario.name, partial(_items, scenario=scenario))
         for runs in spaces:
@@ -57,23 +63,37 @@ class ScenarioFile(pytest.File):
         plain = own.replace("[", " ").replace("]", "").strip()
         yield ScenarioNode.from_parent(self, name=plain, items=items)
 
-    def _read(self) -> tuple[list[Scenario], list[SpaceRuns]]:
-        """What the file holds, all of it looked at; CollectError with all that cannot be tried."""
+    def _read(self) -> tuple[list[Scenario], list[SpaceRuns], list[tuple[NotTaken, Claims]]]:
+        """What the file holds, all of it looked at; CollectError with all that cannot be tried.
+
+        Last what an avoider of the command line cannot take, with its claims.
+        """
         gathered = gather([self.path], spaces=True)
-        errors, spaces = list(gathered.errors), []
+        errors, scenarios, spaces = list(gathered.errors), [], []
+        refused: list[tuple[NotTaken, Claims]] = []
         for scenario in gathered.scenarios:
             try:
-                looker.look(as_asked(scenario))
+                found = taken(scenario, avoiders_asked(), looker.look)
             except InputError as error:
                 errors.append(error)
+                continue
+            if isinstance(found, NotTaken):
+                refused.append((found, scenario.claims))
+            else:
+                scenarios.append(scenario)
         for variant, file in gathered.spaces:
             try:
-                spaces.append(SpaceRuns(space_of(variant.tree, file, name=variant.name)))
+                space = space_of(variant.tree, file, name=variant.name)
+                found = taken(first_of(space), avoiders_asked(), looker.look)
+                if isinstance(found, NotTaken):
+                    refused.append((replace(found, scenario=space.name), space.simplest.claims))
+                else:
+                    spaces.append(SpaceRuns(space))
             except InputError as error:
                 errors.append(error)
         if errors:
             raise self.CollectError("\n".join(dict.fromkeys(explained(error) for error in errors)))
-        return gathered.scenarios, spaces
+        return scenarios, spaces, refused
 
 
 class ScenarioNode(pytest.Collector):
@@ -118,6 +138,16 @@ def _items(parent: pytest.Collector, *, scenario: Scenario) -> Nodes:
         yield ClaimItem.from_parent(parent, name=claim.sentence, claim=claim, check=check)
 
 
+def _skipped_items(parent: pytest.Collector, *, claims: Claims, why: NotTaken) -> Nodes:
+    for claim in claims:
+        yield FileItem.from_parent(parent, name=claim.sentence, claim=claim, check=partial(_skip, why))
+
+
+def _skip(why: NotTaken, test: TestRun) -> None:
+    test.not_taken = why.avoider
+    pytest.skip(str(why))
+
+
 def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
     for number, claim in enumerate(runs.claims):
         check = partial(runs.check, number)
@@ -126,7 +156,8 @@ def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
 
 def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     trace = simulate(scenario)
-    require(property_of(claim, trace.scenario).evaluate(trace), claim.expected, trace)
+    prop = property_of(claim, trace.scenario)
+    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
     refuse_fallback(trace)
 
 
@@ -135,6 +166,7 @@ class _Judged:
     run: Run
     evaluations: tuple[Evaluation, ...]  # in the order of the claims
     fallback: Evaluation | None  # that the avoider did not answer, where nobody expects it
+    differences: tuple[ClaimDifference | None, ...]  # of the claims, then of the fallback, from a reference
 
 
 class SpaceRuns:
@@ -179,10 +211,13 @@ class SpaceRuns:
         for claim, evaluation in zip(self.claims, judged.evaluations, strict=True):
             aim(evaluation, claim.expected)
         evaluation, expected = judged.evaluations[number], self.claims[number].expected
-        if not settle(evaluation, judged.run, expected, None):
-            raise SafetyViolation(evaluation, simulate(scenario), expected)
-        if judged.fallback is not None and not settle(judged.fallback, judged.run, Verdict.HOLDS, None):
-            raise SafetyViolation(judged.fallback, simulate(scenario), Verdict.HOLDS)
+        found = judged.differences[number]
+        if not settle(evaluation, judged.run, expected, None) and not is_shared(found):
+            raise violation_of(evaluation, simulate(scenario), expected, found)
+        found, fallback = judged.differences[-1], judged.fallback
+        if fallback is None or settle(fallback, judged.run, Verdict.HOLDS, None) or is_shared(found):
+            return
+        raise violation_of(fallback, simulate(scenario), Verdict.HOLDS, found)
 
     def _judge(self, scenario: Scenario) -> _Judged:
         digest = digest_of(scenario)
@@ -191,7 +226,12 @@ class SpaceRuns:
             run = run_of(trace)
             properties = [property_of(claim, trace.scenario) for claim in self.claims]
             evaluations = tuple(prop.evaluate(trace) for prop in properties)
-            self._judged[digest] = _Judged(run, evaluations, by_default(trace))
+            fallback = by_default(trace)
+            judges = [(one, prop.evaluate) for one, prop in zip(evaluations, properties, strict=True)]
+            differences = [against_reference(trace, *one) for one in judges]
+            answered = AvoiderAnswered().evaluate
+            differences.append(None if fallback is None else against_reference(trace, fallback, answered))
+            self._judged[digest] = _Judged(run, evaluations, fallback, tuple(differences))
             if session().report is not None:
                 self._remember(run, evaluations, trace)
         return self._judged[digest]

@@ -24,13 +24,14 @@ class Ending:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what a test judged."""
         sent = vars(report).get("safety_harness")
-        if sent is not None and (sent["judged"] or sent["replayed"]):
+        if sent is not None and (sent["judged"] or sent["replayed"] or sent["not_taken"]):
             self._sent.append(sent)
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """A session in which a claim was never put to the test has failed; write the report."""
-        if self._untested() and session.exitstatus == pytest.ExitCode.OK:
+        nothing = self._not_taken() and not any(sent["judged"] for sent in self._sent)
+        if (self._untested() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         file = current().report
         if file is not None and self._sent:
@@ -57,7 +58,13 @@ class Ending:
             say(f"never put to the test: {sentence}; the session has failed", red=True)
         if self._fallback():
             say(self._fallback(), red=True)
-        for line in (self._overruled(), *self._computing_times(), *self._remarks()):
+        for line in (
+            *self._against(),
+            *self._not_taken(),
+            self._overruled(),
+            *self._computing_times(),
+            *self._remarks(),
+        ):
             say(line)
 
     def _overruled(self) -> str:
@@ -66,6 +73,27 @@ class Ending:
 
         runs = {run: counts for sent in self._sent for run, counts in sent["overruled"].items()}
         return sum(map(Overruling.of_counts, runs.values()), Overruling()).words
+
+    def _against(self) -> list[str]:
+        """What the reference does not do; tested only if no test drew its scenarios."""
+        from safety_harness.admission.avoiders import told_avoider
+        from safety_harness.properties.against import Against
+        from safety_harness.pytest_plugin.running import differences
+
+        now, runs = current(), differences(self._sent)
+        if now.against is None or not runs:
+            return []
+        mine = "each file's own avoider" if now.avoider is None else told_avoider(now.avoider)
+        drawn = not any(sent["draws"] for sent in self._sent)
+        return list(Against(mine=mine, reference=told_avoider(now.against), runs=runs, drawn=drawn).lines())
+
+    def _not_taken(self) -> list[str]:
+        """How many tests were skipped since an avoider cannot take their scenario."""
+        avoiders = [sent["not_taken"] for sent in self._sent if sent["not_taken"]]
+        return [
+            f"not run: {avoiders.count(name)} tests of scenarios that {name} cannot take"
+            for name in dict.fromkeys(avoiders)
+        ]
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import ComputingTime, lines_of

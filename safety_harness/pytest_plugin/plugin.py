@@ -45,6 +45,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="AVOIDER",
         help="In place of what scenarios name: mc-dropout, 'opposite pose', FILE.py:NAME, FILE.onnx, ...",
     )
+    group.addoption(
+        "--safety-against",
+        metavar="AVOIDER",
+        help="A reference: tests fail only for what it does not do in the same scenario.",
+    )
     group.addoption("--safety-profile", choices=names, help=f"Scenarios that a test draws: {sizes}.")
     group.addoption(
         "--safety-derandomize", action="store_true", help="Draw the same scenarios in every session."
@@ -78,6 +83,7 @@ def pytest_configure(config: pytest.Config) -> None:
         derandomize=config.getoption("safety_derandomize") or config.getini("safety_derandomize"),
         seed=_seed(config),
         avoider=config.getoption("avoider"),
+        against=config.getoption("safety_against"),
         failures=config.rootpath / config.getini("safety_failures"),
         report=None if report is None else config.invocation_params.dir / report,
     )
@@ -86,8 +92,8 @@ def pytest_configure(config: pytest.Config) -> None:
         from safety_harness.pytest_plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
-        if new.avoider is not None and not config.option.help:
-            refuse_unusable_avoider(new.avoider, make=False)
+        if not config.option.help:
+            _refuse_unusable_avoiders(make=False)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -128,9 +134,7 @@ def pytest_runtestloop(session: pytest.Session) -> None:
     elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
     if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
         return
-    avoider = config.getoption("avoider")
-    if avoider is not None:
-        refuse_unusable_avoider(avoider, make=True)
+    _refuse_unusable_avoiders(make=True)
 
 
 @pytest.fixture(scope="session")
@@ -205,12 +209,19 @@ def explained(error: BaseException) -> str:
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
 
 
-def refuse_unusable_avoider(reference: str, *, make: bool) -> None:
-    """UsageError for an ``--avoider`` that there is not or that is none; only ``make`` executes a file."""
+def _refuse_unusable_avoiders(*, make: bool) -> None:
+    now = session()
+    for reference, option in ((now.avoider, "--avoider"), (now.against, "--safety-against")):
+        if reference is not None:
+            refuse_unusable_avoider(reference, option, make=make)
+
+
+def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
+    """UsageError for an avoider that there is not or that is none; only ``make`` executes a file."""
     from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
 
     try:
         look = resolve_avoider if make else refuse_unusable
-        look(scenario_of_avoider(reference), Place(field="--avoider"))
+        look(scenario_of_avoider(reference), Place(field=option))
     except InputError as error:
         raise pytest.UsageError(explained(error)) from None

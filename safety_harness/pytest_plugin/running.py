@@ -8,9 +8,9 @@ from __future__ import annotations
 import os
 import re
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import astuple
+from dataclasses import astuple, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ import pytest
 
 from safety_harness.avoidance.isolation.host import executed
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.properties.against import ClaimDifference, RunDifference
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
@@ -28,6 +29,7 @@ from safety_harness.testing.drawing import gives_scenarios
 from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.session import Judgement, Run, TestRun, session
 from safety_harness.testing.watching import keep, watched
+from safety_harness.trace.overruling import Overruling
 
 Payload = dict[str, Any]
 _OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
@@ -49,6 +51,8 @@ def watch(item: pytest.Item) -> Iterator[None]:
         refuse_untested(test)
         if test.fallback is not None and ANSWERED.example not in test.worst:
             refuse_fallback(test.fallback)
+        if test.shared:
+            pytest.skip("; ".join(dict.fromkeys(test.shared)))
     except SafetyHarnessError as error:
         _leave_hypothesis_out(error, function)
         if isinstance(error, SafetyViolation):
@@ -154,6 +158,16 @@ def payload(test: TestRun) -> Payload:
         "draws": test.draws,
         "computing": [list(astuple(one)) for one in test.computing_times],
         "overruled": {run: list(one.counts) for run, one in test.overruled.items()},
+        "against": [
+            [
+                digest,
+                run.run,
+                *([one.proposals, one.replaced, one.stopped] for one in (run.mine, run.reference)),
+                [[packed(one.mine), packed(one.reference)] for one in run.claims],
+            ]
+            for digest, run in test.differences.items()
+        ],
+        "not_taken": test.not_taken,
         "traces": [],
         "executed": list(executed.values()),
         "failed": False,
@@ -166,6 +180,19 @@ def judgements(sent: Payload) -> list[Judgement]:
         Judgement(Run(*run), unpacked(evaluation), Verdict(expected))
         for *run, expected, evaluation in sent["judged"]
     ]
+
+
+def differences(every: Iterable[Payload]) -> list[RunDifference]:
+    """Of several payloads, each run once with all the claims that tests made of it."""
+    runs: dict[str, RunDifference] = {}
+    for sent in every:
+        for digest, name, mine, reference, pairs in sent["against"]:
+            found = [ClaimDifference(mine=unpacked(a), reference=unpacked(b)) for a, b in pairs]
+            new = RunDifference(run=name, claims=(), mine=Overruling(*mine), reference=Overruling(*reference))
+            run = runs.setdefault(digest, new)
+            claims = {one.mine.sentence: one for one in (*run.claims, *found)}
+            runs[digest] = replace(run, claims=tuple(claims.values()))
+    return list(runs.values())
 
 
 def packed(evaluation: Evaluation) -> dict[str, Any]:

@@ -11,6 +11,8 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from safety_harness.admission.taking import NotTaken
+from safety_harness.properties.against import Against
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.proportions import share_words
 from safety_harness.report.decisions import (
@@ -35,6 +37,7 @@ from safety_harness.report.words import (
     count_words,
     flag_words,
     margin_words,
+    with_minus,
 )
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.model import Robot, Verdict
@@ -55,12 +58,15 @@ def write_report(
     interrupted: bool,
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
+    skipped: Sequence[NotTaken] = (),
+    against: Against | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were
     planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
-    more runs than are shown.  Folders that are missing are made.  Raises OSError.
+    more runs than are shown; ``skipped`` is what an avoider could not take, ``against`` what is worse than
+    with a reference.  Folders that are missing are made.  Raises OSError.
     """
     page = render(
         runs,
@@ -69,6 +75,8 @@ def write_report(
         interrupted=interrupted,
         generated_at=generated_at,
         coverage=coverage,
+        skipped=skipped,
+        against=against,
     )
     write_whole(path, page)
 
@@ -81,6 +89,8 @@ def render(
     interrupted: bool,
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
+    skipped: Sequence[NotTaken] = (),
+    against: Against | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
     summary = _summary(runs, interrupted=interrupted)
@@ -94,10 +104,13 @@ def render(
         summary=summary,
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
         coverage=tallies(runs) if coverage is None else coverage,
+        skipped=skipped,
+        against=against,
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,
         margin=margin_words,
+        minus=with_minus,
         most_numbers=MOST_NUMBERS,
     )
 

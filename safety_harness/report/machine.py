@@ -10,6 +10,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from safety_harness.admission.taking import NotTaken
+from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
@@ -34,17 +36,23 @@ SI_UNITS = {
 
 
 def write_json(
-    path: Path, runs: Sequence[JudgedRun], *, interrupted: bool, coverage: Sequence[ClaimTally] | None = None
+    path: Path,
+    runs: Sequence[JudgedRun],
+    *,
+    interrupted: bool,
+    coverage: Sequence[ClaimTally] | None = None,
+    skipped: Sequence[NotTaken] = (),
+    against: Against | None = None,
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
-    avoider: of its proposals how many were overruled, why, and what came instead), ``runs`` and
-    ``coverage``; each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a
-    formula that "and" joins also each of its ``parts``), and coverage says of each claim over all runs how
-    often it was put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full
-    precision, null where there is none; one that is not finite is the text "inf", "-inf" or "nan", since
-    JSON has no such number.
+    avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
+    ``skipped`` and ``against``; each run says what was run, whether its ``avoider_answered``, and has its
+    ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each claim over
+    all runs how often it was put to the test; ``coverage``, ``skipped`` and ``against`` as for
+    ``write_report``.  Margins are in SI units, in full precision, null where there is none; one that is not
+    finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     found = {
@@ -55,6 +63,10 @@ def write_json(
         },
         "runs": [_run(run) for run in runs],
         "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
+        "skipped": [
+            {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
+        ],
+        "against": None if against is None else against.as_json(),
     }
     write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 

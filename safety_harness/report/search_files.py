@@ -11,13 +11,14 @@ from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import told_avoider
 from safety_harness.exceptions import OutputError
 from safety_harness.interrupts import one_more_ctrl_c
+from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
-from safety_harness.search.findings import Findings, Group
+from safety_harness.search.findings import Findings, Goal, Group
 from safety_harness.search.session import FINDINGS, SearchSession, complaint_of
 from safety_harness.search.trials import Trials
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
@@ -62,6 +63,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         fallback=fallback_words(trials.unanswered, trials.decisions),
         overruling=trials.overruling,
         baseline=session.baseline,
+        against=trials.against,
         coverage=trials.coverage,
         violations=trials.violations,
         shown=tuple(session.written),
@@ -82,6 +84,7 @@ def _command(session: SearchSession) -> str:
     command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
     command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
     command += [] if trials.avoider is None else ["--avoider", told_avoider(trials.avoider)]
+    command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
     return shlex.join(command + ["--baseline"] * (session.baseline is not None))
 
@@ -92,6 +95,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     return {
         "space": evidence.space,
         "avoider": trials.avoider,
+        "against": None if trials.against is None else _held(trials.against),
         "computing time": evidence.computing_time,
         "searcher": findings.searcher,
         "seed": evidence.seed,
@@ -121,6 +125,16 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     }
 
 
+def _held(against: Against) -> dict[str, object]:
+    """The summary alone: the runs are too many."""
+    return {key: value for key, value in against.as_json().items() if key != "runs"}
+
+
+def _leads(goal: Goal, margin: float) -> bool:
+    """Is it no margin, but what led to a difference that was not found?"""
+    return bool(goal.against) and margin >= 0.0
+
+
 def _of_claims(findings: Findings) -> list[dict[str, object]]:
     return [
         {
@@ -128,8 +142,8 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
             "with a verdict": int(findings.evidence[k]),
             "violated": int(findings.violated[k]),
             "first violation after": int(findings.first_violation[k]) or None,
-            "least margin": None if near is None else float(near.margins[k]),
-            "least margins so far": findings.improvements[k],
+            "least margin": None if near is None or _leads(goal, near.margins[k]) else float(near.margins[k]),
+            "least margins so far": [one for one in findings.improvements[k] if not _leads(goal, one[1])],
         }
         for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
     ]

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.avoidance.avoider import described
+from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.coverage_map import coverage_map
@@ -70,6 +71,7 @@ class SearchEvidence:
     nearest_hand_m: float
     agreement: Agreement
     provenance: Provenance
+    against: Against | None = None  # how the runs differ from those with a reference
 
 
 def render(evidence: SearchEvidence) -> str:
@@ -217,10 +219,12 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
     """How near it came to each claim, as an ``<svg>``: the least margin so far, one panel a claim.
 
     Of the one or two searches the second is the baseline; runs are on a logarithmic axis.  A cross is the
-    first violation.  Empty text where no claim has a margin yet.
+    first violation.  Empty text where no claim has a margin yet, and with a reference: what leads to
+    differences is no margin.
     """
-    claims = [k for k in range(len(searches[0].goals)) if any(one.improvements[k] for one in searches)]
-    if not claims:
+    goals = searches[0].goals
+    claims = [k for k in range(len(goals)) if any(one.improvements[k] for one in searches)]
+    if not claims or goals[0].against:
         return ""
     height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)
     with drawing():

@@ -14,6 +14,7 @@ from safety_harness.exceptions import InputError
 from safety_harness.properties.answered import fault_of
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.search.against import Reference
 from safety_harness.search.findings import RUN_FAILED, Group
 from safety_harness.search.trials import ScenarioRunner
 from safety_harness.seeds import Branch
@@ -25,11 +26,13 @@ from safety_harness.trace.trace import Trace
 class Complaint:
     """What is wrong: a claim is violated, or, without one, a run fails.
 
-    ``kind`` is in which words it fails, or what the avoider did instead of answering.
+    ``kind`` is in which words it fails, or what the avoider did instead of answering.  With a
+    ``reference`` it is that the claim is violated, and is not with that avoider in the same scenario.
     """
 
     claim: Claim | None
     kind: str = ""
+    reference: Reference | None = None
 
     @property
     def sentence(self) -> str:
@@ -50,7 +53,16 @@ class Complaint:
         if self.claim is None or isinstance(run, Exception) or self.kind not in ("", fault_of(run)):
             return None
         evaluation = property_of(self.claim, run.scenario).evaluate(run)
-        return evaluation.margin if evaluation.verdict is Verdict.VIOLATED else None
+        if evaluation.verdict is not Verdict.VIOLATED:
+            return None
+        new = self.reference is None or self.reference.keeps(self.claim, run)
+        return evaluation.margin if new else None
+
+    def reference_words(self, run: Trace | Exception) -> str:
+        """What becomes of the claim with the reference; empty without one."""
+        if self.claim is None or self.reference is None or isinstance(run, Exception):
+            return ""
+        return self.reference.words(self.claim, run)
 
 
 def failure_of(run: Trace | Exception) -> str:

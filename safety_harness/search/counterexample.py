@@ -63,7 +63,9 @@ def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
         return failure_of(run) or "nothing goes wrong"
     evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
     margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
-    return evaluation.verdict.value + margin
+    words = evaluation.verdict.value + margin
+    other = complaint.reference_words(run) if evaluation.verdict is Verdict.VIOLATED else ""
+    return f"{words}; {other}" if other else words
 
 
 def seen_of(scenario: Scenario) -> Seen:
@@ -183,7 +185,9 @@ def counterexample_of(
         last.run,
         last.evaluations,
         margin,
-        tuple(circumstances(last.run)) if isinstance(last.run, Trace) else (),
+        tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
+        if isinstance(last.run, Trace)
+        else (),
         tuple(ingredients(shrunk.scenario, complaint, world)) if whole else (),
         confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
     )
@@ -236,6 +240,7 @@ def origin_of(trials: Trials, tried: TriedPoint, searcher: str) -> list[str]:
     """How it was found: the search, and every value of the space, exactly."""
     space = trials.space
     search = f"point {tried.number} of searcher {searcher}, seed {trials.seed}"
+    search += f", against {trials.reference.name}" if trials.reference is not None else ""
     lines = [f"Found in the space {space.name}: {search}; as found:"]
     values = space.values_at(tried.point[None])[0]
     for parameter in space.parameters:

@@ -14,42 +14,34 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.properties.against import SCALES
 from safety_harness.properties.base import Property, Unit
 from safety_harness.search.cube import Cube, Point, Points, Scores
-
-# What a margin of each unit is divided by, so that margins of several claims can be compared: a difference
-# that matters and is common.  Searching one claim at a time does not depend on it.
-SCALES = {
-    Unit.LENGTH: 0.1,
-    Unit.ANGLE: np.pi / 18.0,
-    Unit.SPEED: 0.1,
-    Unit.ANGULAR_SPEED: np.pi / 6.0,
-    Unit.TIME: 1.0,
-    Unit.ACCELERATION: 1.0,
-    Unit.ANGULAR_ACCELERATION: np.pi,
-    Unit.FRACTION: 0.1,
-    Unit.COUNT: 1.0,
-}
 
 RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A claim that a search tries to refute; margins are divided by ``scale`` (SI)."""
+    """A claim that a search tries to refute; margins are divided by ``scale`` (SI).
+
+    With a reference, whose name is ``against``, margins are differences as of ``search.against``, which are
+    for people only where they are negative.
+    """
 
     sentence: str
     scale: float
     unit: Unit = Unit.COUNT
+    against: str = ""
 
     @classmethod
-    def of(cls, prop: Property) -> Goal:
+    def of(cls, prop: Property, against: str = "") -> Goal:
         """The goal of a property, with the scale of its unit."""
-        return cls(prop.sentence, SCALES[prop.unit], prop.unit)
+        return cls(prop.sentence, SCALES[prop.unit], prop.unit, against)
 
     def margin_text(self, margin: float) -> str:
         """A margin [SI] in the unit that people read."""
-        return self.unit.margin_text(margin)
+        return "-" if self.against and margin >= 0.0 else self.unit.margin_text(margin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.exceptions import OutputError, explanation
+from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Scenario, Verdict
@@ -167,7 +168,10 @@ class SearchSession:
         if self.unwritable is None:
             write_page(self)
         if self.written:
-            say("again: " + shlex.join(["safety-harness", "run", *(str(one.path) for one in self.written)]))
+            again = ["safety-harness", "run", *(str(one.path) for one in self.written)]
+            reference = self.trials.reference
+            again += [] if reference is None else ["--against", reference.name]
+            say("again: " + shlex.join(again))
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
 
@@ -301,8 +305,9 @@ def search_space(
 def complaint_of(trials: Trials, group: Group) -> Complaint:
     """What a group of violations or mishaps is about: a claim, what the avoider did, or why a run failed."""
     if group.claim is not None:
-        return Complaint(trials.claims[group.claim])
-    return Complaint(None if group.kind.startswith(RUN_FAILED) else trials.answered, group.kind)
+        return Complaint(trials.claims[group.claim], reference=trials.reference)
+    claim = None if group.kind.startswith(RUN_FAILED) else trials.answered
+    return Complaint(claim, group.kind, trials.reference)
 
 
 def _one_of_each_kind_first(groups: Sequence[Group]) -> list[Group]:
@@ -319,7 +324,8 @@ def nearest_lines(findings: Findings) -> list[str]:
     for claim, goal in enumerate(findings.goals):
         nearest = findings.nearest[claim]
         near = "no margin yet" if nearest is None else goal.margin_text(float(nearest.margins[claim]))
-        counts = f"violated {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
+        kept = f", and kept by {goal.against}," if goal.against else ""
+        counts = f"violated{kept} {findings.violated[claim]} of {findings.evidence[claim]} with a verdict"
         lines.append(f"  {near:>14}  {goal.sentence}: {counts}")
     return lines
 
@@ -342,6 +348,18 @@ def summary(findings: Findings, budget: int) -> str:
     )
 
 
+def against_lines(against: Against, findings: Findings, touching: int) -> list[str]:
+    """How the runs differ from the reference's, and what it is worth that none is worse."""
+    lines = [f"against {against.reference}: {line}" for line in against.lines()]
+    if findings.tried and not findings.found:
+        touch = f"; in {touching} of them a hand touched the arm" if touching else ""
+        lines.append(
+            f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
+            "search estimates nothing: that is no evidence of safety in the rest of the space"
+        )
+    return lines
+
+
 def remarks(trials: Trials, findings: Findings) -> list[str]:
     """What a reader would otherwise get wrong."""
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
@@ -354,7 +372,9 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
     if np.isfinite(trials.nearest_hand_m):
         near = Unit.LENGTH.margin_text(trials.nearest_hand_m)
         lines.append(f"nearest hand: {near}; in {touching} of {findings.tried} runs a hand touched the arm")
-    if not findings.found and touching:
+    if trials.against is not None:
+        lines += against_lines(trials.against, findings, touching)
+    elif not findings.found and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "
             "distance never below 1 mm' searches for that)"

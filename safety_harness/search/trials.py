@@ -11,14 +11,16 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.avoiders import told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import decision_time_of, described
 from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
+from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.answered import (
     DEFAULT_CLAIM,
     fault_of,
@@ -26,8 +28,9 @@ from safety_harness.properties.answered import (
     unanswered,
     with_expectation,
 )
-from safety_harness.properties.base import Property
+from safety_harness.properties.base import Evaluation, Property
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.search.against import Reference, difference
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
 from safety_harness.search.cube import Point, Points
 from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
@@ -81,11 +84,13 @@ class Trials:
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
     say something of it.  A claim that the space expects to be violated is searched like the others, and
-    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  Of all runs,
-    ``nearest_hand_m`` is the least distance between a hand and the arm, ``decisions`` their number,
-    ``unanswered`` those without an answer, ``overruling`` what the gate did.  Each point's scenario has a
-    seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
-    of its own keeps it from run to run, as ``Admitter`` says.
+    ``to_be_found`` names it: of a single scenario it is claimed that it holds.  With a ``reference`` every
+    point is run with that avoider as well, and what leads the search is what the one violates and the
+    reference keeps; ``differences`` has them all.  Of all runs, ``nearest_hand_m`` is the least distance
+    between a hand and the arm, ``decisions`` their number, ``unanswered`` those without an answer,
+    ``overruling`` what the gate did.  Each point's scenario has a seed of its own, from ``seed`` and the
+    point's number, unless the file fixes it.  An avoider with a memory of its own keeps it from run to run,
+    as ``Admitter`` says.
     """
 
     space: ScenarioSpace
@@ -93,6 +98,7 @@ class Trials:
     seed: int = 0
     avoider: str | None = None
     sentences: tuple[str, ...] = ()
+    reference: Reference | None = None
     coverage: Coverage = field(default_factory=Coverage)
     violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
@@ -100,11 +106,13 @@ class Trials:
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
     overruling: Overruling = field(default_factory=Overruling, init=False)
+    differences: list[RunDifference] = field(default_factory=list, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
         simplest = self._completed(self.space.simplest)
-        given = () if self.sentences else self.space.simplest.claims
+        own = not self.sentences and self.reference is None
+        given = self.space.simplest.claims if own else ()
         self.to_be_found = frozenset(c.sentence for c in given if c.expected is Verdict.VIOLATED)
         expected = [claim for claim in simplest.claims if claim.expected is Verdict.HOLDS]
         others = tuple(claim for claim in expected if not is_claimed([claim]))
@@ -117,9 +125,18 @@ class Trials:
                 hint="write one below claims, or give --claim",
             )
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
-        self.goals = tuple(Goal.of(prop) for prop in self.properties)
+        name = "" if self.reference is None else self.reference.name
+        self.goals = tuple(Goal.of(prop, name) for prop in self.properties)
         # That the avoider answered leads a search only where nothing else is claimed.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
+
+    @property
+    def against(self) -> Against | None:
+        """How the runs differ from the reference's; None without one."""
+        if self.reference is None:
+            return None
+        mine = told_avoider(self.avoider or self.space.simplest.avoider)
+        return Against(mine=mine, reference=self.reference.name, runs=self.differences, drawn=False)
 
     def scenario(self, point: Point, number: int) -> Scenario:
         """The scenario of a point; InputError where the reader refuses it."""
@@ -138,35 +155,62 @@ class Trials:
 
     def __call__(self, points: Points, first: int) -> Outcomes:
         """Admit and run; what admission refuses is not run."""
-        refused, admitted = [""] * len(points), {}
+        refused, admitted, others = [""] * len(points), {}, {}
         for k, point in enumerate(points):
             try:
-                admitted[k] = self._admitter.admit(self.scenario(point, first + k))
+                one = self._admitter.admit(self.scenario(point, first + k))
+                if self.reference is not None:
+                    others[k] = self._admitter.admit(self.reference.in_place(one.scenario))
+                admitted[k] = one
                 self.declared_s = decision_time_of(admitted[k].avoider)
             except InputError as error:
                 refused[k] = why_refused(error)
-        traces = self.world(list(admitted.values()))
+        traces = self.world([*admitted.values(), *others.values()])
+        references = dict(zip(others, traces[len(admitted) :], strict=True))
         margins = np.full((len(points), len(self.goals)), np.nan)
         conclusive = np.zeros(margins.shape, bool)
         mishaps, kinds = [""] * len(points), [""] * len(points)
         cells: list[CoverageCell | None] = [None] * len(points)
-        for k, trace in zip(admitted, traces, strict=True):
+        for k, trace in zip(admitted, traces, strict=False):
+            reference = references.get(k)
+            if isinstance(reference, Exception):
+                refused[k] = f"the run with {self.goals[0].against} failed: {described(reference)}"
+                continue
             if isinstance(trace, Exception):
                 mishaps[k] = f"{RUN_FAILED}{described(trace)}"
                 continue
             evaluations = [prop.evaluate(trace) for prop in self.properties]
             margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
+            if reference is not None:
+                self._hold_against(reference, trace, evaluations, margins[k], conclusive[k])
             self.decisions += len(trace.decisions)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
-            mishaps[k] = fault_of(trace) if self.answered else ""
+            own = reference is None or not fault_of(reference)
+            mishaps[k] = fault_of(trace) if self.answered and own else ""
             self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
         self.coverage.add(cells[k] for k in admitted)
         self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
+
+    def _hold_against(
+        self,
+        reference: Trace,
+        mine: Trace,
+        evaluations: Sequence[Evaluation],
+        margins: NDArray[np.float64],  # (k,)
+        conclusive: NDArray[np.bool_],  # (k,)
+    ) -> None:
+        """Put differences in the place of ``margins``, and verdicts of both in that of ``conclusive``."""
+        others = [prop.evaluate(reference) for prop in self.properties]
+        self.differences.append(RunDifference.of(mine, reference, zip(evaluations, others, strict=True)))
+        for claim, (one, other) in enumerate(zip(evaluations, others, strict=True)):
+            margins[claim] = difference(one.margin, other.margin, self.goals[claim].scale)
+            conclusive[claim] &= other.verdict is not Verdict.INCONCLUSIVE
+        conclusive |= margins < 0.0
 
 
 def least_hand_distance_m(trace: Trace) -> float:

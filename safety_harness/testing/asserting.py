@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
@@ -12,9 +13,11 @@ from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InadmissibleError, InputError, Place, SafetyHarnessError
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.formula import Formula
-from safety_harness.properties.answered import by_default
+from safety_harness.properties.against import ClaimDifference
+from safety_harness.properties.answered import AvoiderAnswered, by_default
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.testing.against import against_reference, is_shared, note_of
 from safety_harness.testing.failure_text import failure_text
 from safety_harness.testing.session import Judgement, Run, session
 from safety_harness.testing.simulating import original
@@ -62,11 +65,12 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """
     __tracebackhide__ = True
     try:
-        evaluation = _property(claim, trace.scenario).evaluate(trace)
+        prop = _property(claim, trace.scenario)
+        evaluation = prop.evaluate(trace)
     except InputError as error:
         raise error.with_traceback(None) from None
     aim(evaluation, Verdict.HOLDS)
-    require(evaluation, Verdict.HOLDS, trace)
+    require(evaluation, Verdict.HOLDS, trace, prop.evaluate)
     refuse_fallback(trace)
     return evaluation
 
@@ -76,14 +80,27 @@ def refuse_fallback(trace: Trace) -> None:
     __tracebackhide__ = True
     evaluation = by_default(trace)
     if evaluation is not None:
-        require(evaluation, Verdict.HOLDS, trace)
+        require(evaluation, Verdict.HOLDS, trace, AvoiderAnswered().evaluate)
 
 
-def require(evaluation: Evaluation, expected: Verdict, trace: Trace) -> None:
-    """SafetyViolation if the test that is running has to fail for what is said of the run."""
+def require(
+    evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
+) -> None:
+    """SafetyViolation if the test that is running has to fail for what ``judge`` said of the run."""
     __tracebackhide__ = True
-    if not settle(evaluation, run_of(trace), expected, trace):
-        raise SafetyViolation(evaluation, trace, expected)
+    found = against_reference(trace, evaluation, judge)
+    if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(found):
+        raise violation_of(evaluation, trace, expected, found)
+
+
+def violation_of(
+    evaluation: Evaluation, trace: Trace, expected: Verdict, found: ClaimDifference | None
+) -> SafetyViolation:
+    """With a note on what the reference does, if there is one."""
+    violation = SafetyViolation(evaluation, trace, expected)
+    if found is not None:
+        violation.add_note(note_of(found))
+    return violation
 
 
 def run_of(trace: Trace) -> Run:

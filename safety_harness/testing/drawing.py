@@ -75,9 +75,13 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
 
     InputError for a space of which next to nothing can be tried.
     """
-    first = draw_admissible(space, seed=0, count=1).scenarios[0]
-    looker.look(as_asked(first))
+    looker.look(as_asked(first_of(space)))
     return _marked(_admissible(space))
+
+
+def first_of(space: ScenarioSpace) -> Scenario:
+    """A draw that can be tried, as far as its avoider goes not into it; InputError if next to none can be."""
+    return draw_admissible(space, seed=0, count=1).scenarios[0]
 
 
 def gives_scenarios(strategy: object) -> bool:

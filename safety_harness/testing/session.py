@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
+    from safety_harness.properties.against import RunDifference
     from safety_harness.properties.base import Evaluation
     from safety_harness.report.decisions import ComputingTime
     from safety_harness.scenario.model import Verdict
@@ -89,6 +90,9 @@ class TestRun:
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
     computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
     overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
+    differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
+    shared: list[str] = field(default_factory=list)  # failures that the reference has as well
+    not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property
     def counts(self) -> bool:
@@ -124,6 +128,7 @@ class Session:
     derandomize: bool = False
     seed: int = 0
     avoider: str | None = None
+    against: str | None = None
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report

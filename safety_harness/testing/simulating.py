@@ -12,7 +12,7 @@ from safety_harness.admission.avoiders import command_line_reference, with_avoid
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import refuse_flaky
-from safety_harness.exceptions import FlakyAvoiderError, InputError
+from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.properties.answered import by_default
 from safety_harness.report.decisions import ComputingTime
 from safety_harness.scenario.model import RecordedHand, Scenario
@@ -44,6 +44,13 @@ def as_asked(scenario: Scenario) -> Scenario:
     """The scenario with the avoider of ``--avoider``, if there is one."""
     reference = session().avoider
     return scenario if reference is None else with_avoider(scenario, reference)
+
+
+def avoiders_asked() -> list[tuple[str | None, str]]:
+    """That of ``--avoider``, or None, and that of ``--safety-against`` if any; each with its option."""
+    now = session()
+    reference = [] if now.against is None else [(now.against, "--safety-against")]
+    return [(now.avoider, "--avoider"), *reference]
 
 
 looker = Looker()  # what is collected is looked at, and nothing of a user's executed
@@ -84,6 +91,13 @@ class Simulate:
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace
+
+    def with_reference(self, trace: Trace) -> Trace:
+        """A run of the same scenario with the avoider of ``--safety-against``; errors as of a call."""
+        reference = session().against
+        assert reference is not None
+        place = Place(field="--safety-against")
+        return self._remembered(with_avoider(original(trace), reference, place))
 
     def _remembered(self, scenario: Scenario) -> Trace:
         test, digest = session().test, digest_of(scenario)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from safety_harness.exceptions import InadmissibleError
+from safety_harness.properties.against import SCALES
 from safety_harness.properties.base import Unit
 from safety_harness.search.cube import Column, Cube, Points
-from safety_harness.search.findings import SCALES, Findings, Goal, Outcomes
+from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import MAX_REJECTION_RATIO, find_violations
 

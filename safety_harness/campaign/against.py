@@ -1,0 +1,41 @@
+"""Two campaigns over the same episodes, in a sentence each: violations that are new, and margins lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.merging import PAIRS
+from safety_harness.properties.against import SCALES, TOLERANCE, p_words, paired_words
+from safety_harness.statistics.sample import EpisodeOutcome
+
+_NOT = f"IN ({int(EpisodeOutcome.HOLDS)}, {int(EpisodeOutcome.UNTESTED)})"  # surely not violated
+_ONLY_ONE = (
+    f"max(a.outcome = {int(EpisodeOutcome.VIOLATED)} AND b.outcome {_NOT}), "
+    f"max(b.outcome = {int(EpisodeOutcome.VIOLATED)} AND a.outcome {_NOT})"
+)
+_LOST = (
+    f"SELECT s.name, a.episode, b.margin, a.margin, count(*), max(b.margin - a.margin) {PAIRS} "
+    f"WHERE c.sentence = ? AND a.outcome = {int(EpisodeOutcome.HOLDS)} AND b.outcome = a.outcome "
+    "AND b.margin - a.margin > ?"
+)
+
+
+def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
+    """What ``second`` does that ``first``, the reference, does not: lost margins, and whole violations last.
+
+    Of ledgers that ``compare_ledgers`` compares.  An episode that one of them has no verdict on says nothing.
+    """
+    mine, reference = str(second.path), str(first.path)
+    with second.attached(first.path, "first"):
+        for sentence, unit in zip(second.declared.claims, second.declared.units, strict=True):
+            tolerance = TOLERANCE * SCALES[unit]
+            ((stratum, episode, was, now, count, _),) = second.all(_LOST, sentence, tolerance)
+            if count:
+                worst = f"{unit.margin_text(was)} -> {unit.margin_text(now)} in {stratum}, episode {episode}"
+                beyond = unit.margin_text(tolerance).removeprefix("+")
+                yield f"margin lost by more than {beyond}: {sentence}: in {count} episodes, the most {worst}"
+        pairs = list(second.all(f"SELECT {_ONLY_ONE} {PAIRS} GROUP BY a.stratum, a.episode"))
+    both = sum(a and b for a, b in pairs)
+    alone = sum(a for a, _ in pairs) - both, sum(b for _, b in pairs) - both
+    yield paired_words(mine, reference, *alone, len(pairs), both=both) + p_words(*alone)
