@@ -50,7 +50,7 @@ def fuzz(
     Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
     a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     Exit code 0: no claim violated, which is no evidence of safety; 1: violations, or an avoider that gave no
-    answer; 2: bad input, or a place that cannot be written; 130: interrupted.
+    answer, or that answered otherwise when it was asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
     from safety_harness.cli.progress import watching_search
     from safety_harness.report.search_files import write_search
@@ -83,4 +83,5 @@ def fuzz(
         return BAD_INPUT
     if made.interrupted:
         return INTERRUPTED
-    return DIFFERS if made.written else AS_EXPECTED
+    alike = made.repeated is None or not made.repeated.words
+    return DIFFERS if made.written or not alike else AS_EXPECTED

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import replay_command, told_avoider, with_avoider
+from safety_harness.admission.repeatability import Repeatability, Repeated
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -82,6 +83,8 @@ class RunSession:
     failed: list[str] = field(default_factory=list)  # scenarios that could not be simulated, and why
     interrupted: bool = False
     unwritable: OutputError | None = None
+    repeatability: Repeatability = field(default_factory=Repeatability)
+    repeated: Repeated | None = None  # None: not asked again
 
     def run_all(self, admitted: Sequence[Admitted]) -> None:
         """One after another, until Ctrl-C or a disk that takes no more."""
@@ -102,6 +105,7 @@ class RunSession:
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
+        self.repeatability.add(judged.trace)
         say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
         self.interrupted = not judged.trace.complete
@@ -120,6 +124,7 @@ class RunSession:
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
             say(f"stopped before the end: {kept}")
+        self._ask_again()
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
         untested = self._say_coverage()
@@ -137,7 +142,19 @@ class RunSession:
             return BAD_INPUT
         if self.interrupted:
             return INTERRUPTED
-        return AS_EXPECTED if all(verdicts) and not self.failed and not untested else DIFFERS
+        repeats = self.repeated is None or not self.repeated.words
+        return AS_EXPECTED if all(verdicts) and not self.failed and not untested and repeats else DIFFERS
+
+    def _ask_again(self) -> None:
+        """Does the avoider answer alike when it is asked again?  Not after an interruption."""
+        if not self.runs or self.interrupted or self.unwritable is not None:
+            return
+        try:
+            self.repeated = self.repeatability.check()
+        except KeyboardInterrupt:
+            self.interrupted = True
+        else:
+            say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
 
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
@@ -165,8 +182,9 @@ class RunSession:
                     command=self.command,
                     generated_at=datetime.now(UTC),
                     interrupted=interrupted,
+                    repeated=self.repeated,
                 )
-                write_json(self.out / DATA, self.runs, interrupted=interrupted)
+                write_json(self.out / DATA, self.runs, interrupted=interrupted, repeated=self.repeated)
         except OutputError as error:
             explain(error)
             return False

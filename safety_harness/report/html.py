@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
@@ -53,12 +54,14 @@ def write_report(
     interrupted: bool,
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
+    repeated: Repeated | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were
     planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
-    more runs than are shown.  Folders that are missing are made.  Raises OSError.
+    more runs than are shown, ``repeated`` what a second avoider answered to their questions.  Folders that
+    are missing are made.  Raises OSError.
     """
     page = render(
         runs,
@@ -67,6 +70,7 @@ def write_report(
         interrupted=interrupted,
         generated_at=generated_at,
         coverage=coverage,
+        repeated=repeated,
     )
     write_whole(path, page)
 
@@ -79,6 +83,7 @@ def render(
     interrupted: bool,
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
+    repeated: Repeated | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
     summary = _summary(runs, interrupted=interrupted)
@@ -92,6 +97,7 @@ def render(
         summary=summary,
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
         coverage=tallies(runs) if coverage is None else coverage,
+        repeated=repeated,
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,

@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
@@ -33,11 +34,17 @@ SI_UNITS = {
 
 
 def write_json(
-    path: Path, runs: Sequence[JudgedRun], *, interrupted: bool, coverage: Sequence[ClaimTally] | None = None
+    path: Path,
+    runs: Sequence[JudgedRun],
+    *,
+    interrupted: bool,
+    coverage: Sequence[ClaimTally] | None = None,
+    repeated: Repeated | None = None,
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs`` and ``coverage``;
+    An object with ``format``, ``interrupted`` (more was planned than is here), ``runs``, ``coverage`` and
+    ``repeatability`` (what a second avoider answered to questions of the runs; null if none was asked);
     each run says what was run, whether its ``avoider_answered``, and has its ``claims`` (a formula that
     "and" joins also each of its ``parts``), and coverage says of each claim over all runs how often it was
     put to the test; ``coverage`` as for ``write_report``.  Margins are in SI units, in full precision, null
@@ -50,6 +57,7 @@ def write_json(
         "interrupted": interrupted,
         "runs": [_run(run) for run in runs],
         "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
+        "repeatability": None if repeated is None else asdict(repeated),
     }
     write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import asdict
 from datetime import UTC, datetime
 
 from safety_harness.admission.agreement import measured_agreement
@@ -59,6 +60,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         generated_at=datetime.now(UTC),
         findings=session.findings,
         fallback=fallback_words(trials.unanswered, trials.decisions),
+        repeated=session.repeated,
         baseline=session.baseline,
         coverage=trials.coverage,
         violations=trials.violations,
@@ -97,6 +99,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "interrupted": findings.interrupted,
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
+        "repeatability": None if evidence.repeated is None else asdict(evidence.repeated),
         "claims": _of_claims(findings),
         "baseline": None
         if baseline is None

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.coverage_map import coverage_map
@@ -40,7 +41,8 @@ INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 class SearchEvidence:
     """Everything that the page shows.
 
-    ``fallback`` says how often the fallback stood in for the avoider, if it did.  ``baseline`` is uniform
+    ``fallback`` says how often the fallback stood in for the avoider, if it did, ``repeated`` what a second
+    avoider answered; None if it was not asked.  ``baseline`` is uniform
     sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
     that PyBullet does not show, ``confirmed`` counts those that it does.
     """
@@ -55,6 +57,7 @@ class SearchEvidence:
     generated_at: datetime
     findings: Findings
     fallback: str
+    repeated: Repeated | None
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

@@ -15,6 +15,7 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import decision_time_of, described
@@ -79,7 +80,8 @@ class Trials:
 
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
-    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer.
+    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer, and ``repeatability`` takes
+    their questions in.
     Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
     it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
     """
@@ -94,6 +96,7 @@ class Trials:
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
+    repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -150,6 +153,7 @@ class Trials:
             margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             self.decisions += len(trace.decisions)
+            self.repeatability.add(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             mishaps[k] = fault_of(trace) if self.answered else ""
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
