@@ -1,9 +1,9 @@
 """Does an avoider answer alike when a second one is asked what the first was, alone and in another order?
 
-The questions are taken from what runs left behind, so that no run is touched.  Of a file that is executed the
-second avoider is made in a process of its own; any other is a function by construction, and is asked here.
-What is asked, and in which order, is drawn by a hash of the question itself: it hangs neither on which run ends
-first nor on a seed that something else uses.
+The questions are taken from what runs left behind, so that no run is touched.  Of a file that is executed
+the second avoider is made in a process of its own; any other is a function by construction, and is asked
+here.  What is asked, and in which order, is drawn by a hash of the question itself: it hangs neither on which
+run ends first nor on a seed that something else uses.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
 class Repeated:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
-    ``words`` says how the first was; if none differs, why no more could be asked.  ``apart``: was it in another
-    process?
+    ``words`` says how the first was; if none differs, why no more could be asked.  ``apart``: was any of them
+    asked in another process?
     """
 
     questions: int
@@ -84,8 +84,8 @@ class _Sampled:
 class Repeatability:
     """Takes in what avoiders were asked from now on; ``check`` asks a sample of it again.
 
-    How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made, and
-    ``LEAST`` at least.
+    How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made,
+    and ``LEAST`` at least.
     """
 
     def __init__(self) -> None:

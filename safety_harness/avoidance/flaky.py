@@ -46,7 +46,7 @@ def asked_in(trace: Trace) -> list[Asked]:
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless the bits are the same."""
+    """Ask ``avoider`` again what it was asked in ``trace``; FlakyAvoiderError for other bits."""
     for one in asked_in(trace):
         answer = ask(avoider, one.question)
         if difference(one.answer, answer):

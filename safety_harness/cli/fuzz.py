@@ -50,7 +50,8 @@ def fuzz(
     Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
     a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     Exit code 0: no claim violated, which is no evidence of safety; 1: violations, or an avoider that gave no
-    answer, or that answered otherwise when it was asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
+    answer, or answered otherwise when asked again; 2: bad input, or a place that cannot be written; 130:
+    interrupted.
     """
     from safety_harness.cli.progress import watching_search
     from safety_harness.report.search_files import write_search

@@ -80,8 +80,8 @@ class Trials:
 
     ``avoider`` takes the place of the one that the space names (a relative file from the working
     directory), ``sentences`` that of its claims; that the avoider answered is claimed besides, unless they
-    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer, and ``repeatability`` takes
-    their questions in.
+    say something of it.  ``decisions`` counts those of all runs, ``unanswered`` those without an answer, and
+    ``repeatability`` takes their questions in.
     Each point's scenario has a seed of its own, from ``seed`` and the point's number, unless the file fixes
     it.  An avoider with a memory of its own keeps it from run to run, as ``Admitter`` says.
     """

@@ -153,7 +153,7 @@ _hosts: list[_Hosts] = [_shared]  # the last are those in use
 
 @contextmanager
 def processes_apart() -> Iterator[None]:
-    """Avoiders made within share no process, and no memory, with those made before; their files are silent."""
+    """Avoiders made within share no process, and no memory, with those made before; nobody hears them."""
     _hosts.append(OrderedDict())
     try:
         yield
