@@ -36,13 +36,14 @@ from safety_harness.trace.trace import Trace
 
 SHARE = 0.02  # of the time that a command took, beside the start of the process
 LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
+Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
 
 
 @dataclass(frozen=True, kw_only=True)
 class Repeated:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
-    ``words`` says how the first was; if none differs, why no more could be asked.  ``apart``: was any of them
+    ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
     asked in another process?
     """
 
@@ -121,7 +122,7 @@ class Repeatability:
             questions=self._questions,
             asked=again.asked,
             differing=len(again.differing),
-            words=next(iter(again.differing.values()), again.problem),
+            words=max(again.differing.values(), default=(0.0, again.problem))[1],
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
         )
 
@@ -136,11 +137,11 @@ def _order(question: Question) -> bytes:
 
 @dataclass(eq=False)
 class _Again:
-    """What comes of asking again: ``seconds`` are avoiders by identity, ``differing`` words by question."""
+    """What comes of asking again: ``seconds`` are avoiders by identity, ``differing`` is by question."""
 
     asked: int = 0
     problem: str = ""
-    differing: dict[Asked, str] = field(default_factory=dict)
+    differing: dict[Asked, Difference] = field(default_factory=dict)
     seconds: dict[int, _Second] = field(default_factory=dict)
 
     def ask(self, sample: list[_Sampled], least: int, allowed_s: float) -> None:
@@ -155,17 +156,18 @@ class _Again:
                 self.problem = "the avoider's file has changed since it was asked: it was not asked again"
                 return
             begun_s = begun_s or time.monotonic()  # its process is there
-            first = Question(*map(np.array, first_question(scenario.settings)), 0)
-            second = self.seconds.setdefault(id(avoider), _Second(avoider, first))
+            hand, tcp = first_question(scenario.settings)
+            new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
+            second = self.seconds.setdefault(id(avoider), new)
             self.asked += 1
-            words = second.alone(sampled.one)
-            if words:
-                self.differing[sampled.one] = words
+            found = second.alone(sampled.one)
+            if found:
+                self.differing[sampled.one] = found
             if second.hangs:
                 return
         for second in self.seconds.values():
-            for one, words in second.together():
-                self.differing.setdefault(one, words)
+            for one, found in second.together():
+                self.differing.setdefault(one, found)
 
 
 @dataclass(eq=False)
@@ -182,29 +184,33 @@ class _Second:
         avoider = self.avoider
         return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
 
-    def alone(self, one: Asked) -> str:
-        """How its answer differs; empty if it does not."""
+    def alone(self, one: Asked) -> Difference | None:
+        """How its answer differs, if it does."""
         self.asked.append(one)
         why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
         try:
             return _told(f"{why}: asked again alone", one, ask(self.avoider, one.question))
         except NoAnswerError as error:
             self.hangs = True
-            return f"{why}: asked again alone it hangs: {error} ({_place(one)})"
+            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(one)})"
 
-    def together(self) -> Iterator[tuple[Asked, str]]:
+    def together(self) -> Iterator[tuple[Asked, Difference]]:
         """The questions whose answers differ when all are asked in one call, and how."""
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(one.question for one in self.asked)])
             why = "the avoider heeds what else is asked: asked again in one call with others"
             for one, answer in zip(self.asked, answers[1:], strict=False):  # none where it cannot
-                if words := _told(why, one, answer):
-                    yield one, words
+                if found := _told(why, one, answer):
+                    yield one, found
 
 
-def _told(why: str, one: Asked, answer: Answer) -> str:
+def _told(why: str, one: Asked, answer: Answer) -> Difference | None:
     how = difference(one.answer, answer)
-    return how and f"{why} {how} ({_place(one)})"
+    if not how:
+        return None
+    apart_m = one.answer.proposal.position_in_base_m - answer.proposal.position_in_base_m
+    off_m = float(np.linalg.norm(apart_m))
+    return off_m if np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(one)})"
 
 
 def _place(one: Asked) -> str:

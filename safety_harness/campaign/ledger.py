@@ -177,7 +177,7 @@ class Ledger:
 
     @property
     def repeated(self) -> Repeated:
-        """What second avoiders answered, of all sessions together; the words are of the first that differed."""
+        """What second avoiders answered, of all sessions; the words are of the first that differed."""
         there = "SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'"
         if not list(self.all(there)):  # of an older program
             return Repeated(questions=0)
@@ -196,9 +196,10 @@ class Ledger:
     def dependent(self) -> str:
         """Why no bound is stated though all episodes are there; empty if one may be."""
         found = self.repeated.remembers
-        return found and (
-            f"the avoider remembers earlier questions: episodes are not independent, no bound is stated ({found})"
-        )
+        if not found:
+            return ""
+        why = "the avoider remembers earlier questions: episodes are not independent, no bound is stated"
+        return f"{why} ({found})"
 
     def missing(self, stratum: int) -> Iterator[range]:
         """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
