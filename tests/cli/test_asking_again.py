@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
 from safety_harness.exceptions import StatisticsError
+from safety_harness.trace.store import load_trace
 from tests.admission.remembering import NO_FUNCTIONS
 from tests.admission.remembering import TEXT as MINE
 from tests.campaign.plans import PLAN
@@ -145,3 +147,21 @@ def test_what_one_part_of_a_campaign_shows_of_the_avoider_the_whole_remembers(
         ledger.connection.execute("UPDATE repeated SET differing = 1, words = 'it differs'")
     assert merge(Path("whole.sqlite"), parts) == AS_EXPECTED
     assert REFUSAL in capsys.readouterr().out
+
+
+def test_the_documented_avoider_around_one_of_ours_is_used_asked_again_and_repeats(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = (Path(__file__).parents[2] / "docs/avoiders.md").read_text()
+    found = re.search(r"### Around one of ours.*?```python\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    Path("mine.py").write_text(found[1])
+    assert len([line for line in found[1].splitlines() if line]) <= 6  # an import, and five
+    assert run([Path("visit.yaml")], Path("ours"), "mc-dropout") == AS_EXPECTED
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:higher") == AS_EXPECTED
+    assert "a process of its own, alone, in another order" in capsys.readouterr().err
+    ours, around = (load_trace(Path(f"{one}/traces/visit.trace")) for one in ("ours", "out"))
+    first, higher = (one.decisions["proposed_position_in_base_m"][0] for one in (ours, around))
+    assert higher - first == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)
+    for field in ("proposed_spread_m", "spread_threshold_m"):
+        assert (ours.decisions[field][0] == around.decisions[field][0]).all()
