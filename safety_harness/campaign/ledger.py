@@ -176,10 +176,14 @@ class Ledger:
             )
 
     @property
+    def asks_again(self) -> bool:
+        """Has it a table for that?  Those of older programs have none."""
+        return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'")))
+
+    @property
     def repeated(self) -> Repeated:
         """What second avoiders answered, of all sessions; the words are of the first that differed."""
-        there = "SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'"
-        if not list(self.all(there)):  # of an older program
+        if not self.asks_again:
             return Repeated(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))

@@ -38,13 +38,13 @@ def standing_of(
     not always; ``stood_in``: so often that nothing was shown of the avoider, or more often than the plan says
     anything of.  ``dependent`` says why the runs are not independent, if they are not.
     """
+    if dependent:
+        return ClaimStatus.NOT_SHOWN, dependent
     if runs < planned and not may_stop_early:
         made = f"{runs} of {planned} declared runs were made"
         return ClaimStatus.INCOMPLETE, f"{made}, so there is no bound yet"
     if tested == 0:
         return ClaimStatus.UNTESTED, f"none of {runs} runs put it to the test"
-    if dependent:
-        return ClaimStatus.NOT_SHOWN, dependent
     if bound is None:
         return ClaimStatus.INCOMPLETE, f"there is no bound: {problem}"
     counted = f"{violated} of {tested} tested runs violate it"
