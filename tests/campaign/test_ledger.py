@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign import opening
 from safety_harness.admission.repeatability import Repeated
+from safety_harness.campaign import opening
 from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.ledger import Ledger
@@ -129,7 +129,7 @@ def test_what_was_asked_again_is_kept_of_all_sessions_and_one_difference_is_not_
         ledger.note_repeated(Repeated(questions=5, asked=5, differing=2, words="it remembers"))
         ledger.note_repeated(Repeated(questions=70, asked=61))
         assert ledger.repeated.line == "it remembers; 2 of 80 answers differ"
-        with pytest.raises(StatisticsError, match="no bound is stated .it remembers; 2 of 80"):
+        with pytest.raises(StatisticsError, match=r"no bound is stated .it remembers; 2 of 80"):
             ledger.sample("near", claim)
 
 
