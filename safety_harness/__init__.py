@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from safety_harness.admission.admit import Admitted as Admitted
     from safety_harness.admission.admit import admit as admit
+    from safety_harness.admission.avoiders import shipped_avoider as shipped_avoider
     from safety_harness.admission.spaces import AdmittedDraws as AdmittedDraws
     from safety_harness.admission.spaces import draw_admissible as draw_admissible
     from safety_harness.admission.trial import judge as judge
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from safety_harness.admission.trial import run_many as run_many
     from safety_harness.admission.trial import run_trial as run_trial
     from safety_harness.avoidance.avoider import Avoider as Avoider
+    from safety_harness.avoidance.avoider import AvoiderAround as AvoiderAround
     from safety_harness.avoidance.avoider import Proposal as Proposal
     from safety_harness.exceptions import InputError as InputError
     from safety_harness.exceptions import SafetyHarnessError as SafetyHarnessError
@@ -80,9 +82,10 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "admission.admit": ("Admitted", "admit"),
+    "admission.avoiders": ("shipped_avoider",),
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_kinematic", "run_many", "run_trial"),
-    "avoidance.avoider": ("Avoider", "Proposal"),
+    "avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
     "exceptions": ("InputError", "SafetyHarnessError"),
     "formulas.claim": ("FormulaClaim",),
     "formulas.parse": ("parse_formula",),

@@ -28,7 +28,8 @@ from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
-from safety_harness.settings import Settings
+from safety_harness.scenario.units import near_miss
+from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.space.regions import exported_seen
 
 if TYPE_CHECKING:
@@ -170,6 +171,19 @@ def scenario_of_avoider(reference: str) -> Scenario:
         avoider=reference,
         claims=(),
     )
+
+
+def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
+    """One of ours by its name, ready to be asked; InadmissibleError for a name that none has.
+
+    To be wrapped in an ``AvoiderAround``, say.
+    """
+    if name not in NAMES:
+        hint = near_miss(name, NAMES)
+        raise InadmissibleError(
+            place=Place(field="avoider"), expected=f"one of: {', '.join(NAMES)}", got=repr(name), hint=hint
+        )
+    return resolve_avoider(replace(scenario_of_avoider(name), settings=settings))
 
 
 def is_a_program(reference: str) -> bool:

@@ -1,34 +1,75 @@
-"""Is an avoider a function of its question and seed?  After a run it is asked everything once more."""
+"""Is an avoider a function of its question and seed?  It is asked once more what a run asked it."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.asking import Answer, Question, ask
-from safety_harness.avoidance.avoider import Avoider, Vector
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.exceptions import FlakyAvoiderError
 from safety_harness.scenario.faults import AvoiderNaN
 from safety_harness.trace.records import FAULT_CHARACTERS, Check
 from safety_harness.trace.trace import Trace
 
 
-def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` again what it was asked in ``trace``: FlakyAvoiderError unless the bits are the same.
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """A question of a run and the avoider's answer to it; ``number`` is its decision's, counted from 1."""
+
+    run: str
+    number: int
+    question: Question
+    answer: Answer
+
+
+def asked_in(trace: Trace) -> list[Asked]:
+    """What the avoider was asked in a run, and answered; the trace knows each question exactly.
 
     Answers that came too late, and those that a simulated fault spoilt, are left out.
     """
     spoilt = sum(1 << k for k, fault in enumerate(trace.scenario.faults) if isinstance(fault, AvoiderNaN))
-    for number, decision in enumerate(trace.decisions):
+    limit_s = trace.scenario.settings.clock.wall_limit_s
+    found = []
+    for number, decision in enumerate(trace.decisions, start=1):
         if int(decision["proposed_failed"]) & Check.LATE:
             continue
-        if int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
+        if spoilt and int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
             continue
-        hand_in_base_m, tcp_in_base_m = question_of(trace, decision)
-        limit_s = trace.scenario.settings.clock.wall_limit_s
-        answer = ask(avoider, Question(hand_in_base_m, tcp_in_base_m, int(decision["seed"]), limit_s))
-        if not _same(decision, answer):
-            raise FlakyAvoiderError(_difference(trace, number, decision, answer))
+        question = Question(*question_of(trace, decision), int(decision["seed"]), limit_s)
+        proposal = Proposal(decision["proposed_position_in_base_m"], decision["proposed_spread_m"])
+        answer = Answer(proposal, float(decision["spread_threshold_m"]), str(decision["fault"]))
+        found.append(Asked(trace.scenario.name, number, question, answer))
+    return found
+
+
+def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
+    """Ask ``avoider`` again what it was asked in ``trace``; FlakyAvoiderError for other bits."""
+    for one in asked_in(trace):
+        answer = ask(avoider, one.question)
+        if difference(one.answer, answer):
+            raise FlakyAvoiderError(_difference(trace, one, answer))
+
+
+def difference(first: Answer, again: Answer) -> str:
+    """What an avoider did otherwise when it was asked again, in words; empty for the same bits.
+
+    A fault's words count as far as a trace keeps them.
+    """
+    position_m, again_m = first.proposal.position_in_base_m, again.proposal.position_in_base_m
+    spread_m, other_m = first.proposal.spread_m, again.proposal.spread_m
+    fault, other = first.fault[:FAULT_CHARACTERS], again.fault[:FAULT_CHARACTERS]
+    if fault != other:
+        return f"it answered {other or 'with a position'!r}, not {fault or 'with a position'!r}"
+    if position_m.tobytes() != again_m.tobytes():
+        return f"it answered {np.linalg.norm(again_m - position_m) * 1e3:.3g} mm elsewhere"
+    if spread_m.tobytes() != other_m.tobytes():
+        return f"its spread was {np.abs(other_m - spread_m).max() * 1e3:.3g} mm otherwise"
+    if not np.array_equal(first.spread_threshold_m, again.spread_threshold_m, equal_nan=True):
+        return "its spread threshold was another"
+    return ""
 
 
 def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
@@ -42,22 +83,13 @@ def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
     return hands_in_base_m[nearest], tcp_in_base_m
 
 
-def _same(decision: np.void, answer: Answer) -> bool:
-    position_m, spread_m = decision["proposed_position_in_base_m"], decision["proposed_spread_m"]
-    return (
-        position_m.tobytes() == answer.proposal.position_in_base_m.tobytes()
-        and spread_m.tobytes() == answer.proposal.spread_m.tobytes()
-        and str(decision["fault"]) == answer.fault[:FAULT_CHARACTERS]
-    )
-
-
-def _difference(trace: Trace, number: int, decision: np.void, answer: Answer) -> str:
-    first = _words(decision["proposed_position_in_base_m"], decision["proposed_spread_m"], decision["fault"])
-    second = _words(answer.proposal.position_in_base_m, answer.proposal.spread_m, answer.fault)
+def _difference(trace: Trace, one: Asked, answer: Answer) -> str:
+    first, second = _words(one.answer), _words(answer)
+    time_s = float(trace.decisions["time_s"][one.number - 1])
     return (
         f"the avoider {trace.provenance.avoider!r} answers the same question in two ways\n"
-        f"  decision  {number + 1} of {len(trace.decisions)}, at {float(decision['time_s']):.3f} s of "
-        f"{trace.scenario.name}, with the seed {int(decision['seed'])}\n"
+        f"  decision  {one.number} of {len(trace.decisions)}, at {time_s:.3f} s of "
+        f"{trace.scenario.name}, with the seed {one.question.seed}\n"
         f"  first     {first}\n"
         f"  again     {second}\n"
         "  hint      randomness has to come from the seed that propose is given, and an answer may not\n"
@@ -65,9 +97,12 @@ def _difference(trace: Trace, number: int, decision: np.void, answer: Answer) ->
     )
 
 
-def _words(position_m: NDArray[np.float64], spread_m: NDArray[np.float64], fault: object) -> str:
-    if fault:
-        return str(fault)
-    shown = ", ".join(f"{value * 1e3:.9g}" for value in position_m)
-    spread = ", ".join(f"{value * 1e3:.9g}" for value in spread_m)
-    return f"({shown}) mm" + (f", spread ({spread}) mm" if np.any(spread_m) else "")
+def _words(answer: Answer) -> str:
+    if answer.fault:
+        return answer.fault
+    shown, spread = map(_mm, (answer.proposal.position_in_base_m, answer.proposal.spread_m))
+    return f"({shown}) mm" + (f", spread ({spread}) mm" if np.any(answer.proposal.spread_m) else "")
+
+
+def _mm(vector_m: NDArray[np.float64]) -> str:  # (3,)
+    return ", ".join(f"{value * 1e3:.9g}" for value in vector_m)

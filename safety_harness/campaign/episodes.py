@@ -20,6 +20,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import described
+from safety_harness.avoidance.flaky import asked_in
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.exceptions import CampaignError, InputError
@@ -182,6 +183,7 @@ class EpisodeRunner:
             mishap=fault_of(run),
             failure=broken,
             worker=self.worker,
+            asked=tuple(asked_in(run)),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

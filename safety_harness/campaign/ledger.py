@@ -20,6 +20,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.campaign.identity import Identity, PlanFile
 from safety_harness.campaign.opening import connect, create, explained, refuse_any_file, unusable
 from safety_harness.campaign.plan import Plan
@@ -27,7 +28,7 @@ from safety_harness.campaign.rows import Row
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
-from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints
+from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints, refusal
 from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
@@ -169,6 +170,44 @@ class Ledger:
             insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
             self.connection.execute(insert, (began, workers, machine))
 
+    def note_repeated(self, found: Repeated) -> None:
+        """Note down what a second avoider answered to questions of a session."""
+        with self.transaction():
+            self.connection.execute(
+                "INSERT INTO repeated (questions, asked, differing, words, apart) VALUES (?, ?, ?, ?, ?)",
+                (found.questions, found.asked, found.differing, found.words, found.apart),
+            )
+
+    @property
+    def asks_again(self) -> bool:
+        """Has it a table for that?  Those of older programs have none."""
+        return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'")))
+
+    @property
+    def repeated(self) -> Repeated:
+        """What second avoiders answered, of all sessions; the words are of the first that differed."""
+        if not self.asks_again:
+            return Repeated(questions=0)
+        order = "ORDER BY differing = 0, words = '', id"
+        rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
+        questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
+        return Repeated(
+            questions=questions,
+            asked=asked,
+            differing=differing,
+            words=next((row[3] for row in rows), ""),
+            apart=any(row[4] for row in rows),
+        )
+
+    @property
+    def dependent(self) -> str:
+        """Why no bound is stated though all episodes are there; empty if one may be."""
+        found = self.repeated.remembers
+        if not found:
+            return ""
+        why = "the avoider remembers earlier questions: episodes are not independent, no bound is stated"
+        return f"{why} ({found})"
+
     def missing(self, stratum: int) -> Iterator[range]:
         """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
         after = self.stopped_after(stratum)
@@ -224,10 +263,14 @@ class Ledger:
     def sample(self, stratum: str, claim: str) -> IndependentSample:
         """What estimates of a claim in a stratum are made of; StatisticsError while episodes are missing.
 
+        And for an avoider that answered otherwise when it was asked again.
+
         Both are named as the plan names them; KeyError for others.
         """
         declared = self.declared
         number, of = _place(declared.strata, stratum), _place(declared.claims, claim)
+        if self.dependent:
+            raise refusal("episodes", "independent episodes", self.dependent)
         after = self.stopped_after(number)
         rows = list(self.all(_SAMPLE, number, of, after))
         episodes, outcomes, seeds, exercised = (

@@ -117,6 +117,8 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
         known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
     found = dict(connection.execute(_KINDS))
+    if "repeated" not in found:  # of an older program
+        del known["repeated"], columns["repeated"]
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
     if other:
@@ -217,6 +219,10 @@ CREATE TABLE trace (
 );
 CREATE TABLE session (
     id INTEGER PRIMARY KEY, began TEXT NOT NULL, workers TEXT NOT NULL, machine TEXT NOT NULL
+);
+CREATE TABLE repeated (
+    id INTEGER PRIMARY KEY, questions INTEGER NOT NULL, asked INTEGER NOT NULL,
+    differing INTEGER NOT NULL, words TEXT NOT NULL, apart INTEGER NOT NULL
 );
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from safety_harness.avoidance.flaky import Asked
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import Overruling
 
@@ -47,6 +48,7 @@ class Row:
     seconds: float = 0.0
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
+    asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)  # of which a ledger keeps nothing
 
     @property
     def violates(self) -> bool:

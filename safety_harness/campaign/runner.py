@@ -10,11 +10,13 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from itertools import islice
 
 import numpy as np
 
-from safety_harness.campaign.episodes import failed_row, random_episodes
+from safety_harness.admission.repeatability import Repeatability
+from safety_harness.campaign.episodes import EpisodeRunner, failed_row, random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import Arrived, Chunk, Lost, WorkerPool
@@ -39,7 +41,7 @@ class CampaignRunner:
     ``tally`` is of what is committed, ``done_now`` counts the episodes of this session, ``retried`` those
     that were lost and tried again.  ``enough`` is asked in between: once it is true, chunks under way are
     finished and no more begun.  ``part`` (k, n) takes every n-th episode only, from k on: for machines that
-    share nothing but the plan.
+    share nothing but the plan.  ``repeatability`` takes in what the avoiders of all workers were asked.
     """
 
     plan: Plan
@@ -59,6 +61,8 @@ class CampaignRunner:
     _spent_s: float = 0.0
 
     def __post_init__(self) -> None:
+        self.repeatability = Repeatability()
+        self._bench = EpisodeRunner(self.plan)  # draws scenarios here; workers run them
         self.tally = tally_of(self.ledger)
         self._begun_s = time.monotonic()
         self._kept = [sorted(self.ledger.violations_kept(s)) for s in range(len(self.plan.strata))]
@@ -131,6 +135,8 @@ class CampaignRunner:
         waiting = self._out[event.chunk]
         for row in event.rows:
             waiting.discard(row.episode)
+            drawn = partial(self._bench.scenario, row.stratum, row.episode, row.draws - 1)
+            self.repeatability.take(row.asked, drawn)
             self._rows.append(row)
             self.done_now += 1
             self._spent_s += row.seconds

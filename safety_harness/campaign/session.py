@@ -42,7 +42,8 @@ def carry_on(
 
     A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
     is one for an avoider that cannot be made.  LedgerError if it is another plan's, or if another runner is
-    at work on it; otherwise as ``CampaignRunner.run``.
+    at work on it; otherwise as ``CampaignRunner.run``.  At the end a second avoider is asked some of the
+    questions again; what it answers stands in the ledger.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
@@ -59,7 +60,10 @@ def carry_on(
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
-        return CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part).run()
+        runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
+        complete = runner.run()
+        ledger.note_repeated(runner.repeatability.check())
+        return complete
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:

@@ -38,6 +38,8 @@ def findings_of(
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
     yield from of_strata(ledger, evidence.strata)
+    if ledger.repeated.words or not ledger.repeated.asked:
+        yield OpenFinding(ledger.repeated.line, "strata")
     yield from (OpenFinding(text, "strata") for text in damaged)
     yield from of_examples(met)
     yield from of_searches(searches, evidence.plan.search_runs)

@@ -114,6 +114,7 @@ def _outcome(plan: Plan, ledger: Ledger, place: int, claim: int) -> ClaimResult:
         may_stop_early=plan.stop_early and not problem,
         problem=problem,
         world=plan.world,
+        dependent=ledger.dependent,
         fallback=fallback.words,
         stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )

@@ -30,13 +30,16 @@ def standing_of(
     problem: str = "",
     fallback: str = "",
     stood_in: bool = False,
+    dependent: str = "",
 ) -> tuple[ClaimStatus, str]:
     """The standing of one claim in one stratum, and why in a sentence.
 
     ``problem`` says why there is no bound.  ``fallback`` says how often the avoider did not answer, if it did
     not always; ``stood_in``: so often that nothing was shown of the avoider, or more often than the plan says
-    anything of.
+    anything of.  ``dependent`` says why the runs are not independent, if they are not.
     """
+    if dependent:
+        return ClaimStatus.NOT_SHOWN, dependent
     if runs < planned and not may_stop_early:
         made = f"{runs} of {planned} declared runs were made"
         return ClaimStatus.INCOMPLETE, f"{made}, so there is no bound yet"

@@ -154,6 +154,8 @@ def _odd_rows(ledger: Ledger) -> Iterator[str]:
 
     for words, question in _ODD.items():
         yield from counted(words, question)
+    if ledger.asks_again:
+        yield from counted("sessions of asking again with values of another kind", _REPEATED)
     for (began,) in ledger.all("SELECT began FROM session"):
         try:
             datetime.fromisoformat(began)
@@ -183,6 +185,10 @@ def _not(table: str, **kinds: str) -> str:
     return f"SELECT count(*) FROM {table} WHERE {' OR '.join(wrong)}"
 
 
+_REPEATED = (
+    _not("repeated", **dict.fromkeys(("questions", "asked", "differing", "apart"), "integer"), words="text")
+    + " OR differing NOT BETWEEN 0 AND asked OR asked > questions"
+)
 _COUNTS = (
     *("stratum", "episode", "seed", "draws", "decisions"),
     *("proposed", "opposite", "stopped", "faults", "late", *COUNTS),

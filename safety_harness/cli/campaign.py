@@ -43,7 +43,8 @@ def run(
 
     Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
     Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, the avoider did not
-    always answer and the plan claims nothing of that, or no worker is left; 2: bad input, another plan's
+    always answer and the plan claims nothing of that, or answered otherwise when asked again, or no worker is
+    left; 2: bad input, another plan's
     ledger, or a disk that takes no more; 130: interrupted.
     """
     from safety_harness.campaign.plan import read_plan
@@ -92,11 +93,12 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
         result(*ledger_lines(ledger))
+        unlike = bool(ledger.repeated.words)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
-    return DIFFERS if tally.failed or unanswered else AS_EXPECTED
+    return DIFFERS if tally.failed or unanswered or unlike else AS_EXPECTED
 
 
 def _numbers(part: str, plan: Plan) -> tuple[int, int]:

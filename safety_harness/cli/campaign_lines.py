@@ -26,6 +26,7 @@ def ledger_lines(ledger: Ledger) -> Iterator[str]:
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
     yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
+    yield f"  {ledger.repeated.line}"
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
         yield from _bound_lines(ledger)
@@ -96,6 +97,8 @@ def _overruled_lines(ledger: Ledger) -> list[str]:
 
 def _bound_lines(ledger: Ledger) -> list[str]:
     """The chance of a violation between its bounds, as a report has them: all hold together."""
+    if ledger.dependent:
+        return [ledger.dependent]
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
     bounds = bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)

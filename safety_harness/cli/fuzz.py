@@ -53,8 +53,8 @@ def fuzz(
     a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
     A claim that the space expects to be violated has to be found within the budget.
     Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
-    none of what it does, or an avoider that gave no answer; 2: bad input, or a place that cannot be written;
-    130: interrupted.
+    none of what it does, or an avoider that gave no answer, or answered otherwise when asked again; 2: bad
+    input, or a place that cannot be written; 130: interrupted.
     """
     from safety_harness.cli.progress import watching_search
     from safety_harness.report.search_files import write_search
@@ -95,4 +95,5 @@ def fuzz(
         return BAD_INPUT
     if made.interrupted:
         return INTERRUPTED
-    return DIFFERS if made.differs else AS_EXPECTED
+    alike = made.repeated is None or not made.repeated.words
+    return DIFFERS if made.differs or not alike else AS_EXPECTED

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
+from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
 from safety_harness.cli.runs import ScenarioProgress, say_results
@@ -24,7 +25,7 @@ from safety_harness.trace.trace import Provenance, Trace
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs.
+    """Repeat a recorded run: "identical", or the first step that differs; and does the avoider remember?
 
     ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
     come from anybody, and repeating it must not execute what it says.
@@ -39,13 +40,18 @@ def replay(path: Path, avoider: str | None = None) -> int:
     if not fresh.complete and stored.complete:
         say(f"{fresh.ended}, after {len(fresh.ticks)} of {len(stored.ticks)} ticks")
         return INTERRUPTED
+    repeatability = Repeatability()
+    repeatability.add(fresh)
+    repeated = repeatability.check(least=MOST)
     difference = first_difference(stored, fresh)
     if difference is None:
-        result(
-            f"identical: {stored.scenario.name}, {len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
-        )
-        return AS_EXPECTED
-    result(f"{stored.scenario.name}: {difference}")
+        counted = f"{len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
+        result(f"identical{', but' if repeated.words else ''}: {stored.scenario.name}, {counted}")
+    else:
+        result(f"{stored.scenario.name}: {difference}")
+    (result if repeated.words else say)(repeated.line)
+    if difference is None:
+        return DIFFERS if repeated.words else AS_EXPECTED
     say(*changes(stored.provenance, fresh.provenance))
     return DIFFERS
 

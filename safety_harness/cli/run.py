@@ -11,6 +11,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import replay_command, told_avoider
+from safety_harness.admission.repeatability import Repeatability, Repeated
 from safety_harness.admission.taking import NotTaken, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
@@ -113,6 +114,8 @@ class RunSession:
     failed: list[str] = field(default_factory=list)  # scenarios that could not be simulated, and why
     interrupted: bool = False
     unwritable: OutputError | None = None
+    repeatability: Repeatability = field(default_factory=Repeatability)
+    repeated: Repeated | None = None  # None: not asked again
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
         """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""
@@ -136,6 +139,7 @@ class RunSession:
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
+        self.repeatability.add(judged.trace)
         if self.against is None:
             say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
@@ -164,6 +168,7 @@ class RunSession:
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
             say(f"stopped before the end: {kept}")
+        self._ask_again()
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
         untested = self._say_coverage()
@@ -187,12 +192,24 @@ class RunSession:
         if self.interrupted:
             return INTERRUPTED
         good = all(verdicts) if self.against is None else self._as_good()
+        good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
 
     def _as_good(self) -> bool:
         """Was every run held against the reference's, and none found worse?"""
         assert self.against is not None
         return len(self.differences) == self.planned and not self.against.worse
+
+    def _ask_again(self) -> None:
+        """Does the avoider answer alike when it is asked again?  Not after an interruption."""
+        if not self.runs or self.interrupted or self.unwritable is not None:
+            return
+        try:
+            self.repeated = self.repeatability.check()
+        except KeyboardInterrupt:
+            self.interrupted = True
+        else:
+            say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
 
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
@@ -222,6 +239,7 @@ class RunSession:
                     interrupted=interrupted,
                     skipped=self.skipped,
                     against=self.against,
+                    repeated=self.repeated,
                 )
                 write_json(
                     self.out / DATA,
@@ -229,6 +247,7 @@ class RunSession:
                     interrupted=interrupted,
                     skipped=self.skipped,
                     against=self.against,
+                    repeated=self.repeated,
                 )
         except OutputError as error:
             explain(error)

@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.admission.taking import NotTaken
 from safety_harness.properties.against import Against
 from safety_harness.properties.tally import ClaimTally
@@ -60,13 +61,15 @@ def write_report(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
+    repeated: Repeated | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were
     planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
     more runs than are shown; ``skipped`` is what an avoider could not take, ``against`` what is worse than
-    with a reference.  Folders that are missing are made.  Raises OSError.
+    with a reference, ``repeated`` what a second avoider answered to their questions.  Folders that are
+    missing are made.  Raises OSError.
     """
     page = render(
         runs,
@@ -77,6 +80,7 @@ def write_report(
         coverage=coverage,
         skipped=skipped,
         against=against,
+        repeated=repeated,
     )
     write_whole(path, page)
 
@@ -91,6 +95,7 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
+    repeated: Repeated | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
     summary = _summary(runs, interrupted=interrupted)
@@ -106,6 +111,7 @@ def render(
         coverage=tallies(runs) if coverage is None else coverage,
         skipped=skipped,
         against=against,
+        repeated=repeated,
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,

@@ -10,6 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.admission.taking import NotTaken
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
@@ -43,12 +44,14 @@ def write_json(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
+    repeated: Repeated | None = None,
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
-    ``skipped`` and ``against``; each run says what was run, whether its ``avoider_answered``, and has its
+    ``skipped``, ``against`` and ``repeatability`` (what a second avoider answered to questions of the runs;
+    null if none was asked); each run says what was run, whether its ``avoider_answered``, and has its
     ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each claim over
     all runs how often it was put to the test; ``coverage``, ``skipped`` and ``against`` as for
     ``write_report``.  Margins are in SI units, in full precision, null where there is none; one that is not
@@ -67,6 +70,7 @@ def write_json(
             {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
         ],
         "against": None if against is None else against.as_json(),
+        "repeatability": None if repeated is None else asdict(repeated),
     }
     write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import asdict
 from datetime import UTC, datetime
 from math import isfinite
 
@@ -62,6 +63,7 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         findings=session.findings,
         fallback=fallback_words(trials.unanswered, trials.decisions),
         overruling=trials.overruling,
+        repeated=session.repeated,
         baseline=session.baseline,
         against=trials.against,
         coverage=trials.coverage,
@@ -109,6 +111,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
         "overruling": evidence.overruling.named,
+        "repeatability": None if evidence.repeated is None else asdict(evidence.repeated),
         "claims": _of_claims(findings),
         "baseline": None
         if baseline is None

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
@@ -44,7 +45,8 @@ INKS = (Ink.TCP, Ink.HAND_2)  # the search, the baseline
 class SearchEvidence:
     """Everything that the page shows.
 
-    ``fallback`` says how often the fallback stood in for the avoider, if it did.  ``baseline`` is uniform
+    ``fallback`` says how often the fallback stood in for the avoider, if it did, ``repeated`` what a second
+    avoider answered; None if it was not asked.  ``baseline`` is uniform
     sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
     that PyBullet does not show, ``confirmed`` counts those that it does.  ``not_found`` are the claims that
     the space expects to be violated and that no counterexample violates.
@@ -61,6 +63,7 @@ class SearchEvidence:
     findings: Findings
     fallback: str
     overruling: Overruling  # in the runs of the search
+    repeated: Repeated | None
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
@@ -88,7 +89,8 @@ class SearchSession:
     """One search and what becomes of its findings.  What cannot be written is printed instead.
 
     ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
-    ``confirming`` shows as well, and ``unwritable`` is why no more is written.
+    ``confirming`` shows as well, and ``unwritable`` is why no more is written.  ``repeated`` is what a second
+    avoider answered to questions of the search; None if it was not asked.
     """
 
     trials: Trials
@@ -102,6 +104,7 @@ class SearchSession:
     confirmed: int = 0
     unwritable: OutputError | None = None
     unconfirmed: list[Disagreement] = field(default_factory=list)
+    repeated: Repeated | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -154,6 +157,7 @@ class SearchSession:
             lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
         for line in lines:
             say(line)
+        self._ask_again()
         if findings.interrupted:
             say("interrupted: what was found is kept as it was found, not shrunk")
         elif self.unwritable is None:
@@ -174,6 +178,21 @@ class SearchSession:
             say("again: " + shlex.join(again))
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
+
+    def _ask_again(self) -> None:
+        """Does the avoider answer alike when it is asked again?  Not after an interruption."""
+        if not self.interrupted:
+            try:
+                self.repeated = self.trials.repeatability.check()
+            except KeyboardInterrupt:
+                self.findings.interrupted = True
+            else:
+                self.output.say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
+
+    def _origin(self, group: Group, findings: Findings) -> list[str]:
+        """Where the counterexample of a group comes from, and that its avoider does not answer alike."""
+        doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
+        return [*doubt, *origin_of(self.trials, group.worst, findings.searcher)]
 
     def _shrink_groups(self, claim: int | None) -> None:
         """Of the search; what only the baseline met is worth as much."""
@@ -238,7 +257,7 @@ class SearchSession:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, origin_of(self.trials, group.worst, findings.searcher), trace_file)
+        text = text_of(one, self._origin(group, findings), trace_file)
         if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
             try:
                 with writing(trace_file):

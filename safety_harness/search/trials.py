@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import decision_time_of, described
@@ -88,9 +89,9 @@ class Trials:
     point is run with that avoider as well, and what leads the search is what the one violates and the
     reference keeps; ``differences`` has them all.  Of all runs, ``nearest_hand_m`` is the least distance
     between a hand and the arm, ``decisions`` their number, ``unanswered`` those without an answer,
-    ``overruling`` what the gate did.  Each point's scenario has a seed of its own, from ``seed`` and the
-    point's number, unless the file fixes it.  An avoider with a memory of its own keeps it from run to run,
-    as ``Admitter`` says.
+    ``overruling`` what the gate did; ``repeatability`` takes their questions in.  Each point's scenario has a
+    seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
+    of its own keeps it from run to run, as ``Admitter`` says.
     """
 
     space: ScenarioSpace
@@ -107,6 +108,7 @@ class Trials:
     unanswered: int = field(default=0, init=False)
     overruling: Overruling = field(default_factory=Overruling, init=False)
     differences: list[RunDifference] = field(default_factory=list, init=False)
+    repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -185,6 +187,7 @@ class Trials:
             if reference is not None:
                 self._hold_against(reference, trace, evaluations, margins[k], conclusive[k])
             self.decisions += len(trace.decisions)
+            self.repeatability.add(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
             own = reference is None or not fault_of(reference)

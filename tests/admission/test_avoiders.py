@@ -14,12 +14,13 @@ import pytest
 from examples import VISIT, Displaced, run, scenario
 
 from safety_harness import admit, judge, parse_scenario, write_scenario
-from safety_harness.admission.avoiders import NAMES, resolve_avoider, with_avoider
+from safety_harness.admission.avoiders import NAMES, resolve_avoider, shipped_avoider, with_avoider
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.settings import DEFAULTS
 
 PROPOSE = """
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
@@ -294,3 +295,17 @@ def test_a_fault_of_a_users_file_is_told_with_its_line(tmp_path: Path) -> None:
     trace = run(replace(named("mine.py:Mine", tmp_path), hands=(VISIT,), duration_s=1.0))
     assert trace.complete
     assert set(trace.decisions["fault"]) == {"ZeroDivisionError: division by zero (mine.py:6)"}
+
+
+def test_each_of_ours_is_had_by_its_name_and_no_other() -> None:
+    for name in NAMES:
+        avoider = shipped_avoider(name)
+        tcp = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
+        proposal = avoider.propose(
+            hand_position_in_base_m=tcp + [0.2, 0.1, 0.0], tcp_position_in_base_m=tcp, seed=1
+        )
+        assert np.isfinite(proposal.position_in_base_m).all()
+    with pytest.raises(InadmissibleError, match='did you mean "mc-dropout"'):
+        shipped_avoider("mc-dropuot")
+    with pytest.raises(InadmissibleError):
+        shipped_avoider("mine.py:Mine")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.admission.repeatability import Repeated
 from safety_harness.campaign import opening
 from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.identity import Identity
@@ -113,6 +114,33 @@ def test_a_sample_is_the_whole_stream_or_none(tmp_path: Path, plan: Plan) -> Non
         assert sample.declaration.model_only
         with pytest.raises(KeyError, match="is none of"):
             ledger.sample("far", plan.claims[0].sentence)
+
+
+def test_what_was_asked_again_is_kept_of_all_sessions_and_one_difference_is_not_forgotten(
+    tmp_path: Path, plan: Plan
+) -> None:
+    with ledger_in(tmp_path, plan) as ledger:
+        ledger.record(row(k) for k in range(30))
+        claim = plan.claims[0].sentence
+        ledger.note_repeated(Repeated(questions=20, asked=9, apart=True))
+        assert ledger.repeated == Repeated(questions=20, asked=9, apart=True)
+        assert ledger.sample("near", claim).trials == 30
+        ledger.note_repeated(Repeated(questions=5, asked=5, words="it could not be asked"))
+        assert (ledger.repeated.line, ledger.dependent) == ("it could not be asked", "")
+        ledger.note_repeated(Repeated(questions=5, asked=5, differing=2, words="it remembers"))
+        ledger.note_repeated(Repeated(questions=70, asked=61))
+        assert ledger.repeated.line == "it remembers; 2 of 80 answers differ"
+        with pytest.raises(StatisticsError, match=r"no bound is stated .it remembers; 2 of 80"):
+            ledger.sample("near", claim)
+
+
+def test_the_ledger_of_a_program_that_never_asked_again_is_still_read(tmp_path: Path, plan: Plan) -> None:
+    with ledger_in(tmp_path, plan) as ledger:
+        ledger.record([row(0)])
+        ledger.connection.execute("DROP TABLE repeated")
+    with Ledger.open(ledger.path, alone=True) as old:
+        assert old.repeated == Repeated(questions=0)
+        assert not old.dependent
 
 
 def test_the_fingerprint_is_that_of_the_results_and_of_nothing_else(tmp_path: Path, plan: Plan) -> None:

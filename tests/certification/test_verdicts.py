@@ -52,6 +52,12 @@ def test_runs_without_a_verdict_leave_doubt_on_what_is_shown() -> None:
     assert word(world=KINEMATIC) is ClaimStatus.DOUBTED
 
 
+def test_runs_that_are_not_independent_show_nothing_whatever_came_out() -> None:
+    assert word(dependent="it remembers") is ClaimStatus.NOT_SHOWN
+    assert word(dependent="it remembers", bound=None, target=None) is ClaimStatus.NOT_SHOWN
+    assert word(dependent="it remembers", bound=between(0.02, 0.05)) is ClaimStatus.NOT_SHOWN
+
+
 def test_what_is_missing_is_never_a_verdict() -> None:
     assert word(runs=999, tested=999) is ClaimStatus.INCOMPLETE
     assert word(runs=999, tested=999, may_stop_early=True) is ClaimStatus.SHOWN

@@ -1,0 +1,217 @@
+"""Does an avoider answer alike when a second one is asked what the first was, alone and in another order?
+
+The questions are taken from what runs left behind, so that no run is touched.  Of a file that is executed
+the second avoider is made in a process of its own; any other is a function by construction, and is asked
+here.  What is asked, and in which order, is drawn by a hash of the question itself: it hangs neither on which
+run ends first nor on a seed that something else uses.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from heapq import nsmallest
+from operator import attrgetter
+
+import numpy as np
+
+from safety_harness.admission.admit import first_question
+from safety_harness.admission.avoiders import Avoiders
+from safety_harness.avoidance.asking import (
+    Answer,
+    OutOfProcessAvoider,
+    Question,
+    answers_together,
+    ask,
+    takes_many,
+)
+from safety_harness.avoidance.avoider import Avoider, printable
+from safety_harness.avoidance.flaky import Asked, asked_in, difference
+from safety_harness.avoidance.isolation.host import processes_apart
+from safety_harness.exceptions import InputError, NoAnswerError, SimulationError
+from safety_harness.scenario.model import Scenario
+from safety_harness.trace.trace import Trace
+
+SHARE = 0.02  # of the time that a command took, beside the start of the process
+LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
+Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeated:
+    """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
+
+    ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
+    asked in another process?
+    """
+
+    questions: int
+    asked: int = 0
+    differing: int = 0
+    words: str = ""
+    apart: bool = False
+
+    @property
+    def remembers(self) -> str:
+        """That the avoider is no function of its question, in words; empty if that was not seen."""
+        return f"{self.words}; {self.differing} of {self.asked} answers differ" if self.differing else ""
+
+    @property
+    def line(self) -> str:
+        """What came out."""
+        if self.words:
+            return self.remembers or self.words
+        if not self.asked:
+            return "repeatability: the avoider was asked nothing that could be asked again"
+        where = "a second avoider in a process of its own" if self.apart else "a second avoider"
+        return (
+            f"repeatability: {self.asked} of {self.questions} questions asked again of {where}, "
+            "alone, in another order and together: the same answers"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sampled:
+    """A question, the hash that draws it, and the scenario and the file of its avoider."""
+
+    order: bytes
+    one: Asked
+    scenario: Callable[[], Scenario]
+    avoider_sha256: str
+
+
+class Repeatability:
+    """Takes in what avoiders were asked from now on; ``check`` asks a sample of it again.
+
+    How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made,
+    and ``LEAST`` at least.
+    """
+
+    def __init__(self) -> None:
+        self._begun_s = time.monotonic()
+        self._questions = 0
+        self._sample: list[_Sampled] = []
+
+    def add(self, trace: Trace) -> None:
+        """The questions of a run."""
+        scenario = trace.scenario
+        self.take(asked_in(trace), lambda: scenario, trace.provenance.avoider_sha256)
+
+    def take(
+        self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
+    ) -> None:
+        """Questions of a run; ``scenario`` gives the one that names its avoider, when it is needed."""
+        for one in asked:
+            self._questions += 1
+            self._sample.append(_Sampled(_order(one.question), one, scenario, avoider_sha256))
+        if len(self._sample) > 2 * MOST:
+            self._sample = self._drawn()
+
+    def check(self, least: int = LEAST) -> Repeated:
+        """Ask again, each question alone and in the order of the hashes, then all in one call."""
+        allowed_s = SHARE * (time.monotonic() - self._begun_s)
+        again = _Again()
+        with processes_apart():
+            try:
+                again.ask(self._drawn(), least, allowed_s)
+            except (InputError, SimulationError) as error:
+                again.problem = f"the avoider could not be asked again: {printable(str(error))}"
+        return Repeated(
+            questions=self._questions,
+            asked=again.asked,
+            differing=len(again.differing),
+            words=max(again.differing.values(), default=(0.0, again.problem))[1],
+            apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
+        )
+
+    def _drawn(self) -> list[_Sampled]:
+        return nsmallest(MOST, self._sample, key=attrgetter("order"))
+
+
+def _order(question: Question) -> bytes:
+    text = question.hand_position_in_base_m.tobytes() + question.tcp_position_in_base_m.tobytes()
+    return hashlib.sha256(text + question.seed.to_bytes(8, "little")).digest()
+
+
+@dataclass(eq=False)
+class _Again:
+    """What comes of asking again: ``seconds`` are avoiders by identity, ``differing`` is by question."""
+
+    asked: int = 0
+    problem: str = ""
+    differing: dict[Asked, Difference] = field(default_factory=dict)
+    seconds: dict[int, _Second] = field(default_factory=dict)
+
+    def ask(self, sample: list[_Sampled], least: int, allowed_s: float) -> None:
+        """All of the sample, or as many as half of the time allows; together they take no longer."""
+        avoiders, begun_s = Avoiders(), 0.0
+        for sampled in sample:
+            if self.asked >= least and time.monotonic() - begun_s > allowed_s / 2.0:
+                break
+            scenario = sampled.scenario()
+            avoider, sha256 = avoiders.of(scenario)
+            if sha256 != (sampled.avoider_sha256 or sha256):
+                self.problem = "the avoider's file has changed since it was asked: it was not asked again"
+                return
+            begun_s = begun_s or time.monotonic()  # its process is there
+            hand, tcp = first_question(scenario.settings)
+            new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
+            second = self.seconds.setdefault(id(avoider), new)
+            self.asked += 1
+            found = second.alone(sampled.one)
+            if found:
+                self.differing[sampled.one] = found
+            if second.hangs:
+                return
+        for second in self.seconds.values():
+            for one, found in second.together():
+                self.differing.setdefault(one, found)
+
+
+@dataclass(eq=False)
+class _Second:
+    """A second avoider, and what it was asked; ``first`` is a question that no run has."""
+
+    avoider: Avoider
+    first: Question
+    asked: list[Asked] = field(default_factory=list)
+    hangs: bool = False
+
+    @property
+    def _takes_many(self) -> bool:
+        avoider = self.avoider
+        return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
+
+    def alone(self, one: Asked) -> Difference | None:
+        """How its answer differs, if it does."""
+        self.asked.append(one)
+        why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
+        try:
+            return _told(f"{why}: asked again alone", one, ask(self.avoider, one.question))
+        except NoAnswerError as error:
+            self.hangs = True
+            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(one)})"
+
+    def together(self) -> Iterator[tuple[Asked, Difference]]:
+        """The questions whose answers differ when all are asked in one call, and how."""
+        if self._takes_many:
+            answers = answers_together(self.avoider, [self.first, *(one.question for one in self.asked)])
+            why = "the avoider heeds what else is asked: asked again in one call with others"
+            for one, answer in zip(self.asked, answers[1:], strict=False):  # none where it cannot
+                if found := _told(why, one, answer):
+                    yield one, found
+
+
+def _told(why: str, one: Asked, answer: Answer) -> Difference | None:
+    how = difference(one.answer, answer)
+    if not how:
+        return None
+    apart_m = one.answer.proposal.position_in_base_m - answer.proposal.position_in_base_m
+    off_m = float(np.linalg.norm(apart_m))
+    return off_m if np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(one)})"
+
+
+def _place(one: Asked) -> str:
+    return f"question {one.number} of {one.run}"

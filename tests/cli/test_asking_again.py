@@ -1,0 +1,167 @@
+"""run, fuzz, campaign and replay notice an avoider that is no function of its question, and say so."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.cli.campaign import merge, resume, status
+from safety_harness.cli.campaign import run as run_campaign
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.replay import replay
+from safety_harness.cli.run import run
+from safety_harness.exceptions import StatisticsError
+from safety_harness.trace.store import load_trace
+from tests.admission.remembering import NO_FUNCTIONS
+from tests.admission.remembering import TEXT as MINE
+from tests.campaign.plans import PLAN
+from tests.search.short_space import TEXT as SPACE
+
+VISIT = """\
+scenario: a hand passes
+duration: 1.6 s
+tcp start:
+  offset: [40 mm, -120 mm, 60 mm]
+hands:
+  - hand: right hand
+    starts at: [1100 mm, -750 mm, 200 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - move to: [840 mm, -350 mm, 250 mm]
+        speed: 1 m/s
+      - withdraw: 1 m/s
+claims:
+  joint speeds within limits: holds
+"""
+SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
+HARMLESS = "joint speeds within limits"
+REFUSAL = "episodes are not independent, no bound is stated"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(MINE)
+    Path("visit.yaml").write_text(VISIT)
+    Path("short.yaml").write_text(SPACE)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", NO_FUNCTIONS)
+def test_run_and_replay_notice_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    avoider = f"mine.py:{name}"
+    assert run([Path("visit.yaml")], Path("out"), avoider) == DIFFERS
+    said = capsys.readouterr().err
+    assert "error: the avoider " in said
+    assert "mm elsewhere (question " in said
+    told = json.loads(Path("out/report.json").read_text())["repeatability"]
+    assert told["differing"] > 0
+    assert told["words"] in said
+    page = Path("out/report.html").read_text()
+    assert told["words"] in page
+    assert replay(Path("out/traces/visit.trace"), avoider) == DIFFERS
+    found = capsys.readouterr().out
+    assert "mm elsewhere (question " in found
+    assert ("identical, but" in found) == (name != "Clocked")
+
+
+def test_run_and_replay_say_how_often_a_function_was_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:Pure") == AS_EXPECTED
+    told = json.loads(Path("out/report.json").read_text())["repeatability"]
+    assert told["asked"] == told["questions"] > 0
+    assert (told["differing"], told["words"], told["apart"]) == (0, "", True)
+    line = f"{told['asked']} of {told['asked']} questions asked again"
+    assert line in capsys.readouterr().err
+    assert replay(Path("out/traces/visit.trace"), "mine.py:Pure") == AS_EXPECTED
+    shown = capsys.readouterr()
+    assert "identical: visit" in shown.out
+    assert line in shown.err
+
+
+@pytest.mark.parametrize("name", NO_FUNCTIONS)
+def test_fuzz_notices_it_though_nothing_is_violated(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    space, avoider = Path("short.yaml"), f"mine.py:{name}"
+    assert fuzz(space, avoider=avoider, budget=16, out=Path("out"), claims=[HARMLESS]) == DIFFERS
+    assert not list(Path("out").glob("*.yaml"))
+    said = capsys.readouterr().err
+    told = json.loads(Path("out/findings.json").read_text())["repeatability"]
+    assert told["differing"] > 0
+    assert f"error: {told['words']}" in said
+    assert told["words"] in Path("out/fuzz.html").read_text()
+
+
+@pytest.mark.parametrize("avoider", ["mine.py:Pure", "opposite pose"])
+def test_fuzz_finds_nothing_wrong_with_a_function(avoider: str) -> None:
+    space = Path("short.yaml")
+    assert fuzz(space, avoider=avoider, budget=16, out=Path("out"), claims=[HARMLESS]) == AS_EXPECTED
+    told = json.loads(Path("out/findings.json").read_text())["repeatability"]
+    assert told["asked"] > 0
+    assert (told["differing"], told["words"]) == (0, "")
+
+
+def test_a_counterexample_of_such_an_avoider_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("safety_harness.search.session.SHRINKING_RUNS", 5)
+    monkeypatch.setattr("safety_harness.search.session.MOST_SHRUNK", 1)
+    assert fuzz(Path("short.yaml"), avoider="mine.py:Counts", budget=12, out=Path("out")) == DIFFERS
+    (file, *_) = Path("out").glob("*.yaml")
+    assert "# the avoider remembers: asked again alone" in file.read_text()
+
+
+@pytest.mark.parametrize("name", NO_FUNCTIONS)
+def test_a_campaign_with_it_states_no_bound(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("plan.yaml").write_text(SMALL.replace("opposite pose", f"mine.py:{name}"))
+    file = Path("ledger.sqlite")
+    assert run_campaign(Path("plan.yaml"), ledger=file, workers=2) == DIFFERS
+    assert status(file) == AS_EXPECTED
+    shown = capsys.readouterr().out
+    assert REFUSAL in shown
+    assert "hold together" not in shown
+    with Ledger.open(file) as ledger:
+        assert ledger.repeated.differing > 0
+        with pytest.raises(StatisticsError, match=REFUSAL):
+            ledger.sample("near", ledger.declared.claims[0])
+    assert resume(file) == DIFFERS  # nothing is left to run, and it is not forgotten
+
+
+def test_a_campaign_with_a_function_says_how_often_it_was_asked(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("plan.yaml").write_text(SMALL.replace("opposite pose", "mine.py:Pure"))
+    assert run_campaign(Path("plan.yaml"), ledger=Path("ledger.sqlite"), workers=2) == AS_EXPECTED
+    shown = capsys.readouterr().out
+    assert "hold together" in shown
+    assert "of a second avoider in a process of its own" in shown
+
+
+def test_what_one_part_of_a_campaign_shows_of_the_avoider_the_whole_remembers(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("plan.yaml").write_text(SMALL.replace("opposite pose", "mine.py:Pure"))
+    parts = [Path("one.sqlite"), Path("two.sqlite")]
+    for k, file in enumerate(parts, start=1):
+        run_campaign(Path("plan.yaml"), ledger=file, workers=1, part=f"{k}/2")
+    with Ledger.open(parts[0], write=True) as ledger, ledger.transaction():
+        ledger.connection.execute("UPDATE repeated SET differing = 1, words = 'it differs'")
+    assert merge(Path("whole.sqlite"), parts) == AS_EXPECTED
+    assert REFUSAL in capsys.readouterr().out
+
+
+def test_the_documented_avoider_around_one_of_ours_is_used_asked_again_and_repeats(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = (Path(__file__).parents[2] / "docs/avoiders.md").read_text()
+    found = re.search(r"### Around one of ours.*?```python\n(.*?)```", page, re.DOTALL)
+    assert found is not None
+    Path("mine.py").write_text(found[1])
+    assert len([line for line in found[1].splitlines() if line]) <= 6  # an import, and five
+    assert run([Path("visit.yaml")], Path("ours"), "mc-dropout") == AS_EXPECTED
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:higher") == AS_EXPECTED
+    assert "a process of its own, alone, in another order" in capsys.readouterr().err
+    ours, around = (load_trace(Path(f"{one}/traces/visit.trace")) for one in ("ours", "out"))
+    first, higher = (one.decisions["proposed_position_in_base_m"][0] for one in (ours, around))
+    assert higher - first == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)
+    for field in ("proposed_spread_m", "spread_threshold_m"):
+        assert (ours.decisions[field][0] == around.decisions[field][0]).all()
