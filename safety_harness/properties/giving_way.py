@@ -65,21 +65,24 @@ class MovesAway:
     was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
     controller goes on because it has arrived, at most a tenth of the way may be left.
 
-    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead; only hands
+    ``nearer_m`` than that to the TCP count, at the decision: one that rests far away is no hazard.
 
     Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
     for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
     to move away").
     """
 
+    nearer_m: float = np.inf
     tolerance_m: float = 0.0
     unit: Unit = Unit.LENGTH
 
     @property
     def sentence(self) -> str:
         """As the catalogue writes it."""
-        words = "repulsion moves away from every hand"
-        return f"{words} to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else words
+        nearer = f" nearer than {self.nearer_m * 1e3:g} mm" if np.isfinite(self.nearer_m) else ""
+        within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
+        return f"repulsion moves away from every hand{nearer}{within}"
 
     @readable("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -91,7 +94,11 @@ class MovesAway:
             if decision["outcome"] == DecisionOutcome.STOP:
                 continue
             made += 1
-            hands = np.flatnonzero(trace.ticks["hand_present"][decision["tick"]])
+            tick = trace.ticks[decision["tick"]]
+            apart_m = np.linalg.norm(
+                tick["hand_position_in_base_m"] - tick["transform_tcp_to_base"][:3, 3], axis=1
+            )
+            hands = np.flatnonzero(tick["hand_present"] & ~(apart_m >= self.nearer_m))
             if len(hands) == 0:
                 continue  # nobody there to move away from
             if not is_somewhere(decision["chosen_position_in_base_m"]):
@@ -193,16 +200,17 @@ def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
 
 MOVES_AWAY = CatalogueEntry(
     prop=MovesAway(),
-    pattern=r"repulsion moves away from every hand(?: to within (.+))?",
+    pattern=r"repulsion moves away from every hand(?: nearer than (.+?))?(?: to within (.+))?",
     make=lambda match, _, place: MovesAway(
-        tolerance_m=quantity(match[1], LENGTH, place) if match[1] else 0.0
+        nearer_m=quantity(match[1], LENGTH, place) if match[1] else np.inf,
+        tolerance_m=quantity(match[2], LENGTH, place) if match[2] else 0.0,
     ),
     rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "
     "the arm does not do it",
-    parameters='a tolerance if it ends in "to within 5 mm", say: how much nearer to a hand the planned way and '
-    "the executed one may lead; the repulsion speed and acceleration of the settings",
+    parameters='"... nearer than 600 mm": only hands so near to the TCP at the decision; "... to within 5 mm": '
+    "how much nearer to a hand the planned and the executed way may lead; repulsion speed and acceleration",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",

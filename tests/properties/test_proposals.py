@@ -384,6 +384,11 @@ def test_who_is_always_in_doubt_is_always_overruled() -> None:
         ("at most 0 % of proposals overruled", FewOverruled(most=0.0)),
         ("repulsion moves away from every hand", MovesAway()),
         ("repulsion moves away from every hand to within 5 mm", MovesAway(tolerance_m=0.005)),
+        ("repulsion moves away from every hand nearer than 60 cm", MovesAway(nearer_m=0.6)),
+        (
+            "repulsion moves away from every hand nearer than 600 mm to within 5 mm",
+            MovesAway(nearer_m=0.6, tolerance_m=0.005),
+        ),
     ],
 )
 def test_a_sentence_is_understood_and_writes_itself_again(sentence: str, prop: Property) -> None:
@@ -430,3 +435,14 @@ def test_a_tolerance_forgives_the_planned_way_by_as_much_and_nothing_else() -> N
     still = replace(visit, decisions=decisions)
     assert judged(MovesAway(tolerance_m=0.02), still) == judged(MovesAway(), still)  # it arrived nowhere
     assert judged(MovesAway(), still)[0] is Verdict.VIOLATED
+
+
+def test_a_hand_that_is_far_away_counts_only_without_a_limit() -> None:
+    trace = seeks_the_hand()
+    tick = trace.ticks[trace.decisions["tick"]]
+    apart_m = np.linalg.norm(
+        tick["hand_position_in_base_m"][:, 0] - tick["transform_tcp_to_base"][:, :3, 3], axis=1
+    )
+    beyond, short = float(np.nextafter(apart_m.max(), 1.0)), float(apart_m.min())
+    assert judged(MovesAway(nearer_m=beyond), trace) == judged(MovesAway(), trace)
+    assert judged(MovesAway(nearer_m=short), trace) == (Verdict.INCONCLUSIVE, None, 0)
