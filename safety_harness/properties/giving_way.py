@@ -209,7 +209,7 @@ MOVES_AWAY = CatalogueEntry(
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "
     "the arm does not do it",
-    parameters='"... nearer than 600 mm": only hands so near to the TCP at the decision; "... to within 5 mm": '
+    parameters='"... nearer than 600 mm": only hands so near to the TCP when decided; "... to within 5 mm": '
     "how much nearer to a hand the planned and the executed way may lead; repulsion speed and acceleration",
     exercised="a true hand was there, and the repulsion had time for 10 mm of way",
     inconclusive="a chosen position that is not finite",

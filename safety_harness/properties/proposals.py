@@ -39,7 +39,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
 
     Left out is an answer to an earlier question of which the trace does not tell the hand.
     """
-    found = trace.decisions[answered(trace)]  # a copy
+    found: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
     told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
         axis=1
     )
