@@ -36,6 +36,14 @@ class Counts(Pure):
         return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 1e-4 * self.asked])
 
 
+class CountsForAll(Pure):
+    name = "counts the questions to all in its process"
+
+    def propose(self, **question):
+        Counts.asked += 1
+        return Counts.propose(self, **question)
+
+
 class Clocked(Pure):
     name = "looks at the clock"
 
