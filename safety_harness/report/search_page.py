@@ -57,7 +57,7 @@ class SearchEvidence:
     generated_at: datetime
     findings: Findings
     fallback: str
-    repeated: Repeated | None
+    repeated: Repeated | None = None
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

@@ -39,9 +39,9 @@ class Counts(Pure):
 class CountsForAll(Pure):
     name = "counts the questions to all in its process"
 
-    def propose(self, **question):
+    def propose(self, *, tcp_position_in_base_m, **question):
         Counts.asked += 1
-        return Counts.propose(self, **question)
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 1e-4 * Counts.asked])
 
 
 class Clocked(Pure):
