@@ -36,12 +36,14 @@ class Counts(Pure):
         return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 1e-4 * self.asked])
 
 
-class CountsForAll(Pure):
-    name = "counts the questions to all in its process"
+class Drawn(Pure):
+    name = "draws from the process's own stream"
+
+    def __init__(self):
+        np.random.seed(0)
 
     def propose(self, *, tcp_position_in_base_m, **question):
-        Counts.asked += 1
-        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 1e-4 * Counts.asked])
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 0.01 * np.random.random()])
 
 
 class Clocked(Pure):

@@ -88,10 +88,10 @@ def test_asking_again_leaves_the_first_avoider_and_its_runs_alone(file: Path) ->
     other = file.with_name("another.py")  # has a process of its own
     other.write_text(TEXT)
     untouched, checked = Admitter(), Admitter()
-    alone = [trace for _ in range(2) for trace in runs(f"{other}:CountsForAll", untouched, [1, 2])]
-    first = runs(f"{file}:CountsForAll", checked, [1, 2])
+    alone = [trace for _ in range(2) for trace in runs(f"{other}:Drawn", untouched, [1, 2])]
+    first = runs(f"{file}:Drawn", checked, [1, 2])
     assert asked_again(first).differing
-    second = runs(f"{file}:CountsForAll", checked, [1, 2])
+    second = runs(f"{file}:Drawn", checked, [1, 2])
     assert first_difference(first[0], second[0]) is not None
     for one, same in zip(alone, [*first, *second], strict=True):
         assert first_difference(one, same) is None
