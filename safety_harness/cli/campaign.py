@@ -219,8 +219,6 @@ def compare(
     if (second is None) is (against is None):
         expected = "either B or --against"
         raise ScenarioError(place=Place(field="compare"), expected=expected, got="both or none")
-            place=Place(field="compare"), expected="either B or --against", got="both or none"
-        )
     if against is not None:
         with Ledger.open(first) as mine:
             plan = plan_against(mine, against)
