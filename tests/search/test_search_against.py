@@ -87,8 +87,8 @@ def test_a_violation_counts_where_the_reference_has_no_margin() -> None:
 def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {"avoider": "mine.py:Sideways", "against": REFERENCE, "budget": 128}
-    assert fuzz(Path("space.yaml"), out=Path("out"), **asked) == DIFFERS
+    space, mine = Path("space.yaml"), "mine.py:Sideways"
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=128) == DIFFERS
     said = capsys.readouterr()
     assert "with opposite pose on the same draws: holds, +" in said.out
     assert "mine.py:Sideways violates a claim that opposite pose keeps in" in said.err
@@ -114,15 +114,15 @@ def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
 def test_an_equal_of_the_reference_has_nothing_that_it_does_not_do_as_well(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {"avoider": "mine.py:Equal", "against": REFERENCE, "budget": 40}
-    assert fuzz(Path("space.yaml"), out=Path("out"), **asked) == AS_EXPECTED
+    space, mine = Path("space.yaml"), "mine.py:Equal"
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=40) == AS_EXPECTED
     said = capsys.readouterr()
     assert "nothing found that opposite pose does not do as well, in 40 runs" in said.err
     assert said.out == ""
     found = json.loads((folder / "out" / "findings.json").read_text())
     assert found["distinct"] == []
     assert [claim["least margin"] for claim in found["claims"]] == [None, None]
-    assert fuzz(Path("space.yaml"), out=Path("alone"), avoider="mine.py:Equal", budget=12) == DIFFERS
+    assert fuzz(space, out=Path("alone"), avoider=mine, budget=12) == DIFFERS
 
 
 def test_a_reference_that_there_is_not_ends_a_search_at_once(
