@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -65,8 +66,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def report() -> dict:
-    return json.loads(Path("out/report.json").read_text())
+def report() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(Path("out/report.json").read_text())
+    return found
 
 
 def test_a_violation_that_the_reference_does_not_have_is_told_and_ends_with_1(
