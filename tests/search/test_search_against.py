@@ -12,8 +12,12 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
+from safety_harness.properties.against import Change
 from safety_harness.search import session as search_session
-from safety_harness.search.against import difference
+from safety_harness.search.against import Reference, difference
+from safety_harness.search.confirm import Complaint, Confirm
+from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.space.read import read_space
 from tests.search.short_space import TEXT
 
 SPACE = TEXT.replace("400 ms", "700 ms").replace("150 mm", "100 mm")
@@ -82,6 +86,22 @@ def test_nothing_is_known_without_a_margin(mine: float | None, reference: float 
 
 def test_a_violation_counts_where_the_reference_has_no_margin() -> None:
     assert difference(-0.2, None, 0.1) == -0.2
+
+
+def test_shrinking_keeps_to_what_the_reference_does_not_violate(folder: Path) -> None:
+    reference = Reference(REFERENCE)
+    trials = Trials(
+        read_space(folder / "space.yaml"), in_kinematic, avoider="mine.py:Sideways", reference=reference
+    )
+    points = np.array([[0.67, 0.71, 0.17], [0.67, 0.71, 0.9]])  # slow; too fast for both
+    found = trials(points, 0)
+    assert [run.claims[0].change for run in trials.differences] == [Change.NEW, Change.NONE]
+    assert (found.margins[:, 0] < 0.0).tolist() == [True, False]
+    of_mine, of_both = Complaint(trials.claims[0]), Complaint(trials.claims[0], reference=reference)
+    for number, (point, new) in enumerate(zip(points, (True, False), strict=True)):
+        scenario = trials.scenario(point, number)
+        assert Confirm(of_mine, in_kinematic)(scenario)
+        assert Confirm(of_both, in_kinematic)(scenario) is new
 
 
 def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
