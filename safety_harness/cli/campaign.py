@@ -208,31 +208,17 @@ def compare(
     With --against in place of B the plan of A is run with that avoider first, beside the ledger, or what is
     left of it; then it says what is worse in A.
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
-<<<<<<< HEAD
     episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
     margin first; last margins that B lost though both hold, and in one sentence the episodes that only one of
     them violates any claim in.
-    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
-||||||| 1dbe6d5
-    episode; then the episodes that only B violates, the largest loss of margin first; last margins that B
-    lost though both hold, and in one sentence the episodes that only one of them violates any claim in.
-    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
-=======
-    episode; then the episodes that only B violates, the largest loss of margin first; last margins that B
-    lost though both hold, and in one sentence the episodes that only one of them violates any claim in.
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
     not end well, its own.
->>>>>>> t-against
     """
     from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
-<<<<<<< HEAD
     from safety_harness.campaign.overruled import compare_overruling
-||||||| 1dbe6d5
-=======
     from safety_harness.campaign.session import LEDGER
->>>>>>> t-against
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
 
