@@ -22,10 +22,13 @@ from safety_harness.avoidance.avoider import described
 from safety_harness.properties.base import Evaluation, Property, Unit
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.simulation.simulate import INTERRUPTED
-from safety_harness.simulation.worlds import KINEMATIC, WorldEntry
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.trace.trace import Trace
 
 PAIRED = 5  # ingredients that are tried in pairs: 10 replays
+
+
+Changes = tuple[Change, ...]
 
 
 class Outcome(Enum):
@@ -88,7 +91,7 @@ class Attribution:
     """
 
     scenario: str
-    claim: str
+    claim: Claim
     unit: Unit
     answer: Answer
     margin: float | None
@@ -114,10 +117,11 @@ class Attribution:
         return "; or ".join(f"{one.words}: {self._after(one)}" for one in self.helping)
 
     def _after(self, replay: Replay) -> str:
-        after = self.unit.margin_text(replay.margin)
-        if replay.outcome is Outcome.NO_OCCASION:
-            return replay.outcome.value + ("" if replay.margin is None else f", {after}")
-        return after
+        margin: str = self.unit.margin_text(replay.margin)
+        if replay.outcome is Outcome.KEPT:
+            return margin
+        words: str = replay.outcome.value
+        return words if replay.margin is None else f"{words}, {margin}"
 
 
 class Runner(Protocol):
@@ -151,11 +155,11 @@ def attribute(
     run: Runner = InOneWorld(),
     spoilt: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
-    """Whose fault each of these violations is; without ``claims`` every violation of the scenario's own.
+    """Whose fault each violation of ``claims`` is; they have been seen violated, in whichever world.
 
-    ``claims`` have been seen violated, in whichever world; one that the replay does not violate is not
-    attributed.  ``spoilt`` are the ingredients that ``run`` spoils beside the scenario.
-    InadmissibleError for a claim that cannot be judged in this scenario.
+    Without them it is every violation of the scenario's own claims, and those that it expects.  One that
+    the kinematic replay does not reproduce is not attributed.  ``spoilt`` are the ingredients that ``run``
+    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario.
     """
     given = tuple(claims)
     scenario = replace(admitted.scenario, claims=given or admitted.scenario.claims)
@@ -169,13 +173,20 @@ def attribute(
             found.append(tell.unattributed(f"the kinematic replay fails: {described(first)}"))
         elif tell.evaluation(first).verdict is Verdict.VIOLATED:
             found.append(tell.attributed(first, changes_for(spoilt)))
-        elif given:
+        elif given or scenario.claims[number].expected is Verdict.VIOLATED:
             verdict = tell.evaluation(first).verdict.value
             found.append(tell.unattributed(f"the kinematic replay does not reproduce it: {verdict}"))
     return tuple(found)
 
 
-Changes = tuple[Change, ...]
+def confirmed(
+    admitted: Admitted, attribution: Attribution, *, run: Runner = InOneWorld(PYBULLET)
+) -> tuple[Replay, ...]:
+    """The violation in another world, and there with what is blamed changed: one replay, or two."""
+    scenario = replace(admitted.scenario, claims=(attribution.claim,))
+    trials = _Trials(replace(Altered.of(admitted), scenario=scenario), run)
+    told = _Told(trials, 0, property_of(attribution.claim, scenario))
+    return told.replays([(), *(one.changes for one in attribution.helping[:1])])
 
 
 class _Trials:
@@ -229,17 +240,17 @@ class _Told:
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
             return self._made(Answer.UNAVOIDABLE, margin, why)
-        replays = self._replays((change,) for change in changes)
+        replays = self.replays((change,) for change in changes)
         helping = _least(replays)
         if not helping:
             best = sorted(_best(replays), key=lambda one: -_gain(one))[:PAIRED]
             pairs = combinations(sorted(best, key=lambda one: _rank(one.ingredients)), 2)
-            paired = self._replays(one.changes + other.changes for one, other in pairs)
+            paired = self.replays(one.changes + other.changes for one, other in pairs)
             replays, helping = replays + paired, _least(paired)
         answer = Answer.ATTRIBUTED if helping else Answer.NOTHING_HELPED
         return self._made(answer, margin, "", replays, helping)
 
-    def _replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
+    def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
         return tuple(self._replay(changes, run) for changes, run in self.trials.made(wanted).items())
 
     def _replay(self, changes: Changes, run: Trace | Exception) -> Replay:
@@ -259,7 +270,7 @@ class _Told:
         scenario = self.trials.system.scenario
         return Attribution(
             scenario=scenario.name,
-            claim=self.prop.sentence,
+            claim=scenario.claims[self.number],
             unit=self.prop.unit,
             answer=answer,
             margin=margin,

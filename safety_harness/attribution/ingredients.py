@@ -108,7 +108,7 @@ class Altered(Admitted):
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One way of changing an ingredient; ``alter`` gives back what it is given if there is nothing to change."""
+    """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change."""
 
     ingredient: Ingredient
     words: str
