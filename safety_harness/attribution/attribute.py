@@ -6,6 +6,7 @@ no arm could have kept is unavoidable; of the rest the least sets of ingredients
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -19,13 +20,14 @@ from safety_harness.admission.trial import run_all
 from safety_harness.attribution.ingredients import Altered, Change, Ingredient, changes_for
 from safety_harness.attribution.unavoidable import why_unavoidable
 from safety_harness.avoidance.avoider import described
+from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.properties.base import Evaluation, Property, Unit
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.trace.trace import Trace
 
-PAIRED = 5  # ingredients that are tried in pairs: 10 replays
+PAIRED = 4  # ingredients that are tried in pairs: 6 replays
 
 
 Changes = tuple[Change, ...]
@@ -44,7 +46,8 @@ class Outcome(Enum):
         """By the verdict, and by whether an inconclusive one is for want of an occasion."""
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
-        return cls.NO_OCCASION if evaluation.reason.startswith("never exercised") else cls.UNTOLD
+        idle = evaluation.reason.startswith("never exercised") or evaluation.reason == NOT_MODELLED
+        return cls.NO_OCCASION if idle else cls.UNTOLD
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +179,7 @@ def attribute(
         elif given or scenario.claims[number].expected is Verdict.VIOLATED:
             verdict = tell.evaluation(first).verdict.value
             found.append(tell.unattributed(f"the kinematic replay does not reproduce it: {verdict}"))
-    return tuple(found)
+    return _jointly(found)
 
 
 def confirmed(
@@ -303,17 +306,31 @@ def _best(replays: Iterable[Replay]) -> list[Replay]:
 
 
 def _least(replays: Iterable[Replay]) -> tuple[Replay, ...]:
-    """For every set of ingredients that helps its first change that does, the one that is blamed first.
+    """For every set of ingredients that helps, its first change that does; the one that is blamed first.
 
-    The system is blamed before the hand; then those of which every change helps before those of which some
-    do; then in the order of ``Ingredient``.
+    The system is blamed before the hand; what keeps the claim before what takes the occasion away; those of
+    which every change helps before those of which some do; then in the order of ``Ingredient``.
     """
     found = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
-            ingredients = helping[0].ingredients
-            found.append(
-                (Ingredient.HAND in ingredients, -len(helping) / len(group), _rank(ingredients), helping[0])
-            )
-    return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:3]))
+            first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
+            found.append((-len(helping) / len(group), _rank(first.ingredients), first))
+    found.sort(key=lambda one: (*_last_resort(one[2]), *one[:2]))
+    return tuple(replay for *_, replay in found)
+
+
+def _last_resort(replay: Replay) -> tuple[bool, bool]:
+    return Ingredient.HAND in replay.ingredients, replay.outcome is not Outcome.KEPT
+
+
+def _jointly(found: Sequence[Attribution]) -> tuple[Attribution, ...]:
+    """One cause of many effects: what helps most of the violations of a run is blamed first for each."""
+    helped = Counter(replay.ingredients for one in found for replay in one.helping)
+
+    def order(replay: Replay) -> tuple[bool, int, bool]:
+        hand, idle = _last_resort(replay)
+        return hand, -helped[replay.ingredients], idle
+
+    return tuple(replace(one, helping=tuple(sorted(one.helping, key=order))) for one in found)

@@ -188,14 +188,14 @@ def _opposite(system: Altered) -> Altered:
     return replace(sound, avoider=InTheTimeOf(system.avoider, opposite))
 
 
-def _in_no_time(system: Altered) -> Altered:
-    """Decisions that cost nothing, where they cost anything."""
-    on_time = system.without(AvoiderLate)
-    free = on_time.scenario.settings.avoidance.decision_time is DecisionCost.AS_DECLARED
-    if free and decision_time_of(system.avoider) == 0.0:
-        return on_time
-    none = DecisionTimes(quantiles_s=(0.0,))
-    return on_time.with_settings(lambda s: replace(s, avoidance=replace(s.avoidance, decision_time=none)))
+def _in_a_tick(system: Altered) -> Altered:
+    """Answers within one control period where any took longer; no time at all would put nothing to the test."""
+    on_time, settings = system.without(AvoiderLate), system.scenario.settings
+    declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
+    if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
+        return system
+    tick = DecisionTimes(quantiles_s=(settings.clock.control_period_s,))
+    return on_time.with_settings(lambda s: replace(s, avoidance=replace(s.avoidance, decision_time=tick)))
 
 
 def _other_gate(system: Altered) -> Altered:
@@ -314,7 +314,7 @@ def _slower_move(move: HandMove) -> HandMove:
 CHANGES: tuple[Change, ...] = (
     Change(Ingredient.AVOIDER, "exact optimum", _optimum),
     Change(Ingredient.AVOIDER, "opposite pose", _opposite),
-    Change(Ingredient.DEADLINE, "answers at once", _in_no_time),
+    Change(Ingredient.DEADLINE, "answers within a tick", _in_a_tick),
     Change(Ingredient.PERCEPTION, "ideal", _exact_hands),
     Change(Ingredient.DRIVES, "ideal", _sound_drives),
     Change(Ingredient.SERVOING, "ideal camera", _exact_camera),

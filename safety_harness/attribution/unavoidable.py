@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
 from safety_harness.attribution.ingredients import fastest_tcp_mps
+from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
@@ -25,7 +26,7 @@ from safety_harness.robot.kinematics import FRAMES, TCP, forward_kinematics
 from safety_harness.scenario.model import HandTrajectory, MovingHand, Scenario
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.settings import Hand
-from safety_harness.simulation.hand_motion import advance_hands
+from safety_harness.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import cell_capsules
 
@@ -173,31 +174,62 @@ class SettledWay:
             settled = replace(
                 scenario, hands=tuple(before if hand is leader else hand for hand in scenario.hands)
             )
-        hands = hands_at_start(settled)
-        own = hands.state[scenario.hands.index(leader) if leader is not None else number]
-        period_s, hand_m, elbow_m = scenario.settings.clock.control_period_s, list[Array3](), list[Array3]()
-        for tick in range(scenario.ticks + 1):
-            hand_m.append(hands.state["position_in_base_m"][number].copy())
-            elbow_m.append(hands.state["elbow_in_base_m"][number].copy())
-            if seeks is not None and own["current"] >= own["count"]:
-                break
-            advance_hands(hands.state, hands.moves, hands.samples, NOWHERE, tick * period_s, period_s)
+        hands, count = hands_at_start(settled), scenario.ticks + 1
+        who = scenario.hands.index(leader) if leader is not None else number
+        own, period_s, ways_m = (
+            hands.state[who],
+            scenario.settings.clock.control_period_s,
+            np.empty((count, 2, 3)),
+        )
+        ends = who if seeks is not None else -1
+        ticks: int = _follow(hands.state, hands.moves, hands.samples, number, ends, period_s, ways_m)
         reached = seeks is not None and own["current"] >= own["count"]
         move = moves[seeks] if seeks is not None and reached else None
         return cls(
-            time_s=np.arange(len(hand_m), dtype=np.float64) * period_s,
-            hand_m=np.array(hand_m),
-            elbow_m=np.array(elbow_m),
+            time_s=np.arange(ticks, dtype=np.float64) * period_s,
+            hand_m=ways_m[:ticks, 0].copy(),
+            elbow_m=ways_m[:ticks, 1].copy(),
             then=move if isinstance(move, SeeksTcp) and leader is scenario.hands[number] else None,
             at_rest=not own["velocity_in_base_mps"].any(),
             steady_m=own["steady_in_base_m"].copy(),
         )
 
 
+@compiled
+def _follow(
+    hands: HandRecords,
+    moves: MoveRecords,
+    samples: NDArray[np.float64],  # (s, 7)
+    number: int,
+    ends: int,
+    period_s: float,
+    ways_m: NDArray[np.float64],  # (n, 2, 3), written
+) -> int:
+    """Hand and elbow of hand ``number`` at each tick, until the moves of hand ``ends`` are over; how many.
+
+    ``ends`` -1: to the end.
+    """
+    for tick in range(ways_m.shape[0]):
+        for i in range(3):
+            ways_m[tick, 0, i] = hands[number].position_in_base_m[i]
+            ways_m[tick, 1, i] = hands[number].elbow_in_base_m[i]
+        if ends >= 0 and hands[ends].current >= hands[ends].count:
+            return tick + 1
+        advance_hands(hands, moves, samples, NOWHERE, tick * period_s, period_s)
+    return len(ways_m)
+
+
 def _at_what_cannot_move(free: FreeArm, way: SettledWay, minimum_m: float, radii: Hand) -> str:
     """The hand comes too near to a part that no joint moves."""
     sizes_m = radii.radius_m, radii.forearm_radius_m
-    for time_s, hand, elbow in zip(way.time_s, way.hand_m, way.elbow_m, strict=True):
+    thick_m = max(sizes_m) + float(free.body.radius_m.max())
+    thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
+    middle_m, half_m = (
+        (way.hand_m + way.elbow_m) / 2.0,
+        np.linalg.norm(way.hand_m - way.elbow_m, axis=1) / 2.0,
+    )
+    near = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
+    for time_s, hand, elbow in zip(way.time_s[near], way.hand_m[near], way.elbow_m[near], strict=True):
         distance_m, which = hand_distance(free.body.records, free.ends_m, hand, elbow, *sizes_m)
         if distance_m < minimum_m:
             part = free.body.names[which].replace("_", " ")
