@@ -9,7 +9,7 @@ still be unavoidable.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, exp
+from math import cos, exp, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,8 @@ from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import cell_capsules
 
 SeeksTcp = ReachForTcp | FollowTcp
+STEPS = 200  # in which a hand that slows down is followed
+LEAST = 1.05  # times the TCP's speed: no slower does it come nearer
 NOWHERE = np.zeros(3)  # of the TCP, for hands that do not look at it
 
 
@@ -305,10 +307,32 @@ class Chase:
         if turned_s is None:
             return None
         heading_s = turned_s + max(farthest_m + v * turned_s - ending_m, 0.0) / closing_mps + dt
-        later_s = np.linspace(0.0, s / a, 101)
-        left_m = np.abs(ending_m - s * later_s) + (v + s * aside_rad) * later_s + a * later_s**2 / 2.0
+        flying_s = np.linspace(0.0, s / a, 101)
+        left_m = np.abs(ending_m - s * flying_s) + (v + s * aside_rad) * flying_s + a * flying_s**2 / 2.0
         best = int(np.argmin(left_m))
-        return heading_s, float(later_s[best]), float(left_m[best]) + (s + v) * dt
+        flown = heading_s, float(flying_s[best]), float(left_m[best]) + (s + v) * dt
+        braking_s, braked_m = self._braked(ending_m)
+        return flown if flown[2] <= braked_m else (heading_s + braking_s, 0.0, braked_m)
+
+    def _braked(self, ending_m: float) -> tuple[float, float]:
+        """How long it takes, and how near it comes, while it slows down before the TCP, both at most."""
+        a, v, dt = self.acceleration_mps2, self.fleeing_mps, self.period_s
+        distance_m, took_s, turned, near_m = ending_m, 0.0, 0.0, ending_m
+        step_m = (ending_m - self.until_m) / STEPS
+        while distance_m - step_m > self.until_m:
+            distance_m -= step_m
+            gap_m = distance_m - self.until_m
+            wanted_mps = min(self.speed_mps, sqrt((a * dt) ** 2 + 2.0 * a * gap_m) - a * dt)
+            if wanted_mps <= LEAST * v:
+                break
+            step_s = step_m / (wanted_mps - v)
+            turned += (step_m + v * step_s) / distance_m
+            lateral_mps = v * (exp(turned) - 1.0)
+            if lateral_mps * (v + lateral_mps) / distance_m >= a * (1.0 - v / wanted_mps):
+                break
+            took_s += step_s
+            near_m = min(near_m, distance_m + 2.0 * (wanted_mps + v) * dt)
+        return took_s, near_m
 
     def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
         """After which time the hand moves straight at the TCP at its full speed, at most; None for no bound.
