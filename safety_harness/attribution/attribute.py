@@ -173,12 +173,14 @@ def attribute(
     for number, prop in enumerate(properties):
         tell = _Told(trials, number, prop)
         if isinstance(first, Exception):
-            found.append(tell.unattributed(f"the kinematic replay fails: {described(first)}"))
-        elif tell.evaluation(first).verdict is Verdict.VIOLATED:
-            found.append(tell.attributed(first, changes_for(spoilt)))
+            found.append(tell.made(Answer.NOT_ATTRIBUTED, None, f"the run fails: {described(first)}"))
+            continue
+        evaluation = tell.evaluation(first)
+        if evaluation.verdict is Verdict.VIOLATED:
+            found.append(tell.attributed(evaluation.margin, changes_for(spoilt)))
         elif given or scenario.claims[number].expected is Verdict.VIOLATED:
-            verdict = tell.evaluation(first).verdict.value
-            found.append(tell.unattributed(f"the kinematic replay does not reproduce it: {verdict}"))
+            why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
+            found.append(tell.made(Answer.NOT_ATTRIBUTED, evaluation.margin, why))
     return _jointly(found)
 
 
@@ -233,16 +235,11 @@ class _Told:
         """The word on a run, judged in its own scenario."""
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
-    def unattributed(self, why: str) -> Attribution:
-        """Nothing is said."""
-        return self._made(Answer.NOT_ATTRIBUTED, None, why)
-
-    def attributed(self, first: Trace, changes: Sequence[Change]) -> Attribution:
+    def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
         """The bound, then single changes, then pairs of those ingredients that came nearest to help."""
-        margin = self.evaluation(first).margin
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
-            return self._made(Answer.UNAVOIDABLE, margin, why)
+            return self.made(Answer.UNAVOIDABLE, margin, why)
         replays = self.replays((change,) for change in changes)
         helping = _least(replays)
         if not helping:
@@ -251,9 +248,10 @@ class _Told:
             paired = self.replays(one.changes + other.changes for one, other in pairs)
             replays, helping = replays + paired, _least(paired)
         answer = Answer.ATTRIBUTED if helping else Answer.NOTHING_HELPED
-        return self._made(answer, margin, "", replays, helping)
+        return self.made(answer, margin, "", replays, helping)
 
     def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
+        """What became of the claim after each of these lists of changes, but for those that change nothing."""
         return tuple(self._replay(changes, run) for changes, run in self.trials.made(wanted).items())
 
     def _replay(self, changes: Changes, run: Trace | Exception) -> Replay:
@@ -262,7 +260,7 @@ class _Told:
         evaluation = self.evaluation(run)
         return Replay(changes, Outcome.of(evaluation), evaluation.margin)
 
-    def _made(
+    def made(
         self,
         answer: Answer,
         margin: float | None,
@@ -270,6 +268,7 @@ class _Told:
         replays: tuple[Replay, ...] = (),
         helping: tuple[Replay, ...] = (),
     ) -> Attribution:
+        """What is said of the claim."""
         scenario = self.trials.system.scenario
         return Attribution(
             scenario=scenario.name,
