@@ -251,7 +251,7 @@ class _Told:
         return self.made(answer, margin, "", replays, helping)
 
     def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
-        """What became of the claim after each of these lists of changes, but for those that change nothing."""
+        """What became of the claim after each list of changes, but for those that change nothing."""
         return tuple(self._replay(changes, run) for changes, run in self.trials.made(wanted).items())
 
     def _replay(self, changes: Changes, run: Trace | Exception) -> Replay:

@@ -71,7 +71,8 @@ def test_what_an_ordinary_system_keeps_is_what_these_tests_break() -> None:
 def test_a_reversed_avoider_is_blamed() -> None:
     found = only(reversed_avoider(), AWAY)
     assert found.cause == (Ingredient.AVOIDER,)
-    assert found.margin is not None and found.margin < -0.3
+    assert found.margin is not None
+    assert found.margin < -0.3
     assert any(one.ingredients == (Ingredient.GATE,) for one in found.helping)  # the full gate sees it too
     assert found.words.startswith("avoider (exact optimum): +")
 
@@ -162,7 +163,8 @@ def test_the_exact_optimum_is_the_closed_form_one_at_a_time_and_together() -> No
         avoider.propose(hand_position_in_base_m=h, tcp_position_in_base_m=t, seed=0).position_in_base_m
         for h, t in zip(hands, tcps, strict=True)
     ]
-    assert np.array_equal(together, expected) and not spreads.any()
+    assert np.array_equal(together, expected)
+    assert not spreads.any()
     assert np.allclose(single, expected, rtol=0.0, atol=1e-15)
 
 
@@ -171,7 +173,8 @@ def test_what_changes_nothing_is_not_tried() -> None:
     tried = {str(change) for change in CHANGES if change.on(system) is not None}
     idle = {"deadline (answers within a tick)", "perception (ideal)", "servoing (ideal camera)"}
     assert not tried & {*idle, "avoider (opposite pose)", "hand (half as fast)"}
-    assert "avoider (exact optimum)" in tried and "gate (the other kind)" in tried
+    assert "avoider (exact optimum)" in tried
+    assert "gate (the other kind)" in tried
 
 
 def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
@@ -182,7 +185,8 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
     )
     (change,) = (one for one in CHANGES if one.ingredient is Ingredient.HAND)
     slower = change.on(Altered.of(admit(scenario(hand(*moves)))))
-    assert slower is not None and slower.scenario.duration_s == 5.0
+    assert slower is not None
+    assert slower.scenario.duration_s == 5.0
     (half,) = slower.scenario.hands
     assert isinstance(half, MovingHand)
     assert half.moves == (
@@ -201,4 +205,5 @@ def test_a_tally_counts_each_violation_once_and_every_change_that_helps() -> Non
     assert tally.would_help["critical distance (x 1.5)"] == 0
     assert list(AttributionTally.of([]).lines()) == []
     data = tally.as_json()
-    assert data["violations"] == 3 and data["groups"] == tally.groups
+    assert data["violations"] == 3
+    assert data["groups"] == tally.groups

@@ -40,7 +40,8 @@ def why(*hands: MovingHand, duration_s: float = 4.0) -> str:
 def test_nothing_gets_out_of_the_way_of_a_hand_at_the_base() -> None:
     (found,) = attribute(admitted(TO_THE_BASE))
     assert found.answer is Answer.UNAVOIDABLE
-    assert "shoulder" in found.why and "no joint moves" in found.why
+    assert "shoulder" in found.why
+    assert "no joint moves" in found.why
 
 
 def test_a_hand_that_starts_at_the_tool_leaves_it_no_time() -> None:
@@ -61,9 +62,7 @@ def test_nobody_outruns_a_hand_that_pursues_the_tool() -> None:
         reaching(speed_mps=0.2),  # the TCP is faster
         reaching(at_most_s=0.5),  # it gives up
         reaching(0.08, 1.0, FollowTcp(speed_mps=0.3, distance_m=0.3, duration_s=0.5)),  # where is it then?
-        hand(
-            MoveTo(position_in_base_m=(0.7, 0.0, 0.35), speed_mps=1.0)
-        ),  # known beforehand, and slow to come
+        hand(MoveTo(position_in_base_m=(0.7, 0.0, 0.35), speed_mps=1.0)),  # known beforehand
     ],
 )
 def test_what_an_arm_with_foresight_may_keep_is_not_called_unavoidable(one: MovingHand) -> None:
@@ -89,7 +88,7 @@ def test_no_motion_with_foresight_keeps_what_is_called_unavoidable() -> None:
     for one in (reaching(), reaching(0.11, 0.9), reaching(0.06, 1.5)):
         assert why(one)
         assert best_distance_m(admitted(one), 60) < 0.05
-    assert best_distance_m(admitted(TO_THE_BASE), 2) < 0.05
+    assert best_distance_m(admitted(TO_THE_BASE), 4) < 0.05
 
 
 def test_the_same_motions_keep_what_can_be_kept() -> None:
