@@ -92,7 +92,7 @@ def of_faults() -> None:
     """Prints for every seeded fault how many violations it causes, and how many are laid at its part."""
     plan = SelfTestPlan(profile_named("quick"), SCENARIOS, None)
     trials = FaultTrials(plan.episodes())
-    total, right, named = 0, 0, 0
+    total, right = 0, 0
     for number, fault in enumerate(FAULTS):
         if fault.harmless or not trials.applies(fault):
             continue
@@ -101,7 +101,7 @@ def of_faults() -> None:
         total += sum(groups.values())
         right += groups[own]
         print(f"[{number + 1}/{len(FAULTS)}] {own}: {fault.name}: {dict(groups)}", flush=True)
-    print(f"{right} of {total} to the right ingredient ({right / max(total, 1):.1%}); {named}")
+    print(f"{right} of {total} to the right ingredient ({right / max(total, 1):.1%})")
 
 
 def of_fault(trials: FaultTrials, fault: SeededFault) -> Iterator[Attribution]:
