@@ -37,7 +37,7 @@ class Outcome(Enum):
     """What became of the claim in a replay."""
 
     KEPT = "kept"
-    NO_OCCASION = "no longer put to the test"
+    NO_OCCASION = "no longer exercised"
     VIOLATED = "still violated"
     UNTOLD = "no verdict"
 

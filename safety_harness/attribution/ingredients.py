@@ -189,7 +189,7 @@ def _opposite(system: Altered) -> Altered:
 
 
 def _in_a_tick(system: Altered) -> Altered:
-    """Answers within one control period where any took longer: no time at all puts nothing to the test."""
+    """Answers within one control period where any took longer: no time at all exercises nothing."""
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
     if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
