@@ -22,7 +22,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
-    "it, and certify; make the data of a learned avoider, train, evaluate and export it.",
+    "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
 for group in (of_scenarios, of_search, of_reports, of_selftest):
     app.add_typer(group)

@@ -1,4 +1,4 @@
-"""``safety-harness evaluate``: what is printed and written are the figures; mistakes are explained."""
+"""``safety-harness metrics``: what is printed and written are the figures; mistakes are explained."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from avoidance.random_models import random_model
 
 from safety_harness.avoidance.model_file import Calibration, Dropout, save_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.cli.learning import evaluate
+from safety_harness.cli.learning import metrics
 from safety_harness.learning import evaluation_file as module
 from safety_harness.learning.dataset import generate, seen
 from safety_harness.learning.evaluation_file import SCHEMA
@@ -54,7 +54,7 @@ def test_models_stand_side_by_side_in_tables_and_whole_in_json(
     model: Path, plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "new" / "evaluation.json"
-    assert evaluate([model, plain], samples=50, seed=2, out=out) == AS_EXPECTED
+    assert metrics([model, plain], samples=50, seed=2, out=out) == AS_EXPECTED
     printed = capsys.readouterr()
     document = written(out)
     assert (document["schema"], document["samples"], document["seed"]) == (SCHEMA, 50, 2)
@@ -88,9 +88,9 @@ def test_models_stand_side_by_side_in_tables_and_whole_in_json(
 def test_the_same_seed_gives_the_same_figures_whatever_stands_beside_a_model(
     model: Path, plain: Path, tmp_path: Path
 ) -> None:
-    assert evaluate([model, plain], samples=20, seed=2, out=tmp_path / "a.json") == AS_EXPECTED
-    assert evaluate([plain, model, model], samples=20, seed=2, out=tmp_path / "b.json") == AS_EXPECTED
-    assert evaluate([model], samples=20, seed=3, out=tmp_path / "c.json") == AS_EXPECTED
+    assert metrics([model, plain], samples=20, seed=2, out=tmp_path / "a.json") == AS_EXPECTED
+    assert metrics([plain, model, model], samples=20, seed=2, out=tmp_path / "b.json") == AS_EXPECTED
+    assert metrics([model], samples=20, seed=3, out=tmp_path / "c.json") == AS_EXPECTED
     a, b, c = (written(tmp_path / f"{name}.json")["models"] for name in "abc")
     assert a[0]["sets"] == b[1]["sets"] == b[2]["sets"]
     assert a[1]["sets"] == b[0]["sets"]
@@ -99,7 +99,7 @@ def test_the_same_seed_gives_the_same_figures_whatever_stands_beside_a_model(
 
 
 def test_a_shipped_model_is_evaluated_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(["deterministic"], samples=20) == AS_EXPECTED
+    assert metrics(["deterministic"], samples=20) == AS_EXPECTED
     printed = capsys.readouterr().out
     assert "deterministic: deterministic network" in printed
     assert "seen, test part by TCP" in printed
@@ -123,12 +123,12 @@ def test_mistakes_are_explained_and_nothing_is_written(
         ([model], {"samples": 10**7}, "--samples"),
         ([model], {"seed": -1}, "--seed"),
     ):
-        assert evaluate(models, out=out, **options) == BAD_INPUT  # type: ignore[arg-type]
+        assert metrics(models, out=out, **options) == BAD_INPUT  # type: ignore[arg-type]
         printed = capsys.readouterr()
         assert said in printed.err
         assert printed.out == ""
     assert not out.exists()
-    assert evaluate([model], samples=10, out=model / "out.json") == BAD_INPUT
+    assert metrics([model], samples=10, out=model / "out.json") == BAD_INPUT
     assert "can be written" in capsys.readouterr().err
 
 
@@ -139,6 +139,6 @@ def test_ctrl_c_ends_without_a_file(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "evaluate_model", interrupted)
-    assert evaluate([model], samples=10, out=tmp_path / "out.json") == INTERRUPTED
+    assert metrics([model], samples=10, out=tmp_path / "out.json") == INTERRUPTED
     assert "interrupted" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
