@@ -30,6 +30,7 @@ from safety_harness.settings import Settings
 from safety_harness.space.distributions import InRegion
 
 BATCH = 64
+SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
 MOST_SHOWN = 10
 APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
 # Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
@@ -106,22 +107,24 @@ def search_region(
 ) -> Searched:
     """Search one region with ``budget`` questions; Ctrl-C ends it early and keeps what was asked."""
     maps = InRegion(name, hands), InRegion(name, tcps)
-    cube = Cube(tuple(Column(tuple(edges)) for one in maps for edges in (one.edges, (0.0, 1.0), (0.0, 1.0))))
+    places = [Column(tuple(edges)) for one in maps for edges in (one.edges, (0.0, 1.0), (0.0, 1.0))]
+    which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1)), flat=True)
+    cube = Cube((*places, which))
+    own = [leaf(seed, Branch.SEARCH, 5, region_number, k) for k in range(SEEDS)]
     ledger = Searched(name, budget)
 
     def evaluate(points: Points, first: int) -> Outcomes:
-        at = maps[0].values_at(points[:, :3]), maps[1].values_at(points[:, 3:])
-        seeds = [leaf(seed, Branch.SEARCH, 5, region_number, first + k) for k in range(len(points))]
+        at = maps[0].values_at(points[:, :3]), maps[1].values_at(points[:, 3:6])
+        seeds = [own[k] for k in which.interval_of(points[:, 6])]
         return Outcomes.of_margins(_entered(ledger, at, seeds, first, ask, settings))
 
     goals = [Goal(one.value, 0.1) for one in OBJECTIVES]
-    own = leaf(seed, Branch.SEARCH, 6, region_number)
     make = searcher_named(searcher)
     found = find_violations(
         cube,
         goals,
         evaluate,
-        make(cube, claims=len(goals), seed=own),
+        make(cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 6, region_number)),
         budget=budget,
         batch=BATCH,
         on_progress=on_progress,
