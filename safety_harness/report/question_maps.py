@@ -1,6 +1,6 @@
 """Where answers are bad, as pictures: questions seen from above or from the side, in squares of a grid.
 
-A square is the larger and the redder the worse its worst question is: nothing is told by colour alone.  All
+A square is the larger the worse its worst question is, and the worst have another colour: nothing is told by colour alone.  All
 squares of one class are one path, so that a map costs a few kilobytes.  Pure functions of arrays.
 """
 
@@ -24,10 +24,14 @@ VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
 
 @dataclass(frozen=True)
 class Scale:
-    """Classes of a quantity: ``edges`` rise, and what is not below the last is bad (n + 1 ``words``)."""
+    """Classes of a quantity: ``edges`` rise, and what is not below the last is bad (n + 1 ``words``).
+
+    Of a cell the largest value counts, or with ``shares`` the mean.
+    """
 
     edges: tuple[float, ...]
     words: tuple[str, ...]
+    shares: bool = False
 
     def classes(self, values: NDArray[np.float64]) -> NDArray[np.int64]:  # (n,)
         """(n,) which class each value is in; what is no number is in the worst."""
@@ -48,13 +52,16 @@ def question_map(
     prefix: str,
     title: str,
 ) -> str:
-    """An ``<svg>``: positions (n, 3) in base [m], each cell by the largest class of its ``values`` (n,)."""
+    """An ``<svg>``: positions (n, 3) in base [m], each cell by the class of its ``values`` (n,)."""
     across, up, seen = view
     low, high = positions.min(axis=0), positions.max(axis=0)
     size = np.maximum(high - low, 1e-6)
     cell = np.minimum(((positions - low) / size * CELLS).astype(np.int64), CELLS - 1)
-    worst = np.full((CELLS, CELLS), -1)
-    np.maximum.at(worst, (cell[:, across], cell[:, up]), scale.classes(values))
+    place = cell[:, across], cell[:, up]
+    count, found = np.zeros((CELLS, CELLS)), np.full((CELLS, CELLS), 0.0 if scale.shares else -np.inf)
+    np.add.at(count, place, 1.0)
+    (np.add if scale.shares else np.maximum).at(found, place, values)
+    worst = np.where(count > 0, scale.classes(found / np.maximum(count, 1.0) if scale.shares else found), -1)
     side = CELLS * CELL_PX
     width, height = LEFT_PX + side + RIGHT_PX, TOP_PX + side + BELOW_PX
     root = Element("svg", {"viewBox": f"0 0 {width} {height}", "width": str(width), "height": str(height)})

@@ -50,7 +50,10 @@ Ask = Callable[[Sequence[Question]], Sequence[Answer]]
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """A question of the search, and what was answered: ``gained_m`` and ``off_m`` are of its proposal."""
+    """A question of the search, and what was answered: ``gained_m`` and ``off_m`` are of its proposal.
+
+    ``optimum_gained_m`` is what the closed-form optimum of the question gains, a yardstick.
+    """
 
     region: str
     number: int
@@ -61,6 +64,7 @@ class Tried:
     spread_m: Array3
     gained_m: float
     off_m: float
+    optimum_gained_m: float
     sure: bool
 
     def badness_m(self, objective: Objective) -> float:
@@ -148,7 +152,8 @@ def _entered(
     spreads = np.array([answer.proposal.spread_m for answer in answers])
     thresholds_m = np.array([answer.spread_threshold_m for answer in answers])
     away_m = gained_m(hands, tcps, positions)
-    error_m = off_m(positions, optimum_in_base_m(settings, hands, tcps))
+    optimum = optimum_in_base_m(settings, hands, tcps)
+    error_m, best_m = off_m(positions, optimum), gained_m(hands, tcps, optimum)
     sure = is_sure(spreads, thresholds_m)
     ledger.asked += len(answers)
     answered = [not answer.fault for answer in answers]
@@ -165,6 +170,7 @@ def _entered(
                 spreads[k],
                 float(away_m[k]),
                 float(error_m[k]),
+                float(best_m[k]),
                 bool(sure[k]),
             )
         )
