@@ -104,8 +104,8 @@ def _about(score: RegionScore) -> str:
     return f"{score.about}; off the optimum: median {interval(score.off_m[0])} mm, rms {interval(score.off_rms_m)} mm"
 
 
-def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, Markup]]:
-    """Captions and drawings: hands and TCPs from above and from the side, by either scale."""
+def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:
+    """Captions, what is shown, drawings: hands and TCPs from above and from the side, by either scale."""
     asked = score.questions
     hands, tcps, answers = asked.hands_in_base_m, asked.tcps_in_base_m, score.answers.positions_in_base_m
     if len(asked) == 0:
@@ -128,11 +128,11 @@ def _map(
     prefix: str,
     who: str,
     region: str,
-) -> tuple[str, Markup]:
+) -> tuple[str, str, Markup]:
     caption = f"{who}, {view[2]}"
-    what = "share that leads towards the hand" if scale.shares else "distance to the optimum"
-    title = f"{region}: {what} by the position of the {who}, {view[2]}"
-    return caption, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
+    what = "leads towards the hand" if scale.shares else "off the optimum"
+    title = f"{region}: {what}, by the position of the {who}, {view[2]}"
+    return caption, what, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
 
 
 def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:

@@ -1,9 +1,9 @@
 """The search for an avoider's worst questions, with the searchers of ``search``, in a ledger of its own.
 
-A search chooses its questions, so nothing that comes of them enters an estimate.  The questions of a region are
-a unit cube, which ``InRegion`` maps to hands and TCPs; every question's seed is the first decision's of a
-scenario seed that descends from the root seed, the region and the question's number, so that a scenario file
-can ask it again.
+A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has the
+TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that the
+region does not hold are refused.  A question's seed is that of the first decision of a run with a declared
+seed, so that a scenario file can ask it again.
 """
 
 from __future__ import annotations
@@ -15,22 +15,25 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.asking import Answer, Question
+from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
-from safety_harness.geometry.arrays import Array3, ArrayNx3
-from safety_harness.geometry.regions import Region
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.geometry.arrays import Array3
+from safety_harness.learning.evaluation import reachable
+from safety_harness.scoring.asking import asked_together
 from safety_harness.scoring.question_file import seed_of
-from safety_harness.search.cube import Column, Cube, Points, Scores
+from safety_harness.scoring.questions import Questions
+from safety_harness.scoring.regions import QuestionRegion
+from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
-from safety_harness.seeds import Branch
+from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.settings import Settings
-from safety_harness.space.distributions import InRegion
 
 BATCH = 64
 SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
+DRAWS = 500  # for the boxes that are searched
 MOST_SHOWN = 10
 APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
 # Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
@@ -45,7 +48,6 @@ class Objective(Enum):
 
 
 OBJECTIVES = tuple(Objective)
-Ask = Callable[[Sequence[Question]], Sequence[Answer]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +58,11 @@ class Tried:
     """
 
     region: str
-    number: int
     scenario_seed: int
     hand_in_base_m: Array3
     tcp_in_base_m: Array3
     proposed_in_base_m: Array3
-    spread_m: Array3
+    largest_spread_m: float
     gained_m: float
     off_m: float
     optimum_gained_m: float
@@ -90,92 +91,99 @@ class Searched:
     interrupted: bool = False
     tried: list[Tried] = field(default_factory=list)
 
-    def worst(self, objective: Objective) -> Tried | None:
-        """The worst question of an objective."""
-        found = [one for one in self.tried if one.badness_m(objective) > -np.inf]
-        return max(found, key=lambda one: one.badness_m(objective), default=None)
+
+@dataclass(eq=False)
+class _Searching:
+    """An ``Evaluate`` of a search: points of a region's cube are asked, and entered into its ledger."""
+
+    avoider: Avoider
+    region: QuestionRegion
+    drawn: Questions
+    scenario_seeds: tuple[int, ...]
+    ledger: Searched
+
+    def __post_init__(self) -> None:
+        self.which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1).tolist()), flat=True)
+        self.cube = Cube((*(Column() for _ in range(6)), self.which))
+        tcps = self.drawn.tcps_in_base_m
+        self._low, self._high = (
+            np.concatenate([end(tcps, axis=0), end(self.drawn.hands_in_base_m - tcps, axis=0)])
+            for end in (np.min, np.max)
+        )
+
+    def __call__(self, points: Points, first: int) -> Outcomes:
+        """Ask the points (n, 7) that the region holds."""
+        at = self._low + points[:, :6] * (self._high - self._low)
+        tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
+        held = self.region.holds(hands, tcps)
+        held[held] = reachable(tcps[held], self.region.settings)
+        numbers = self.which.interval_of(points[:, 6])[held]
+        margins = np.full((len(points), len(OBJECTIVES)), np.nan)
+        if held.any():
+            seeds = np.array([seed_of(seed) for seed in self.scenario_seeds], np.uint64)[numbers]
+            margins[held] = self._asked(Questions(hands[held], tcps[held], seeds), numbers)
+        known = Outcomes.of_margins(margins)
+        refused = ["" if one else "not in the region" for one in held]
+        return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
+
+    def _asked(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(n, 2) margins of questions with seeds of these ``numbers`` (n,); NaN without an answer."""
+        hands, tcps = questions.hands_in_base_m, questions.tcps_in_base_m
+        answers = asked_together(self.avoider, questions)
+        proposed, optimum = answers.positions_in_base_m, optimum_in_base_m(self.region.settings, hands, tcps)
+        away_m, error_m = gained_m(hands, tcps, proposed), off_m(proposed, optimum)
+        best_m, sure = gained_m(hands, tcps, optimum), is_sure(answers.spreads_m, answers.thresholds_m)
+        given = answers.given
+        self.ledger.asked += len(questions)
+        self.ledger.unanswered += int(np.count_nonzero(~given))
+        self.ledger.tried += [
+            Tried(
+                region=self.region.name,
+                scenario_seed=self.scenario_seeds[numbers[k]],
+                hand_in_base_m=hands[k],
+                tcp_in_base_m=tcps[k],
+                proposed_in_base_m=proposed[k],
+                largest_spread_m=float(answers.spreads_m[k].max()),
+                gained_m=float(away_m[k]),
+                off_m=float(error_m[k]),
+                optimum_gained_m=float(best_m[k]),
+                sure=bool(sure[k]),
+            )
+            for k in np.flatnonzero(given).tolist()
+        ]
+        margins = np.stack([away_m, np.where(sure, -error_m, np.nan)], axis=1)
+        return np.where(given[:, None], np.maximum(_FAR_M + margins, 1e-3), np.nan)
 
 
 def search_region(
-    name: str,
-    hands: Region,
-    tcps: Region,
-    ask: Ask,
-    settings: Settings,
+    avoider: Avoider,
+    region: QuestionRegion,
     *,
     budget: int,
     seed: int,
-    region_number: int,
+    number: int,
     on_progress: Callable[[Findings], None] | None = None,
     searcher: str = "default",
 ) -> Searched:
-    """Search one region with ``budget`` questions; Ctrl-C ends it early and keeps what was asked."""
-    maps = InRegion(name, hands), InRegion(name, tcps)
-    places = [Column(tuple(edges)) for one in maps for edges in (one.edges, (0.0, 1.0), (0.0, 1.0))]
-    which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1)), flat=True)
-    cube = Cube((*places, which))
-    own = [leaf(seed, Branch.SEARCH, 5, region_number, k) for k in range(SEEDS)]
-    ledger = Searched(name, budget)
-
-    def evaluate(points: Points, first: int) -> Outcomes:
-        at = maps[0].values_at(points[:, :3]), maps[1].values_at(points[:, 3:6])
-        seeds = [own[k] for k in which.interval_of(points[:, 6])]
-        return Outcomes.of_margins(_entered(ledger, at, seeds, first, ask, settings))
-
+    """Search a region, which has a ``number``, with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
+    ledger = Searched(region.name, budget)
+    drawn = region.draw(generator(seed, Branch.SEARCH, 5, number), DRAWS)
+    if len(drawn) < 2 or budget < 1:
+        return ledger
+    own = tuple(leaf(seed, Branch.SEARCH, 6, number, k) for k in range(SEEDS))
+    searching = _Searching(avoider, region, drawn, own, ledger)
     goals = [Goal(one.value, 0.1) for one in OBJECTIVES]
-    make = searcher_named(searcher)
-    found = find_violations(
-        cube,
-        goals,
-        evaluate,
-        make(cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 6, region_number)),
-        budget=budget,
-        batch=BATCH,
-        on_progress=on_progress,
+    make = searcher_named(searcher)(
+        searching.cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 7, number)
     )
-    ledger.interrupted = found.interrupted
-    return ledger
-
-
-def _entered(
-    ledger: Searched,
-    at: tuple[ArrayNx3, ArrayNx3],
-    seeds: Sequence[int],
-    first: int,
-    ask: Ask,
-    settings: Settings,
-) -> Scores:
-    """Ask (n,) questions, enter them into the ledger, and give their margins (n, 2)."""
-    hands, tcps = at
-    answers = ask([Question(*one, seed_of(own)) for *one, own in zip(hands, tcps, seeds, strict=True)])
-    positions = np.array([answer.proposal.position_in_base_m for answer in answers])
-    spreads = np.array([answer.proposal.spread_m for answer in answers])
-    thresholds_m = np.array([answer.spread_threshold_m for answer in answers])
-    away_m = gained_m(hands, tcps, positions)
-    optimum = optimum_in_base_m(settings, hands, tcps)
-    error_m, best_m = off_m(positions, optimum), gained_m(hands, tcps, optimum)
-    sure = is_sure(spreads, thresholds_m)
-    ledger.asked += len(answers)
-    answered = [not answer.fault for answer in answers]
-    ledger.unanswered += answered.count(False)
-    for k in np.flatnonzero(answered):
-        ledger.tried.append(
-            Tried(
-                ledger.region,
-                first + int(k),
-                seeds[k],
-                hands[k],
-                tcps[k],
-                positions[k],
-                spreads[k],
-                float(away_m[k]),
-                float(error_m[k]),
-                float(best_m[k]),
-                bool(sure[k]),
-            )
+    try:
+        found = find_violations(
+            searching.cube, goals, searching, make, budget=budget, batch=BATCH, on_progress=on_progress
         )
-    margins = np.stack([away_m, np.where(sure, -error_m, np.nan)], axis=1)
-    return np.maximum(_FAR_M + margins, 1e-3)
+        ledger.interrupted = found.interrupted
+    except InadmissibleError:  # next to no point of the boxes is in the region: what was asked stays
+        pass
+    return ledger
 
 
 def worst_questions(searches: Sequence[Searched], most: int = MOST_SHOWN) -> list[tuple[Objective, Tried]]:
@@ -192,9 +200,7 @@ def worst_questions(searches: Sequence[Searched], most: int = MOST_SHOWN) -> lis
     return found
 
 
-def _by_badness(
-    searches: Sequence[Searched], objective: Objective
-) -> Iterator[tuple[Objective, Tried]]:
+def _by_badness(searches: Sequence[Searched], objective: Objective) -> Iterator[tuple[Objective, Tried]]:
     every = [one for ledger in searches for one in ledger.tried if one.badness_m(objective) > -np.inf]
     for one in sorted(every, key=lambda one: -one.badness_m(objective)):
         yield objective, one
