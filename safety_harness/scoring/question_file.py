@@ -29,7 +29,6 @@ from safety_harness.trace.trace import Trace
 
 SAME_PLACE_M = 0.001  # the hand as it is perceived, and the question's
 LASTS_S = 0.4  # the first decision, and none after it: a way of 100 mm takes 0.65 s
-_WITHIN_M = 0.02  # the critical distance is beyond the hand by so much
 
 
 @dataclass(frozen=True)
@@ -68,19 +67,17 @@ def question_file(
     ``reference`` is how the file names the avoider, a relative file from the working directory.
     """
     why = "no run begins with it"
-    distance_m = float(np.linalg.norm(tcp_in_base_m - hand_in_base_m))
-    near, remark = _within_critical_distance(settings, distance_m)
     bare = Scenario(
         name=path.stem,
         title=title,
-        about=" ".join(f"{about} {remark}".split()),
+        about=about,
         duration_s=LASTS_S,
         seed=scenario_seed,
         start=PoseStart(position_in_base_m=_vector3(tcp_in_base_m)),
         hands=(),
         avoider="",
         claims=tuple(Claim(sentence=sentence, expected=Verdict.VIOLATED) for sentence in claims),
-        settings=near,
+        settings=settings,
         file=path,
     )
     for scenario in _ways(with_avoider(bare, reference), hand_in_base_m, tcp_in_base_m):
@@ -97,21 +94,8 @@ def question_file(
             verdicts = tuple(one.evaluate(trace).verdict for one in admitted.properties)
             expected = zip(scenario.claims, verdicts, strict=True)
             told = tuple(replace(claim, expected=verdict) for claim, verdict in expected)
-            return QuestionFile(path, remark, verdicts, write_scenario(replace(scenario, claims=told)))
+            return QuestionFile(path, "", verdicts, write_scenario(replace(scenario, claims=told)))
     return QuestionFile(None, why)
-
-
-def _within_critical_distance(settings: Settings, distance_m: float) -> tuple[Settings, str]:
-    """Settings under which a hand so far away is asked about, and what to say of a change."""
-    avoidance = settings.avoidance
-    if distance_m + SAME_PLACE_M < avoidance.critical_distance_m:
-        return settings, ""
-    wide_m = round(float(np.ceil(100.0 * (distance_m + _WITHIN_M))) / 100.0, 2)
-    remark = (
-        f"No run with a critical distance of {1e3 * avoidance.critical_distance_m:.0f} mm begins with it: here "
-        f"it is {1e3 * wide_m:.0f} mm."
-    )
-    return replace(settings, avoidance=replace(avoidance, critical_distance_m=wide_m)), remark
 
 
 def _ways(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:

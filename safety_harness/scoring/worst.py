@@ -163,7 +163,7 @@ def search_region(
     seed: int,
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
-    searcher: str = "default",
+    searcher: str = "diverse",
 ) -> Searched:
     """Search a region, which has a ``number``, with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
     ledger = Searched(region.name, budget)
