@@ -24,14 +24,14 @@ def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
             continue
         if int(trace.ticks["faults"][int(decision["tick"])]) & spoilt:
             continue
-        hand_in_base_m, tcp_in_base_m = _question(trace, decision)
+        hand_in_base_m, tcp_in_base_m = question_of(trace, decision)
         limit_s = trace.scenario.settings.clock.wall_limit_s
         answer = ask(avoider, Question(hand_in_base_m, tcp_in_base_m, int(decision["seed"]), limit_s))
         if not _same(decision, answer):
             raise FlakyAvoiderError(_difference(trace, number, decision, answer))
 
 
-def _question(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
+def question_of(trace: Trace, decision: np.void) -> tuple[Vector, Vector]:
     """The hand and the TCP (3,) that the avoider was asked about, which may have been some ticks before."""
     if decision["asked_tick"] == decision["tick"]:
         return decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]

@@ -1,7 +1,8 @@
 """What a proposal is worth before any gate: does it lead away, and how far is it from the optimum?
 
-Positions are (n, 3) in the base frame [m]; what comes back is (n,), in metres, NaN where a proposal is not
-finite.  The claims about proposals and the command that scores an avoider measure with the same functions.
+Positions are (n, 3) in the base frame [m]; what comes back is (n,), in metres, NaN where a proposal or a
+question is not finite.  The claims about proposals and the command that scores an avoider measure with the
+same functions.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def gained_m(hands: ArrayNx3, tcps: ArrayNx3, proposed: ArrayNx3) -> NDArray[np.
     distance = np.linalg.norm(apart, axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         along = np.einsum("ij,ij->i", way, apart) / distance
-    return np.asarray(np.where(distance > 0.0, along, np.linalg.norm(way, axis=1)))
+    return np.asarray(np.where(distance == 0.0, np.linalg.norm(way, axis=1), along))
 
 
 def off_m(proposed: ArrayNx3, optimum: ArrayNx3) -> NDArray[np.float64]:  # (n,)

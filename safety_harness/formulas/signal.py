@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from safety_harness.formulas.formula import Comparison, Formula, Relation, Truth
 from safety_harness.formulas.quantities import Quantity, formula_error, plain
-from safety_harness.properties.base import ENDLESS
 from safety_harness.scenario.units import NUMBER, Dimension
+from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace
 
 Values = NDArray[np.float64]

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import ENDLESS, Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import TIME
-from safety_harness.trace.records import Check
+from safety_harness.trace.records import ENDLESS, Check
 from safety_harness.trace.trace import Trace
 
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")

@@ -23,13 +23,12 @@ from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3
 from safety_harness.scenario.model import MAX_HANDS, Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, as_numbers
+from safety_harness.trace.records import COLUMNS, ENDLESS, as_numbers
 from safety_harness.trace.trace import Trace, once_a_trace
 
 Judge = TypeVar("Judge", bound=Callable[[Any, Trace], "Evaluation"])
 
 HORIZON_M = 1e3
-ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 # (f, 3): first column, the one after the last, and how many there are for each hand; 0 if not of hands
 FIELDS = np.array(

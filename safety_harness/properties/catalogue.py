@@ -18,6 +18,13 @@ from safety_harness.properties.limits import (
     TCP_SPEED,
 )
 from safety_harness.properties.positions import PROPOSED_POSES, REPULSIVE_POSES
+from safety_harness.properties.proposals import (
+    FEW_OVERRULED,
+    LEAD_AWAY,
+    NEAR_OPTIMUM,
+    NEVER_SURE_AND_OFF,
+    WITHIN_SPREAD,
+)
 from safety_harness.properties.protective_separation import (
     PROTECTIVE_SEPARATION,
     PROTECTIVE_SEPARATION_AT,
@@ -46,6 +53,11 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     PROTECTIVE_SEPARATION_OWN,
     REPULSIVE_POSES,
     PROPOSED_POSES,
+    LEAD_AWAY,
+    NEAR_OPTIMUM,
+    WITHIN_SPREAD,
+    NEVER_SURE_AND_OFF,
+    FEW_OVERRULED,
     MOVES_AWAY,
     CLEAR_WAYS,
     UNCERTAIN,

@@ -15,7 +15,9 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
     ACCELERATION,
     ANGULAR_ACCELERATION,
+    FRACTION,
     LENGTH,
+    NUMBER,
     SPEED,
     TIME,
     Dimension,
@@ -23,6 +25,7 @@ from safety_harness.scenario.units import (
 )
 
 _LARGEST = {  # in SI
+    NUMBER.name: 100.0,
     LENGTH.name: 10.0,
     SPEED.name: 10.0,
     TIME.name: 3600.0,
@@ -84,6 +87,15 @@ def quantity(text: str, dimension: Dimension, place: Place) -> float:
     most = _LARGEST[dimension.name]
     if not 0.0 < value <= most:
         expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+    return value
+
+
+def share(text: str, place: Place) -> float:
+    """A share of at least 0 %, and less than 100 %, which anything would keep."""
+    value = parse_quantity(text, FRACTION, place)
+    if not 0.0 <= value < 1.0:
+        expected = f"{FRACTION.expected}, of at least 0 % and less than 100 %"
         raise InadmissibleError(place=place, expected=expected, got=repr(text))
     return value
 

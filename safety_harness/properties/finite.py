@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import (
-    ENDLESS,
     OF_HANDS,
     Evaluation,
     Unit,
@@ -19,7 +18,7 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, DECISION, DecisionOutcome, as_numbers
+from safety_harness.trace.records import COLUMNS, DECISION, ENDLESS, DecisionOutcome, as_numbers
 from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
-from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.robot.description import load_arm
+from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 
@@ -64,13 +65,21 @@ class MovesAway:
     was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
     controller goes on because it has arrived, at most a tenth of the way may be left.
 
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead.
+
     Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
     for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
     to move away").
     """
 
+    tolerance_m: float = 0.0
     unit: Unit = Unit.LENGTH
-    sentence: str = "repulsion moves away from every hand"
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        words = "repulsion moves away from every hand"
+        return f"{words} to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else words
 
     @readable("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -94,7 +103,7 @@ class MovesAway:
             exercised += done.due_m >= LEAST_WAY_M
             before = done
             for hand in hands:
-                findings.extend(away_from(trace, decision, int(hand), last))
+                findings.extend(away_from(trace, decision, int(hand), last, self.tolerance_m))
             findings.extend(given(trace, number, last, done))
         if not findings:
             return inconclusive(
@@ -114,7 +123,9 @@ def last_tick(trace: Trace, number: int) -> int:
     return first + int(moved_on[0]) if len(moved_on) else end
 
 
-def away_from(trace: Trace, decision: np.void, hand: int, last: int) -> list[Finding]:
+def away_from(
+    trace: Trace, decision: np.void, hand: int, last: int, tolerance_m: float = 0.0
+) -> list[Finding]:
     """What the planned and the executed way say about one hand, held where it was at the decision."""
     first, time_s = int(decision["tick"]), float(decision["time_s"])
     settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
@@ -126,7 +137,7 @@ def away_from(trace: Trace, decision: np.void, hand: int, last: int) -> list[Fin
     if distance == 0.0:  # every way leads away from a hand that is at the TCP
         return [Finding(float(np.linalg.norm(way)), time_s, f"planned way, {name}")]
     away = apart / distance
-    findings = [Finding(float(way @ away), time_s, f"planned way, {name}")]
+    findings = [Finding(float(way @ away) + tolerance_m, time_s, f"planned way, {name}")]
     dt_s = settings.clock.control_period_s
     towards_mps = max(0.0, -float(velocity_at(trace, first) @ away))
     braking_mps2 = max(settings.avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
@@ -134,7 +145,7 @@ def away_from(trace: Trace, decision: np.void, hand: int, last: int) -> list[Fin
     distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
     nearest = int(np.argmin(distances))
     nearer = Finding(
-        float(distances[nearest]) - distance + unavoidable_m + DIP_M,
+        float(distances[nearest]) - distance + unavoidable_m + DIP_M + tolerance_m,
         float(trace.time_s[first + nearest]),
         f"executed way, nearer to {name}",
     )
@@ -182,6 +193,10 @@ def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
 
 MOVES_AWAY = CatalogueEntry(
     prop=MovesAway(),
+    pattern=r"repulsion moves away from every hand(?: to within (.+))?",
+    make=lambda match, _, place: MovesAway(
+        tolerance_m=quantity(match[1], LENGTH, place) if match[1] else 0.0
+    ),
     rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
     source="the paper, section 4.1",
     margin="component of the planned displacement away from the hand, least over all hands; negative also if "

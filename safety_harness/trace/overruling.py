@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.trace.records import Check, DecisionOutcome
+from safety_harness.trace.records import ENDLESS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 REASONS = tuple(check for check in Check if check and check not in (Check.NOT_FINITE, Check.LATE))
@@ -18,7 +18,7 @@ REASONS = tuple(check for check in Check if check and check not in (Check.NOT_FI
 def answered(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions to which the avoider gave a usable answer in time."""
     there: NDArray[np.bool_] = trace.decisions["fault"] == ""
-    there &= np.isfinite(trace.decisions["proposed_position_in_base_m"]).all(axis=1)
+    there &= (np.abs(trace.decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
     return there
 
 

@@ -15,6 +15,7 @@ from safety_harness.scenario.model import MAX_HANDS
 
 MAX_TRACKS = 4
 FAULT_CHARACTERS = 240
+ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
 
 class Mode(IntEnum):

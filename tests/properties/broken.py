@@ -54,6 +54,22 @@ def seeks_the_hand() -> Trace:
 
 
 @lru_cache
+def proposes_the_hand() -> Trace:
+    return run(scenario(VISIT), avoider=TowardsTheHand())
+
+
+@lru_cache
+def is_sure_of_two_metres() -> Trace:
+    sure = Displaced((0.0, 2.0, 0.0), spread_m=0.01, spread_threshold_m=0.02)
+    return run(scenario(VISIT), avoider=sure)
+
+
+@lru_cache
+def is_always_in_doubt() -> Trace:
+    return run(scenario(VISIT), avoider=IN_DOUBT)
+
+
+@lru_cache
 def proposes_far_away() -> Trace:
     return run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=passing())
 
@@ -161,6 +177,11 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "protective separation kept from hands at their own speeds": seeks_the_hand,
     "repulsive poses reachable": proposes_far_away,
     "proposed repulsive poses reachable": proposes_far_away,
+    "proposals lead away to within 10 mm": proposes_the_hand,
+    "proposals within 60 mm of the optimum": proposes_far_away,
+    "proposals within 3 spreads and 30 mm of the optimum": is_sure_of_two_metres,
+    "proposals never sure and more than 60 mm from the optimum": is_sure_of_two_metres,
+    "at most 50 % of proposals overruled": is_always_in_doubt,
     "repulsion moves away from every hand": seeks_the_hand,
     "repulsive ways clear of table, object and robot": proposes_below_the_table,
     "uncertain answers fall back within 2 cycles": uses_what_it_doubts,
