@@ -96,7 +96,7 @@ def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
         **_plain(shown.tried),
         "file": None if file.path is None else file.path.name,
         "remark": file.remark,
-        "verdicts": [verdict.value for verdict in file.verdicts],
+        "claims": {claim.sentence: claim.expected.value for claim in file.claims},
     }
 
 

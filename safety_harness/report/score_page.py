@@ -149,7 +149,7 @@ def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
         "sure": "sure" if tried.sure else "in doubt",
         "file": "" if file.path is None else file.path.name,
         "remark": file.remark,
-        "verdicts": ", ".join(verdict.value for verdict in file.verdicts),
+        "claims": [f"{claim.sentence}: {claim.expected.value}" for claim in file.claims],
     }
 
 

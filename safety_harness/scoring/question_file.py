@@ -35,12 +35,12 @@ LASTS_S = 0.4  # the first decision, and none after it: a way of 100 mm takes 0.
 class QuestionFile:
     """``path`` is None where no run can ask the question first, and ``remark`` says why.
 
-    ``verdicts`` are what the file expects of its claims, in their order: those of the run that tried it.
+    Its ``claims`` expect what the run that tried it gave; those on which it gave no verdict are left out.
     """
 
     path: Path | None
     remark: str
-    verdicts: tuple[Verdict, ...] = ()
+    claims: tuple[Claim, ...] = ()
     text: str = ""
 
 
@@ -92,9 +92,12 @@ def question_file(
         why = _asked_another(trace, hand_in_base_m, tcp_in_base_m)
         if not why:
             verdicts = tuple(one.evaluate(trace).verdict for one in admitted.properties)
-            expected = zip(scenario.claims, verdicts, strict=True)
-            told = tuple(replace(claim, expected=verdict) for claim, verdict in expected)
-            return QuestionFile(path, "", verdicts, write_scenario(replace(scenario, claims=told)))
+            told = tuple(
+                replace(claim, expected=verdict)
+                for claim, verdict in zip(scenario.claims, verdicts, strict=True)
+                if verdict is not Verdict.INCONCLUSIVE
+            )
+            return QuestionFile(path, "", told, write_scenario(replace(scenario, claims=told)))
     return QuestionFile(None, why)
 
 
