@@ -87,7 +87,7 @@ def region_score(
         answered=Proportion.of(given) if len(questions) else None,
         worst_off=_worst(region.name, questions, answers, settings, by_gained=False),
         worst_gained=_worst(region.name, questions, answers, settings, by_gained=True),
-        **figures,  # type: ignore[arg-type]
+        **figures,
     )
 
 

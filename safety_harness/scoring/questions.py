@@ -63,8 +63,7 @@ class Answers:
     @property
     def given(self) -> NDArray[np.bool_]:
         """(n,) is there an answer?"""
-        there: NDArray[np.bool_] = np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1)
-        return there
+        return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
 
     def __getitem__(self, rows: Rows) -> Answers:
         """Some of them."""

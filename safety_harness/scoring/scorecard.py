@@ -127,7 +127,7 @@ class Jumps:
     region: str
     moved: Moved
     segments: int
-    jumped: Proportion
+    jumped: Proportion | None  # None without a segment
     largest: Change | None
     steepest: Change | None
 
@@ -173,7 +173,7 @@ class AnswerTimes:
     deadline_s: float
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Scorecard:
     """Everything about one avoider; a yardstick has neither repeats nor times."""
 
