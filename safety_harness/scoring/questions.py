@@ -37,9 +37,9 @@ class Questions:
     def joined(cls, parts: list[Questions]) -> Questions:
         """One after another."""
         return cls(
-            np.concatenate([part.hands_in_base_m for part in parts]),
-            np.concatenate([part.tcps_in_base_m for part in parts]),
-            np.concatenate([part.seeds for part in parts]),
+            np.concatenate([np.empty((0, 3)), *(part.hands_in_base_m for part in parts)]),
+            np.concatenate([np.empty((0, 3)), *(part.tcps_in_base_m for part in parts)]),
+            np.concatenate([np.empty(0, np.uint64), *(part.seeds for part in parts)]),
         )
 
 
@@ -63,5 +63,25 @@ class Answers:
     @property
     def given(self) -> NDArray[np.bool_]:
         """(n,) is there an answer?"""
-        there: NDArray[np.bool_] = np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1)
-        return there
+        return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
+
+    def __getitem__(self, rows: Rows) -> Answers:
+        """Some of them."""
+        numbers = np.arange(len(self))[rows].tolist()
+        faults = {new: self.faults[old] for new, old in enumerate(numbers) if old in self.faults}
+        return Answers(self.positions_in_base_m[rows], self.spreads_m[rows], self.thresholds_m[rows], faults)
+
+    @classmethod
+    def joined(cls, parts: list[Answers]) -> Answers:
+        """One after another."""
+        faults: dict[int, str] = {}
+        first = 0
+        for part in parts:
+            faults |= {first + row: fault for row, fault in part.faults.items()}
+            first += len(part)
+        return cls(
+            np.concatenate([np.empty((0, 3)), *(part.positions_in_base_m for part in parts)]),
+            np.concatenate([np.empty((0, 3)), *(part.spreads_m for part in parts)]),
+            np.concatenate([np.empty(0), *(part.thresholds_m for part in parts)]),
+            faults,
+        )

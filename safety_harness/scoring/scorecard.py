@@ -127,7 +127,7 @@ class Jumps:
     region: str
     moved: Moved
     segments: int
-    jumped: Proportion
+    jumped: Proportion | None  # None without a segment
     largest: Change | None
     steepest: Change | None
 
@@ -138,7 +138,7 @@ class Way(Enum):
     AGAIN = "asked again"
     ORDER = "asked in another order"
     ALONE = "asked alone instead of together"
-    PROCESS = "asked in a fresh process"
+    FRESH = "asked of a fresh one"
     AFTER_OTHERS = "asked after other questions"
     INTERLEAVED = "asked while a second instance is asked other questions in between"
     LATER = "asked at a later time"
@@ -148,7 +148,8 @@ class Way(Enum):
 class Repeat:
     """Whether the answers have the same bits: ``differ`` counts the questions of which they do not.
 
-    ``largest_m``: of the position or the spread; infinite where one of the two is no answer.
+    ``largest_m``: of the position or the spread; infinite where one of the two is no answer.  ``apart``: was
+    the second time in another process?  Only files that are executed are asked there.
     """
 
     way: Way
@@ -156,6 +157,7 @@ class Repeat:
     differ: int
     largest_m: float
     first: Question | None
+    apart: bool = False
 
 
 @dataclass(frozen=True)
@@ -166,11 +168,12 @@ class AnswerTimes:
     median_s: float
     p99_s: float
     most_s: float
+    late: int  # how many took longer than the deadline
     declared_s: float
     deadline_s: float
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Scorecard:
     """Everything about one avoider; a yardstick has neither repeats nor times."""
 
