@@ -35,13 +35,11 @@ def document(scored: Scored) -> str:
         "package_version": metadata.version("safety-harness"),
         "source_hash": source_hash(),
         "seed": scored.seed,
-        "questions": scored.questions,
         "search_budget": scored.budget,
         "interrupted": scored.interrupted,
-        "remarks": scored.remarks,
+        "failed": scored.failed,
         "finding_count": scored.findings,
         "avoiders": [_of_avoider(one) for one in scored.avoiders],
-        "yardsticks": [_of_card(card) for card in scored.yardsticks],
         "times": {one.card.avoider: _plain(one.card.times) for one in scored.avoiders},
     }
     return json.dumps(whole, indent=1, allow_nan=False) + "\n"
@@ -66,6 +64,7 @@ def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
         "sha256": one.sha256 or None,
         **_of_card(one.card),
         "findings": _plain(one.findings),
+        "yardsticks": [_of_card(card) for card in one.yardsticks],
         "search": {
             "about": "a ledger of its own: a search chooses its questions, so these enter no figure above",
             "regions": [

@@ -75,7 +75,7 @@ def render(evidence: ScoreEvidence) -> str:
 
 def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[str, object]:
     """What the page shows of one avoider."""
-    card, cards = one.card, [one.card, *evidence.scored.yardsticks]
+    card, cards = one.card, [one.card, *one.yardsticks]
     return {
         "id": f"avoider-{number}",
         "one": one,

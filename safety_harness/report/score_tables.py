@@ -51,7 +51,7 @@ def rows_of(
     for region in cards[0].regions if cards else ():
         for number, card in enumerate(cards):
             for score in card.regions:
-                if score.region == region.region:
+                if score.region == region.region and (number == 0 or card.avoider != cards[0].avoider):
                     jumps = [one for one in card.jumps if one.region == region.region]
                     yield Row(score.region, card.avoider, number > 0, cells(score, jumps))
 

@@ -20,7 +20,9 @@ class ShownQuestion:
 
 @dataclass(eq=False)
 class ScoredAvoider:
-    """One avoider: ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card.
+    """One avoider beside ``yardsticks``, which were asked the same (a reference first, if there is one).
+
+    ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card.
 
     ``reference`` is as the user named it; ``sha256`` of its file, empty for one without.
     """
@@ -28,6 +30,7 @@ class ScoredAvoider:
     reference: str
     sha256: str
     card: Scorecard
+    yardsticks: tuple[Scorecard, ...]
     findings: tuple[Finding, ...] = ()
     searches: list[Searched] = field(default_factory=list)
     worst: list[ShownQuestion] = field(default_factory=list)
@@ -35,14 +38,12 @@ class ScoredAvoider:
 
 @dataclass(eq=False)
 class Scored:
-    """All of a session: ``questions`` is how many a region was to be asked, ``regions`` how many there are."""
+    """All of a session; ``budget`` is of each avoider's search, ``failed`` says who did not answer at all."""
 
     seed: int
-    questions: int
     budget: int
     avoiders: list[ScoredAvoider] = field(default_factory=list)
-    yardsticks: list[Scorecard] = field(default_factory=list)
-    remarks: list[str] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
     interrupted: bool = False
 
     @property

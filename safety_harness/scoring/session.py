@@ -9,19 +9,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import NoAnswerError, Place, ScenarioError
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scoring.against import findings_against
-from safety_harness.scoring.findings import findings_of
-from safety_harness.scoring.question_file import QuestionFile, question_file
-from safety_harness.scoring.regions import QuestionRegion, named_regions, space_region
+from safety_harness.scoring.findings import findings
+from safety_harness.scoring.question_file import question_file
+from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.repeats import Subject
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
-from safety_harness.scoring.score import Counts, paced, score, yardsticks
+from safety_harness.scoring.score import Counts, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.worst import Objective, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.read import read_space
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.whole_file import write_text
 
@@ -36,7 +35,7 @@ AVOIDER = Place(field="AVOIDER")
 class ScoringSession:
     """What is asked for; ``questions`` None: as many as the avoider's pace allows.
 
-    ``regions`` by name and ``spaces`` by file; neither: all that have a name.  ``on_step`` is told what comes.
+    ``regions`` by name; none: all that have one.  ``on_step`` is told what comes.
     """
 
     references: Sequence[str]
@@ -45,10 +44,8 @@ class ScoringSession:
     questions: int | None = None
     budget: int = 0
     regions: Sequence[str] = ()
-    spaces: Sequence[Path] = ()
     against: str | None = None
     on_step: Callable[[str], object] = print
-    on_avoider: Callable[[ScoredAvoider, Sequence[Scorecard]], object] = lambda one, cards: None
     scored: Scored = field(init=False)
     _cards: dict[tuple[object, ...], tuple[Scorecard, ...]] = field(default_factory=dict, init=False)
 
@@ -63,7 +60,10 @@ class ScoringSession:
         other = None if self.against is None else Subject.of(self.against, Place(field="--against"))
         try:
             for subject, regions in subjects:
-                self._take(subject, regions, other)
+                try:
+                    self._take(subject, regions, other)
+                except NoAnswerError as error:
+                    self.scored.failed.append(f"{subject.reference}: {error}")
         except KeyboardInterrupt:
             self.scored.interrupted = True
         return self.scored
@@ -77,9 +77,8 @@ class ScoringSession:
         for name in self.regions:
             if name not in names:
                 raise ScenarioError.of_option("--region", f"one of {', '.join(names)}", repr(name))
-        wanted = self.regions or (() if self.spaces else names)
-        spaces = [space_region(read_space(path)) for path in self.spaces]
-        return [one for one in named if one.name in wanted] + spaces
+        wanted = self.regions or names
+        return [one for one in named if one.name in wanted]
 
     def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None) -> None:
         reference, counts = subject.reference, self._counts(subject, regions)
@@ -92,15 +91,14 @@ class ScoringSession:
         card = score(subject, regions, seed=self.seed, counts=counts, seen=seen, on_step=told)
         cards = self._yardsticks(regions, counts)
         sha256 = avoider_sha256(scenario_of_avoider(reference))
-        found = findings_of(card)
+        found = findings(card, cards)
         one = ScoredAvoider(reference, sha256, card, cards, tuple(found))
         if other is not None:
             told(f"beside {other.reference}")
             beside = score(other, regions, seed=self.seed, counts=counts, on_step=told)
             one.yardsticks = (beside, *one.yardsticks)
-            one.findings = tuple(findings_against(card, found, beside, findings_of(beside)))
+            one.findings = tuple(findings_against(card, found, beside, findings(beside, cards)))
         self.scored.avoiders.append(one)
-        self.on_avoider(one, one.yardsticks)
         self._search(one, subject, regions, told)
 
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
