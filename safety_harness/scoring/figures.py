@@ -20,7 +20,6 @@ Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
 WITHIN = (1, 2, 3)  # spreads
-REACH_SAMPLE = 2_000  # inverse kinematics takes longer than anything else
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
 NORMAL = 1.959964
@@ -121,7 +120,7 @@ def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, o
     sure, has_threshold = is_sure(said.spreads_m, said.thresholds_m), np.isfinite(said.thresholds_m)
     values = (
         Proportion.of(gained >= 0.0),
-        Proportion.of(in_reach(proposed[:REACH_SAMPLE], settings)),
+        Proportion.of(in_reach(proposed, settings)),
         (quantile(gained, 0.5), quantile(gained, 0.05)),
         float(gained.min()),
         (quantile(angle, 0.5), quantile(angle, 0.95)),
@@ -129,7 +128,7 @@ def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, o
         (quantile(off, 0.5), quantile(off, 0.95), quantile(off, 0.99)),
         float(off.max()),
         tuple(mean(axis) for axis in error.T),
-        _matrix(pull - settings.avoidance.hand_pull * np.eye(3)),
+        _matrix(pull),
         _matrix(scale),
         _spreads(error, said.spreads_m, off) if said.spreads_m.any() else None,
         Proportion.of((off > WRONG_M) & sure),
@@ -168,9 +167,17 @@ def _spreads(error: ArrayNx3, spreads: ArrayNx3, off: Floats) -> Spreads:
             for k in WITHIN
         ),
         error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),
+        by_axis=_by_axis(error, spreads),
         rank=rank_correlation(spreads.max(axis=1), off),
         rms_m=rms_m,
     )
+
+
+def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
+    squares = (spreads**2).mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x, y, z = np.sqrt((error**2).mean(axis=0) / squares).tolist()
+    return x, y, z
 
 
 def asked_row(region: str, questions: Questions, answers: Answers, row: int, settings: Settings) -> Asked:

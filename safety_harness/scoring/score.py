@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.admission.admit import answers_at_first, first_question
 from safety_harness.admission.avoiders import NEAREST, resolve_avoider, scenario_of_avoider
@@ -77,9 +78,9 @@ class ClosedForm:
     name: str = OPTIMUM
 
     def propose_many(
-        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: np.ndarray
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
     ) -> tuple[Vectors, Vectors]:
-        """Eq. 13 with the continuous optimum, for hands and TCPs (n, 3); it knows no spread.  ``seeds`` (n,)."""
+        """Eq. 13 with the continuous optimum, and no spread.  Hands and TCPs (n, 3), ``seeds`` (n,)."""
         positions = optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m)
         return positions, np.zeros_like(positions)
 

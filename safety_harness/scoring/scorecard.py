@@ -49,12 +49,13 @@ class Spreads:
     """What the declared spreads are worth; only of an avoider that declares any.
 
     ``within[k - 1][axis]``: the share of errors within k spreads.  ``error_to_spread``: rms error over rms
-    spread, all axes together: above 1 the avoider is too sure.  ``rank``: Spearman's correlation of the
-    largest spread with the error; None where one of them is constant.
+    spread, all axes together, and ``by_axis``: above 1 the avoider is too sure.  ``rank``: Spearman's
+    correlation of the largest spread with the error; None where one of them is constant.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
     error_to_spread: Figure
+    by_axis: Vector3
     rank: Figure | None
     rms_m: float
 
@@ -63,14 +64,14 @@ class Spreads:
 class RegionScore:
     """One avoider in one region; the proportions are of the questions, but for those named otherwise.
 
-    ``askable``: whether a run can ask such questions; None where the region holds no pair at all that a run
-    could ask about: then nothing was asked and every figure is None.  ``in_reach``: reachable and above the
-    table, of a sample.  ``gained``: metres away from the hand, median and 5 % quantile; ``angle``: between
-    the way and the direction away from the hand, median and 95 % quantile.  ``off`` is the distance to the
-    closed-form optimum.  ``bias_in_base_m``: the mean error.  ``pull``: how the proposal follows the hand at
-    a fixed TCP, (3, 3) metres a metre by least squares (eq. 13: -0.05 on the diagonal); ``scale``: how the
-    error grows with the TCP's position, likewise (the optimum: 0).  ``wrong_and_sure``: more than
-    ``WRONG_M`` off, with no spread above the avoider's own threshold.
+    Where the region holds no pair that can be asked, ``about`` says so and every figure is None.
+    ``asked_in_runs``: can a run ask these questions?  ``in_reach``: reachable, and above the table by the
+    clearance.  ``gained_m``: away from the hand; ``angle_rad``: between the way and the direction away from
+    the hand.  ``off``: the distance to the closed-form optimum, ``bias_in_base_m`` the mean error.  ``pull``:
+    how the error grows with the hand's position at a fixed TCP, (3, 3) metres a metre by least squares, and
+    ``scale`` with the TCP's: rows are the axes of the error.  Of the optimum both are 0; of what takes no
+    notice of the hand the pull is 0.05 on the diagonal.  ``wrong_and_sure``: more than ``WRONG_M`` off, with
+    no spread above the avoider's own threshold.
     """
 
     region: str
