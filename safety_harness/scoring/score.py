@@ -116,7 +116,7 @@ def score(
     on_step("first answers")
     if not answers_at_first(avoider, *first_question(settings)):
         raise NoAnswerError(avoider.name, np.inf)
-    counts = counts or _paced(subject, regions[0], seed)
+    counts = counts or paced(subject, regions[0], seed)
     drawn = drawn_questions(regions, seed, counts)
     sample = _sample(regions, drawn, counts.sample)
     begun_s = time.monotonic()
@@ -175,7 +175,7 @@ def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts
     ]
 
 
-def _paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
+def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
     """As many questions as the avoider's pace allows, tried with another instance: this one knows nothing."""
     few = region.draw(generator(seed, Branch.SCORING, 0, 2), PROBE)
     probed = subject.another()

@@ -17,7 +17,7 @@ from safety_harness.scoring.question_file import question_file
 from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.repeats import Subject
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
-from safety_harness.scoring.score import Counts, score, yardsticks
+from safety_harness.scoring.score import Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.worst import Objective, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
