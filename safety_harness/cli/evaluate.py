@@ -54,7 +54,9 @@ def evaluate(
     looks for the worst questions, written as scenario files that run takes.  A Python file is executed.
     Exit code 0: no finding; 1: findings; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
+    from safety_harness.admission.avoiders import told_avoider
     from safety_harness.cli.progress import watching_steps
+    from safety_harness.scenario.files import told
     from safety_harness.scoring.session import ScoringSession
 
     with watching_steps() as on_step:
@@ -75,12 +77,12 @@ def evaluate(
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
         result(*_lines(one))
-    words = ["safety-harness", "evaluate", *avoiders, "--search", str(search), "--seed", str(seed)]
+    words = ["safety-harness", "evaluate", *map(told_avoider, avoiders), "--search", str(search), "--seed", str(seed)]
     words += [] if questions is None else ["--questions", str(questions)]
     words += [word for name in regions or () for word in ("--region", name)]
-    words += [] if against is None else ["--against", against]
+    words += [] if against is None else ["--against", told_avoider(against)]
     try:
-        _write(scored, out, shlex.join([*words, "--out", str(out)]))
+        _write(scored, out, shlex.join([*words, "--out", str(told(out))]))
     except OutputError as error:
         explain(error)
         return BAD_INPUT

@@ -53,7 +53,8 @@ def rows_of(
             for score in card.regions:
                 if score.region == region.region and (number == 0 or card.avoider != cards[0].avoider):
                     jumps = [one for one in card.jumps if one.region == region.region]
-                    yield Row(score.region, card.avoider, number > 0, cells(score, jumps))
+                    name = score.region + ("" if score.asked_in_runs else " (no run asks)")
+                    yield Row(name, card.avoider, number > 0, cells(score, jumps))
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:

@@ -35,20 +35,20 @@ def _paired(mine: RegionScore, theirs: RegionScore, name: str, tests: int) -> It
     if not np.array_equal(mine.questions.seeds, theirs.questions.seeds):
         raise ValueError("expected the same questions of both")
     own, other = _errors(mine), _errors(theirs)
-    for kind, words in ((Kind.LEADS_TOWARDS, "no answer or towards the hand"), (Kind.FAR_OFF, _FAR)):
+    for kind, words in ((Kind.LEADS_TOWARDS, "leads towards the hand"), (Kind.FAR_OFF, _FAR)):
         more = int(np.count_nonzero(own[kind] & ~other[kind]))
         fewer = int(np.count_nonzero(other[kind] & ~own[kind]))
         chance = sign_test(more, fewer)
         if more > fewer and chance < CHANCE / tests:
             sentence = (
-                f"{words}: {more} questions where {name} is not, {fewer} the other way round, of "
-                f"{len(mine.questions):,} (two alike would differ so with a chance of {chance:.2g})"
+                f"{words}, or does not answer, on {more} questions on which {name} does neither, and the other "
+                f"way round on {fewer}, of {len(mine.questions):,}: of two alike that has a chance of {chance:.2g}"
             )
             rows = np.flatnonzero(own[kind] & ~other[kind])[:3]
             yield Finding(kind, mine.region, sentence, tuple(mine.questions.one(int(row)) for row in rows))
 
 
-_FAR = f"no answer or more than {1e3 * WRONG_M:g} mm off the optimum"
+_FAR = f"is more than {1e3 * WRONG_M:g} mm off the optimum"
 
 
 def _errors(score: RegionScore) -> dict[Kind, NDArray[np.bool_]]:
