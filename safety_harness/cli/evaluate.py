@@ -38,10 +38,12 @@ def evaluate(
         Option(help="A reference: only what it does not do counts as a finding.", metavar="AVOIDER"),
     ] = None,
     questions: Annotated[
-        int | None, Option(help="In the first region; without it as many as the avoider's pace allows.", min=100)
+        int | None,
+        Option(help="In the first region; without it as many as the avoider's pace allows.", min=100),
     ] = None,
     search: Annotated[
-        int, Option(help="Questions to search with for the worst ones; 0: no search.", min=0, metavar="BUDGET")
+        int,
+        Option(help="Questions to search with for the worst ones; 0: no search.", min=0, metavar="BUDGET"),
     ] = 4_000,
     seed: Seed = 0,
     out: Annotated[Path, Option(help="Folder for the page, the figures and the worst questions.")] = Path(
@@ -77,7 +79,15 @@ def evaluate(
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
         result(*_lines(one))
-    words = ["safety-harness", "evaluate", *map(told_avoider, avoiders), "--search", str(search), "--seed", str(seed)]
+    words = [
+        "safety-harness",
+        "evaluate",
+        *map(told_avoider, avoiders),
+        "--search",
+        str(search),
+        "--seed",
+        str(seed),
+    ]
     words += [] if questions is None else ["--questions", str(questions)]
     words += [word for name in regions or () for word in ("--region", name)]
     words += [] if against is None else ["--against", told_avoider(against)]

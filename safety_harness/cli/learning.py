@@ -179,7 +179,8 @@ def metrics(
 ) -> int:
     """Compare networks on seen and unseen space: errors, intervals, coverage, doubt as a detector.
 
-    Against what they learn, eq. 13's labels; ``evaluate`` scores any avoider.  Every model answers the same questions; no sample was used in training or calibration.
+    Against what they learn, eq. 13's labels; ``evaluate`` scores any avoider.
+    Every model answers the same questions; no sample was used in training or calibration.
     Exit code 0; 2: bad input; 130: interrupted.
     """
     from safety_harness.avoidance.learned import LearnedAvoider

@@ -125,7 +125,9 @@ def key_of(scale: Scale) -> str:
         size = scale.size_px(level)
         ink = Ink.LIMIT if level == len(scale.edges) else Ink.TCP
         place = {"x": f"{left + 9 - size / 2:g}", "y": f"{9 - size / 2:g}"}
-        SubElement(root, "rect", {**place, "width": str(size), "height": str(size), "fill": f"var({ink.variable})"})
+        SubElement(
+            root, "rect", {**place, "width": str(size), "height": str(size), "fill": f"var({ink.variable})"}
+        )
         text = {"x": str(left + 22), "y": "13", "font-size": "11", "fill": f"var({Ink.TEXT.variable})"}
         SubElement(root, "text", text).text = words
         left += 40 + 7 * len(words)

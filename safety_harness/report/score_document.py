@@ -78,6 +78,7 @@ def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
                 for search in one.searches
             ],
             "worst": [_of_worst(shown) for shown in one.worst],
+            "left_out": one.left_out,
         },
     }
 
@@ -94,7 +95,6 @@ def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
         "objective": shown.objective.value,
         **_plain(shown.tried),
         "file": None if file.path is None else file.path.name,
-        "remark": file.remark,
         "claims": {claim.sentence: claim.expected.value for claim in file.claims},
     }
 

@@ -37,7 +37,8 @@ from safety_harness.scoring.scorecard import RegionScore
 from safety_harness.settings import DEFAULTS, Settings
 
 OFF = Scale(
-    (0.01, 0.02, 0.04, 0.06), ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more")
+    (0.01, 0.02, 0.04, 0.06),
+    ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more"),
 )
 TOWARDS = Scale(
     (1e-9, 0.1, 0.5), ("none leads towards the hand", "under 10 %", "10 to 50 %", "half or more"), shares=True
@@ -82,7 +83,11 @@ def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[s
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [
-            {"score": score, "about": _about(score), "maps": list(_maps(score, evidence.settings, f"m{number}-{k}-"))}
+            {
+                "score": score,
+                "about": _about(score),
+                "maps": list(_maps(score, evidence.settings, f"m{number}-{k}-")),
+            }
             for k, score in enumerate(card.regions)
         ],
         "jumps": [
@@ -117,7 +122,9 @@ def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple
     for name, values, scale in what:
         for who, positions in (("hand", hands), ("TCP", tcps)):
             for view in VIEWS:
-                yield _map(positions, values, scale, view, f"{prefix}{name}-{who}-{view[1]}-", who, score.region)
+                yield _map(
+                    positions, values, scale, view, f"{prefix}{name}-{who}-{view[1]}-", who, score.region
+                )
 
 
 def _map(
@@ -148,7 +155,6 @@ def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
         "off": mm(tried.off_m),
         "sure": "sure" if tried.sure else "in doubt",
         "file": "" if file.path is None else file.path.name,
-        "remark": file.remark,
         "claims": [f"{claim.sentence}: {claim.expected.value}" for claim in file.claims],
     }
 

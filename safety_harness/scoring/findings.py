@@ -50,7 +50,8 @@ class Limits:
     )
     too_sure: float = 1.25  # error to spread, times the larger of 1 and what mc-dropout has
     too_unsure: float = 0.70  # times the smaller of the two
-    rank: float = 0.05  # below mc-dropout's rank correlation, beyond both intervals
+    rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
+    same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m
     late: int = 4  # answers after the deadline: what else this machine does may delay a few
 
 
@@ -79,7 +80,7 @@ def findings(
             if (one.region, one.moved) == (jumps.region, jumps.moved)
         ]
         found += _of_jumps(jumps, others_jumps, limits)
-    found += _of_repeats(card.repeats)
+    found += _of_repeats(card.repeats, limits)
     found += _of_times(card, limits)
     return tuple(found)
 
@@ -240,10 +241,11 @@ def _spreads(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
         yield Finding(Kind.SPREAD_WIDE, score.region, words)
     if their.rank is not None:
         got = mine.rank or Figure(0.0, 0.0, 0.0)
-        if got.high < their.rank.low - limits.rank:
+        promised = mine.honest_rank if mine.rank else 1.0  # a constant spread ranks nothing
+        if got.high < min(their.rank.low, promised) - limits.rank:
             words = (
-                f"rank correlation of spread and error {got.value:.2f}; "
-                f"mc-dropout's is {their.rank.value:.2f}"
+                f"rank correlation of spread and error {got.value:.2f}; mc-dropout's is "
+                f"{their.rank.value:.2f}, and honest spreads like these would have {mine.honest_rank:.2f}"
             )
             yield Finding(Kind.SPREAD_UNRANKED, score.region, words)
 
@@ -258,7 +260,7 @@ def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: Limits) -> Iterator
         )
         yield Finding(Kind.JUMPS, jumps.region, words, (largest.before, largest.after))
     slope = _slope(jumps)
-    limit = limits.steep * max((_slope(one) for one in others), default=np.inf)
+    limit = limits.steep * max(1.0, *(_slope(one) for one in others))
     if jumps.moved is Moved.HAND and jumps.steepest and slope > limit:
         words = (
             f"the answer moves by {slope:.1f} mm a millimetre of the hand's way; the limit is {limit:.1f} mm"
@@ -270,9 +272,9 @@ def _slope(jumps: Jumps) -> float:
     return jumps.steepest.change_m / jumps.steepest.apart_m if jumps.steepest else 0.0
 
 
-def _of_repeats(repeats: Iterable[Repeat]) -> Iterator[Finding]:
+def _of_repeats(repeats: Iterable[Repeat], limits: Limits) -> Iterator[Finding]:
     for one in repeats:
-        if one.differ:
+        if one.largest_m > limits.same_m:
             words = (
                 f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
                 f"when {one.way.value}"

@@ -22,7 +22,8 @@ class ShownQuestion:
 class ScoredAvoider:
     """One avoider beside ``yardsticks``, which were asked the same (a reference first, if there is one).
 
-    ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card.
+    ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card; ``left_out``
+    says of other worst questions why no run begins with them.
 
     ``reference`` is as the user named it; ``sha256`` of its file, empty for one without.
     """
@@ -34,6 +35,7 @@ class ScoredAvoider:
     findings: tuple[Finding, ...] = ()
     searches: list[Searched] = field(default_factory=list)
     worst: list[ShownQuestion] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
 
 
 @dataclass(eq=False)

@@ -20,7 +20,7 @@ from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.worst import Objective, Tried, search_region, worst_questions
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.whole_file import write_text
 
@@ -28,6 +28,7 @@ CLAIMS = (
     "proposals lead away to within 10 mm",
     "proposals never sure and more than 60 mm from the optimum",
 )
+MOST_SHOWN, MOST_TRIED = 10, 30  # of the worst questions, as files
 AVOIDER = Place(field="AVOIDER")
 
 
@@ -126,18 +127,26 @@ class ScoringSession:
             if self.budget:
                 told(f"searching {region.name} for its worst questions")
                 budget = max(self.budget // len(asked), 1)
-                ledger = search_region(
-                    subject.avoider, region, budget=budget, seed=self.seed, number=number
-                )
+                ledger = search_region(subject.avoider, region, budget=budget, seed=self.seed, number=number)
                 one.searches.append(ledger)
                 if ledger.interrupted:
                     raise KeyboardInterrupt
-        settings = {region.name: region.settings for region in regions}
-        for number, (objective, tried) in enumerate(worst_questions(one.searches), start=1):
+        self._write_worst(one, subject, {region.name: region.settings for region in regions}, told)
+
+    def _write_worst(
+        self,
+        one: ScoredAvoider,
+        subject: Subject,
+        settings: dict[str, Settings],
+        told: Callable[[str], None],
+    ) -> None:
+        """The worst questions with which a run can begin, as files; the others are counted."""
+        slug = _slug(one.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
+        for objective, tried in worst_questions(one.searches, MOST_TRIED):
+            number = len(one.worst) + 1
             told(f"trying worst question {number}")
-            path = self.out / f"{_slug(one.reference)}-worst-{number}.yaml"
             file = question_file(
-                path,
+                self.out / f"{slug}-worst-{number}.yaml",
                 one.reference,
                 subject.avoider,
                 tried.hand_in_base_m,
@@ -148,9 +157,13 @@ class ScoringSession:
                 claims=CLAIMS,
                 settings=settings[tried.region],
             )
-            if file.path is not None:
-                write_text(file.path, file.text)
+            if file.path is None:
+                one.left_out.append(file.remark)
+                continue
+            write_text(file.path, file.text)
             one.worst.append(ShownQuestion(objective, tried, file))
+            if len(one.worst) == MOST_SHOWN:
+                return
 
 
 def _about(objective: Objective, tried: Tried, seed: int) -> str:

@@ -34,7 +34,6 @@ from safety_harness.seeds import seed as leaf
 BATCH = 64
 SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
 DRAWS = 500  # for the boxes that are searched
-MOST_SHOWN = 10
 APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
 # Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
 _FAR_M = 10.0
@@ -186,7 +185,7 @@ def search_region(
     return ledger
 
 
-def worst_questions(searches: Sequence[Searched], most: int = MOST_SHOWN) -> list[tuple[Objective, Tried]]:
+def worst_questions(searches: Sequence[Searched], most: int) -> list[tuple[Objective, Tried]]:
     """The worst of all regions: each objective's worst in turn, no two of them near to each other."""
     queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
     found: list[tuple[Objective, Tried]] = []

@@ -180,6 +180,8 @@ def test_mistakes_are_explained_before_anything_is_asked(
     assert not (folder / "out").exists()
 
 
-def test_a_place_that_cannot_be_written_is_bad_input(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_place_that_cannot_be_written_is_bad_input(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert evaluate(["opposite pose"], out=Path("mine.py"), **FEW) == BAD_INPUT  # type: ignore[arg-type]
     assert "can be written" in capsys.readouterr().err

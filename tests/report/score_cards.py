@@ -79,9 +79,7 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
         seen="the paper",
         regions=regions,
         jumps=(
-            Jumps(
-                region="seen", moved=Moved.HAND, segments=2, jumped=share, largest=change, steepest=None
-            ),
+            Jumps(region="seen", moved=Moved.HAND, segments=2, jumped=share, largest=change, steepest=None),
         ),
         repeats=(Repeat(way=Way.ORDER, questions=50, differ=2, largest_m=0.01, first=question),) * measured,
         times=AnswerTimes(100, 0.0008, 0.0021, 0.0105, 0.0, 0.1) if measured else None,

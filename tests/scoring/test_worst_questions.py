@@ -31,7 +31,9 @@ class WrongNear:
     spread_threshold_m: float | None = None
     fails: bool = False
 
-    def propose(self, *, hand_position_in_base_m: Floats, tcp_position_in_base_m: Floats, seed: int) -> Proposal:
+    def propose(
+        self, *, hand_position_in_base_m: Floats, tcp_position_in_base_m: Floats, seed: int
+    ) -> Proposal:
         if self.fails:
             raise ValueError("no")
         hand, tcp = hand_position_in_base_m, tcp_position_in_base_m
@@ -45,7 +47,7 @@ def searched(avoider: WrongNear, region: QuestionRegion = SEEN, **options: int) 
 
 
 def test_a_fault_in_a_place_is_found_and_nearer_than_chance_finds_it() -> None:
-    found = worst_questions([searched(WrongNear())])
+    found = worst_questions([searched(WrongNear())], 10)
     objective, worst = found[0]
     assert objective is Objective.TOWARDS
     assert np.linalg.norm(worst.hand_in_base_m - PLACE) < 0.12
@@ -53,7 +55,9 @@ def test_a_fault_in_a_place_is_found_and_nearer_than_chance_finds_it() -> None:
     rows = [drawn.one(k) for k in range(len(drawn))]
     proposed = np.array(
         [
-            WrongNear().propose(**{k: v for k, v in one._asdict().items() if k != "limit_s"}).position_in_base_m
+            WrongNear()
+            .propose(**{k: v for k, v in one._asdict().items() if k != "limit_s"})
+            .position_in_base_m
             for one in rows
         ]
     )
@@ -61,8 +65,8 @@ def test_a_fault_in_a_place_is_found_and_nearer_than_chance_finds_it() -> None:
 
 
 def test_the_worst_of_each_objective_come_in_turn_and_lie_apart() -> None:
-    found = worst_questions([searched(WrongNear())])
-    assert len(found) == module.MOST_SHOWN
+    found = worst_questions([searched(WrongNear())], 10)
+    assert len(found) == 10
     assert [objective for objective, _ in found[:4]] == [*Objective, *Objective]
     for k, (_, one) in enumerate(found):
         assert all(one.apart_m(other) > module.APART_M for _, other in found[:k])
@@ -106,13 +110,13 @@ def test_an_avoider_in_doubt_is_not_wrong_and_sure() -> None:
             return Proposal(super().propose(**question).position_in_base_m, np.full(3, 0.1))  # type: ignore[arg-type]
 
     ledger = searched(Doubts(spread_threshold_m=0.05), budget=200)
-    assert {objective for objective, _ in worst_questions([ledger])} == {Objective.TOWARDS}
+    assert {objective for objective, _ in worst_questions([ledger], 10)} == {Objective.TOWARDS}
 
 
 def test_what_is_not_answered_is_counted_and_is_no_worst_question() -> None:
     ledger = searched(WrongNear(fails=True), budget=100)
     assert (ledger.asked, ledger.unanswered, ledger.tried) == (100, 100, [])
-    assert worst_questions([ledger]) == []
+    assert worst_questions([ledger], 10) == []
 
 
 def test_ctrl_c_keeps_what_was_asked(monkeypatch: pytest.MonkeyPatch) -> None:
