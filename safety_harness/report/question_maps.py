@@ -1,7 +1,7 @@
 """Where answers are bad, as pictures: questions seen from above or from the side, in squares of a grid.
 
-A square is the larger the worse its worst question is, and the worst have another colour: nothing is told by colour alone.  All
-squares of one class are one path, so that a map costs a few kilobytes.  Pure functions of arrays.
+A square is the larger the worse its worst question is, and the worst have another colour: nothing is told
+by colour alone.  All squares of one class are one path, so that a map costs a few kilobytes.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ NAMES = {  # of figures that stand beside each other in a scorecard
 
 
 def document(scored: Scored) -> str:
-    """The text of the file.  What is measured on the wall's clock is under ``times`` alone: the rest repeats."""
+    """The text of the file.  What the clock measured is under ``times`` alone: the rest repeats."""
     whole = {
         "schema": SCHEMA,
         "package_version": metadata.version("safety-harness"),

@@ -83,11 +83,7 @@ def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[s
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [
-            {
-                "score": score,
-                "about": _about(score),
-                "maps": list(_maps(score, evidence.settings, f"m{number}-{k}-")),
-            }
+            (score, _about(score), list(_maps(score, evidence.settings, f"m{number}-{k}-")))
             for k, score in enumerate(card.regions)
         ],
         "jumps": [
@@ -106,7 +102,8 @@ def _about(score: RegionScore) -> str:
     """The region's own words, with its median distance to the optimum and the interval."""
     if score.off_m is None or score.off_rms_m is None:
         return score.about
-    return f"{score.about}; off the optimum: median {interval(score.off_m[0])} mm, rms {interval(score.off_rms_m)} mm"
+    median, rms = interval(score.off_m[0]), interval(score.off_rms_m)
+    return f"{score.about}; off the optimum: median {median} mm, rms {rms} mm"
 
 
 def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:

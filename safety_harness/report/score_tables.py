@@ -107,8 +107,8 @@ def change_words(change: Change) -> str:
     """Where a change is, and how large."""
     hand, tcp = change.before.hand_position_in_base_m, change.before.tcp_position_in_base_m
     return (
-        f"{mm(change.change_m)} mm where {change.moved.value} moves {1e3 * change.apart_m:.3g} mm, at the hand "
-        f"({point_words(hand)}) and the TCP ({point_words(tcp)}) mm"
+        f"{mm(change.change_m)} mm where {change.moved.value} moves {1e3 * change.apart_m:.3g} mm, at the "
+        f"hand ({point_words(hand)}) and the TCP ({point_words(tcp)}) mm"
     )
 
 

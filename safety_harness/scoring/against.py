@@ -41,8 +41,9 @@ def _paired(mine: RegionScore, theirs: RegionScore, name: str, tests: int) -> It
         chance = sign_test(more, fewer)
         if more > fewer and chance < CHANCE / tests:
             sentence = (
-                f"{words}, or does not answer, on {more} questions on which {name} does neither, and the other "
-                f"way round on {fewer}, of {len(mine.questions):,}: of two alike that has a chance of {chance:.2g}"
+                f"{words}, or does not answer, on {more} questions on which {name} does neither, and the "
+                f"other way round on {fewer}, of {len(mine.questions):,}; "
+                f"of two alike that has a chance of {chance:.2g}"
             )
             rows = np.flatnonzero(own[kind] & ~other[kind])[:3]
             yield Finding(kind, mine.region, sentence, tuple(mine.questions.one(int(row)) for row in rows))

@@ -1,4 +1,4 @@
-"""A session of scoring: avoiders one after another, each beside the yardsticks, searched, and its worst as files."""
+"""A session of scoring: avoiders one after another, each with yardsticks, a search and its worst questions."""
 
 from __future__ import annotations
 
@@ -168,8 +168,8 @@ class ScoringSession:
 
 def _about(objective: Objective, tried: Tried, seed: int) -> str:
     return (
-        f"Found by a search of {tried.region} (seed {seed}), which estimates nothing. The first thing that "
-        f"this run asks is this question: the proposal leads {1e3 * tried.gained_m:.1f} mm away from the hand "
+        f"Found by a search of {tried.region} (seed {seed}), which estimates nothing. It is the first "
+        f"question of this run: the proposal leads {1e3 * tried.gained_m:.1f} mm away from the hand "
         f"(the closed-form optimum: {1e3 * tried.optimum_gained_m:.1f} mm) and is {1e3 * tried.off_m:.1f} mm "
         f"from the optimum, with a largest spread of {1e3 * tried.largest_spread_m:.1f} mm."
     )

@@ -1,9 +1,9 @@
 """The search for an avoider's worst questions, with the searchers of ``search``, in a ledger of its own.
 
-A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has the
-TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that the
-region does not hold are refused.  A question's seed is that of the first decision of a run with a declared
-seed, so that a scenario file can ask it again.
+A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has
+the TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that
+the region does not hold are refused.  A question's seed is that of the first decision of a run with a
+declared seed, so that a scenario file can ask it again.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Tried:
 
 @dataclass(eq=False)
 class Searched:
-    """The ledger of one region's search: ``tried`` has every question with an answer, ``asked`` counts all."""
+    """The ledger of one region's search: ``tried`` has the questions with an answer, ``asked`` counts all."""
 
     region: str
     budget: int
@@ -164,7 +164,7 @@ def search_region(
     on_progress: Callable[[Findings], None] | None = None,
     searcher: str = "diverse",
 ) -> Searched:
-    """Search a region, which has a ``number``, with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
+    """Search region ``number`` with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
     ledger = Searched(region.name, budget)
     drawn = region.draw(generator(seed, Branch.SEARCH, 5, number), DRAWS)
     if len(drawn) < 2 or budget < 1:
