@@ -33,6 +33,10 @@ def evaluate(
     regions: Annotated[
         list[str] | None, Option("--region", help="Only this named region; may be repeated.", metavar="NAME")
     ] = None,
+    spaces: Annotated[
+        list[Path] | None,
+        Option("--space", help="The hands and TCPs of a space's draws; may be repeated.", metavar="FILE"),
+    ] = None,
     against: Annotated[
         str | None,
         Option(help="A reference: only what it does not do counts as a finding.", metavar="AVOIDER"),
@@ -52,8 +56,9 @@ def evaluate(
 ) -> int:
     """Score avoiders directly: what are their proposals worth, before any gate, without a simulation?
 
-    Hands and TCPs are drawn in named regions and put to the avoider and to yardsticks; a search of its own
-    looks for the worst questions, written as scenario files that run takes.  A Python file is executed.
+    Hands and TCPs are drawn in named regions, or as the draws of a space lead to, and put to the avoider and
+    to yardsticks; a search of its own looks for the worst questions, written as scenario files that run
+    takes.  A Python file is executed.
     Exit code 0: no finding; 1: findings; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
     from safety_harness.admission.avoiders import told_avoider
@@ -69,6 +74,7 @@ def evaluate(
             questions=questions,
             budget=search,
             regions=regions or (),
+            spaces=spaces or (),
             against=against,
             on_step=on_step,
         )
@@ -90,6 +96,7 @@ def evaluate(
     ]
     words += [] if questions is None else ["--questions", str(questions)]
     words += [word for name in regions or () for word in ("--region", name)]
+    words += [word for path in spaces or () for word in ("--space", str(told(path)))]
     words += [] if against is None else ["--against", told_avoider(against)]
     try:
         _write(scored, out, shlex.join([*words, "--out", str(told(out))]))

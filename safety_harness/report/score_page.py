@@ -34,7 +34,7 @@ from safety_harness.report.words import point_words
 from safety_harness.scenario.files import told
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.scorecard import RegionScore
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.settings import Settings
 
 OFF = Scale(
     (0.01, 0.02, 0.04, 0.06),
@@ -52,7 +52,6 @@ class ScoreEvidence:
     scored: Scored
     command: str
     generated_at: datetime
-    settings: Settings = DEFAULTS
 
 
 def render(evidence: ScoreEvidence) -> str:
@@ -83,7 +82,7 @@ def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[s
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [
-            (score, _about(score), list(_maps(score, evidence.settings, f"m{number}-{k}-")))
+            (score, _about(score), list(_maps(score, one.settings[score.region], f"m{number}-{k}-")))
             for k, score in enumerate(card.regions)
         ],
         "jumps": [

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from safety_harness.scoring.question_file import QuestionFile
 from safety_harness.scoring.scorecard import Finding, Scorecard
 from safety_harness.scoring.worst import Objective, Searched, Tried
+from safety_harness.settings import Settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +26,13 @@ class ScoredAvoider:
     ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card; ``left_out``
     says of other worst questions why no run begins with them.
 
-    ``reference`` is as the user named it; ``sha256`` of its file, empty for one without.
+    ``reference`` is as the user named it; ``sha256`` of its file, empty for one without; ``settings`` are
+    those of each region.
     """
 
     reference: str
     sha256: str
+    settings: dict[str, Settings]
     card: Scorecard
     yardsticks: tuple[Scorecard, ...]
     findings: tuple[Finding, ...] = ()

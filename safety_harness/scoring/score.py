@@ -8,7 +8,7 @@ lowers in a few coarse steps.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -95,7 +95,7 @@ class ClosedForm:
 Told = Callable[[str], object]
 
 
-def _nobody(what: str) -> None:
+def _nobody(what: object) -> None:
     return None
 
 
@@ -107,9 +107,11 @@ def score(
     counts: Counts | None = None,
     seen: str = "",
     on_step: Told = _nobody,
+    on_region: Callable[[Scorecard], object] = _nobody,
 ) -> Scorecard:
     """Ask an avoider in every region.  ``on_step`` is told what comes next; ``counts`` are taken as they are.
 
+    ``on_region`` gets the card as far as it goes after each region: an interruption loses no more than one.
     ValueError without a region; NoAnswerError for an avoider that does not answer at all, or hangs.
     """
     avoider, settings = subject.avoider, regions[0].settings
@@ -126,19 +128,22 @@ def score(
     again: list[Repeat] = [compared(Way.ALONE, few, first[: len(few)], alone)]
     on_step("the same questions again")
     again += repeats(subject, sample, first, counts.alone)
-    scores, jumps = _by_region(avoider, regions, drawn, seed, counts, on_step)
-    time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
-    again.append(compared(Way.LATER, sample, first, asked_together(avoider, sample)))
-    return Scorecard(
+    card = Scorecard(
         avoider=subject.reference,
         name=avoider.name,
         seed=seed,
         seen=seen,
-        regions=scores,
-        jumps=jumps,
+        regions=(),
+        jumps=(),
         repeats=tuple(again),
         times=_times(avoider, times_s, settings),
     )
+    for region, jumps in _by_region(avoider, regions, drawn, seed, counts, on_step):
+        card = replace(card, regions=(*card.regions, region), jumps=(*card.jumps, *jumps))
+        on_region(card)
+    time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
+    later = compared(Way.LATER, sample, first, asked_together(avoider, sample))
+    return replace(card, repeats=(*card.repeats, later))
 
 
 def yardsticks(
@@ -159,7 +164,8 @@ def yardsticks(
             )
             jumps: tuple[Jumps, ...] = ()
         else:
-            scores, jumps = _by_region(avoider, regions, drawn, seed, counts, _nobody)
+            both = list(_by_region(avoider, regions, drawn, seed, counts, _nobody))
+            scores, jumps = tuple(one for one, _ in both), tuple(one for _, own in both for one in own)
         cards.append(Scorecard(name, avoider.name, seed, "", scores, jumps))
     return tuple(cards)
 
@@ -213,11 +219,11 @@ def _by_region(
     seed: int,
     counts: Counts,
     on_step: Told,
-) -> tuple[tuple[RegionScore, ...], tuple[Jumps, ...]]:
-    scores, jumps = [], []
+) -> Iterator[tuple[RegionScore, list[Jumps]]]:
+    """Each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
-        scores.append(_scored(avoider, region, questions))
+        scored, jumps = _scored(avoider, region, questions), []
         if region.asked_in_runs and len(questions):
             for which, moved in enumerate(Moved):
                 rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
@@ -227,12 +233,12 @@ def _by_region(
                         region,
                         moved,
                         questions,
-                        scores[-1].answers,
+                        scored.answers,
                         rng,
                         min(counts.segments, len(questions)),
                     )
                 )
-    return tuple(scores), tuple(jumps)
+        yield scored, jumps
 
 
 def _scored(avoider: Avoider, region: QuestionRegion, questions: Questions) -> RegionScore:

@@ -1,11 +1,11 @@
-"""A session of scoring: avoiders one after another, each with yardsticks, a search and its worst questions."""
+"""A session of scoring: avoiders one after another, with yardsticks, a search and its worst questions."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
@@ -19,8 +19,10 @@ from safety_harness.scoring.repeats import Subject
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
+from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import Objective, Tried, search_region, worst_questions
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.settings import DEFAULTS
+from safety_harness.space.read import read_space
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.whole_file import write_text
 
@@ -36,7 +38,8 @@ AVOIDER = Place(field="AVOIDER")
 class ScoringSession:
     """What is asked for; ``questions`` None: as many as the avoider's pace allows.
 
-    ``regions`` by name; none: all that have one.  ``on_step`` is told what comes.
+    ``regions`` by name and ``spaces`` by file; neither: all regions that have a name.  ``on_step`` is told
+    what comes.
     """
 
     references: Sequence[str]
@@ -45,6 +48,7 @@ class ScoringSession:
     questions: int | None = None
     budget: int = 0
     regions: Sequence[str] = ()
+    spaces: Sequence[Path] = ()
     against: str | None = None
     on_step: Callable[[str], object] = print
     scored: Scored = field(init=False)
@@ -52,6 +56,7 @@ class ScoringSession:
 
     def __post_init__(self) -> None:
         self.scored = Scored(self.seed, self.budget)
+        self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
         """Score them all; Ctrl-C ends it and keeps the avoiders that were finished."""
@@ -78,8 +83,8 @@ class ScoringSession:
         for name in self.regions:
             if name not in names:
                 raise ScenarioError.of_option("--region", f"one of {', '.join(names)}", repr(name))
-        wanted = self.regions or names
-        return [one for one in named if one.name in wanted]
+        wanted = self.regions or (() if self.spaces else names)
+        return [one for one in named if one.name in wanted] + self._space_regions
 
     def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None) -> None:
         reference, counts = subject.reference, self._counts(subject, regions)
@@ -89,18 +94,38 @@ class ScoringSession:
         def told(what: str) -> None:
             step(f"{reference}: {what}")
 
-        card = score(subject, regions, seed=self.seed, counts=counts, seen=seen, on_step=told)
         cards = self._yardsticks(regions, counts)
-        sha256 = avoider_sha256(scenario_of_avoider(reference))
-        found = findings(card, cards)
-        one = ScoredAvoider(reference, sha256, card, cards, tuple(found))
+        beside: Scorecard | None = None
         if other is not None:
             told(f"beside {other.reference}")
             beside = score(other, regions, seed=self.seed, counts=counts, on_step=told)
-            one.yardsticks = (beside, *one.yardsticks)
-            one.findings = tuple(findings_against(card, found, beside, findings(beside, cards)))
-        self.scored.avoiders.append(one)
-        self._search(one, subject, regions, told)
+        sha256 = avoider_sha256(scenario_of_avoider(reference))
+        settings = {region.name: region.settings for region in regions}
+        known = cards if beside is None else (beside, *cards)
+
+        def of(card: Scorecard) -> ScoredAvoider:
+            found = findings(card, cards)
+            if beside is not None:
+                held = replace(beside, regions=beside.regions[: len(card.regions)])
+                found = findings_against(card, found, held, findings(beside, cards), settings)
+            return ScoredAvoider(reference, sha256, settings, card, known, found)
+
+        partly: list[Scorecard] = []
+        try:
+            card = score(
+                subject,
+                regions,
+                seed=self.seed,
+                counts=counts,
+                seen=seen,
+                on_step=told,
+                on_region=partly.append,
+            )
+        except KeyboardInterrupt:
+            self.scored.avoiders += [of(card) for card in partly[-1:]]
+            raise
+        self.scored.avoiders.append(of(card))
+        self._search(self.scored.avoiders[-1], subject, regions, told)
 
     def _counts(self, subject: Subject, regions: list[QuestionRegion]) -> Counts:
         if self.questions is not None:
@@ -131,13 +156,12 @@ class ScoringSession:
                 one.searches.append(ledger)
                 if ledger.interrupted:
                     raise KeyboardInterrupt
-        self._write_worst(one, subject, {region.name: region.settings for region in regions}, told)
+        self._write_worst(one, subject, told)
 
     def _write_worst(
         self,
         one: ScoredAvoider,
         subject: Subject,
-        settings: dict[str, Settings],
         told: Callable[[str], None],
     ) -> None:
         """The worst questions with which a run can begin, as files; the others are counted."""
@@ -155,7 +179,7 @@ class ScoringSession:
                 title=f"worst question {number}: {objective.value}",
                 about=_about(objective, tried, self.seed),
                 claims=CLAIMS,
-                settings=settings[tried.region],
+                settings=one.settings[tried.region],
             )
             if file.path is None:
                 one.left_out.append(file.remark)

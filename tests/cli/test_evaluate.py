@@ -162,6 +162,45 @@ def test_ctrl_c_keeps_the_avoiders_that_were_finished(folder: Path, monkeypatch:
     assert not (folder / "none").exists()
 
 
+def test_ctrl_c_keeps_the_regions_that_were_finished(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    score = module.score
+
+    def interrupted(*args: Any, on_region: Any, **options: Any) -> object:
+        def told(card: Any) -> None:
+            on_region(card)
+            raise KeyboardInterrupt
+
+        return score(*args, on_region=told, **options)
+
+    monkeypatch.setattr(module, "score", interrupted)
+    few = FEW | {"regions": ["seen", "unseen tcp"], "search": 64}
+    assert evaluate(["mine.py:Towards"], out=Path("out"), **few) == INTERRUPTED  # type: ignore[arg-type]
+    one = written(folder / "out")["avoiders"][0]
+    assert [region["region"] for region in one["regions"]] == ["seen"]
+    assert one["findings"] != []
+    assert one["search"]["worst"] == []
+    assert "Interrupted." in (folder / "out" / PAGE).read_text()
+    assert "what was finished is kept" in capsys.readouterr().err
+
+
+def test_the_questions_of_a_space_are_a_region(folder: Path) -> None:
+    space = Path(__file__).parents[2] / "scenarios" / "spaces" / "reaching-hands.yaml"
+    few = FEW | {"regions": None, "spaces": [space]}
+    assert evaluate(["mc-dropout"], out=Path("out"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    (region,) = written(folder / "out")["avoiders"][0]["regions"]
+    assert (region["region"], region["asked"]) == ("reaching-hands", 300)
+
+
+def test_what_no_run_asks_is_named_and_not_searched(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = FEW | {"regions": ["far"], "search": 64}
+    assert evaluate(["opposite pose"], out=Path("out"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    assert "far (no run asks)" in capsys.readouterr().out
+    assert written(folder / "out")["avoiders"][0]["search"]["regions"] == []
+    assert "No run can ask such a question" in (folder / "out" / PAGE).read_text()
+
+
 def test_mistakes_are_explained_before_anything_is_asked(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
