@@ -23,7 +23,8 @@ Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
-MOST_DRAWN = 400  # pairs drawn for each that is wanted; then the region holds no more
+MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs, for each one found and in all: then there are no more
+AT_ONCE = 10_000
 FAR = "far"
 NAMED = (
     ("seen", "seen hand", "seen tcp"),
@@ -52,9 +53,9 @@ class QuestionRegion:
         """``count`` independent questions; fewer, or none, where pairs that belong to it are too rare."""
         hands, tcps = np.empty((0, 3)), np.empty((0, 3))
         drawn = 0
-        while len(hands) < count and drawn < MOST_DRAWN * (len(hands) + 1):
-            more = self.pairs(rng, max(count, 1_000))
-            drawn += len(more[0])
+        while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
+            more = self.pairs(rng, max(count, AT_ONCE))
+            drawn += max(count, AT_ONCE)
             kept = self.holds(*more)
             kept[kept] = reachable(more[1][kept], self.settings)
             hands, tcps = np.concatenate([hands, more[0][kept]]), np.concatenate([tcps, more[1][kept]])
