@@ -82,8 +82,8 @@ def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[s
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [
-            (score, _about(score), list(_maps(score, one.settings[score.region], f"m{number}-{k}-")))
-            for k, score in enumerate(card.regions)
+            (score, _about(score), list(_maps(score, settings, f"m{number}-{k}-")))
+            for k, (score, settings) in enumerate(zip(card.regions, one.settings, strict=False))
         ],
         "jumps": [
             (jumps.region, jumps.moved.value, [change_words(c) for c in (jumps.largest, jumps.steepest) if c])

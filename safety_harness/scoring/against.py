@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ def findings_against(
     found: Sequence[Finding],
     reference: Scorecard,
     of_reference: Sequence[Finding],
-    settings: Mapping[str, Settings],
+    settings: Sequence[Settings],
 ) -> tuple[Finding, ...]:
     """Findings that the reference has not, then more errors than it has, by the exact paired sign test.
 
@@ -30,10 +30,10 @@ def findings_against(
     """
     known = {(one.kind, one.region) for one in of_reference}
     new = [one for one in found if (one.kind, one.region) not in known]
-    pairs = zip(card.regions, reference.regions, strict=True)
-    asked = [(mine, theirs) for mine, theirs in pairs if mine.asked_in_runs and len(mine.questions)]
-    for mine, theirs in asked:
-        own, other = (_errors(one, settings[one.region]) for one in (mine, theirs))
+    pairs = zip(card.regions, reference.regions, settings, strict=False)
+    asked = [(mine, theirs, of) for mine, theirs, of in pairs if mine.asked_in_runs and len(mine.questions)]
+    for mine, theirs, of in asked:
+        own, other = _errors(mine, of), _errors(theirs, of)
         if not np.array_equal(mine.questions.seeds, theirs.questions.seeds):
             raise ValueError("expected the same questions of both")
         new += _paired(mine, own, other, reference.avoider, CHANCE / (2 * len(asked)))

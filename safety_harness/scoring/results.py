@@ -27,12 +27,12 @@ class ScoredAvoider:
     says of other worst questions why no run begins with them.
 
     ``reference`` is as the user named it; ``sha256`` of its file, empty for one without; ``settings`` are
-    those of each region.
+    those of the regions, in their order.
     """
 
     reference: str
     sha256: str
-    settings: dict[str, Settings]
+    settings: tuple[Settings, ...]
     card: Scorecard
     yardsticks: tuple[Scorecard, ...]
     findings: tuple[Finding, ...] = ()

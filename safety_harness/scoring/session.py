@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
@@ -100,14 +100,13 @@ class ScoringSession:
             told(f"beside {other.reference}")
             beside = score(other, regions, seed=self.seed, counts=counts, on_step=told)
         sha256 = avoider_sha256(scenario_of_avoider(reference))
-        settings = {region.name: region.settings for region in regions}
+        settings = tuple(region.settings for region in regions)
         known = cards if beside is None else (beside, *cards)
 
         def of(card: Scorecard) -> ScoredAvoider:
             found = findings(card, cards)
             if beside is not None:
-                held = replace(beside, regions=beside.regions[: len(card.regions)])
-                found = findings_against(card, found, held, findings(beside, cards), settings)
+                found = findings_against(card, found, beside, findings(beside, cards), settings)
             return ScoredAvoider(reference, sha256, settings, card, known, found)
 
         partly: list[Scorecard] = []
@@ -166,6 +165,8 @@ class ScoringSession:
     ) -> None:
         """The worst questions with which a run can begin, as files; the others are counted."""
         slug = _slug(one.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
+        names = [region.region for region in one.card.regions]
+        settings = dict(zip(names, one.settings, strict=True))
         for objective, tried in worst_questions(one.searches, MOST_TRIED):
             number = len(one.worst) + 1
             told(f"trying worst question {number}")
@@ -179,7 +180,7 @@ class ScoringSession:
                 title=f"worst question {number}: {objective.value}",
                 about=_about(objective, tried, self.seed),
                 claims=CLAIMS,
-                settings=one.settings[tried.region],
+                settings=settings[tried.region],
             )
             if file.path is None:
                 one.left_out.append(file.remark)

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.proportions import Proportion
+from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.scoring.question_file import QuestionFile
 from safety_harness.scoring.questions import Answers, Questions
+from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.scorecard import (
     AnswerTimes,
     Change,
     Figure,
+    Finding,
     Jumps,
+    Kind,
     Moved,
     RegionScore,
     Repeat,
@@ -19,6 +27,7 @@ from safety_harness.scoring.scorecard import (
     Spreads,
     Way,
 )
+from safety_harness.scoring.worst import Objective, Searched, Tried
 from safety_harness.settings import DEFAULTS
 
 
@@ -84,3 +93,36 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
         repeats=(Repeat(way=Way.ORDER, questions=50, differ=2, largest_m=0.01, first=question),) * measured,
         times=AnswerTimes(100, 0.0008, 0.0021, 0.0105, 0.0, 0.1) if measured else None,
     )
+
+
+def scored(avoider: str = "mc-dropout", *, file: str = "worst-1.yaml", **others: object) -> Scored:
+    """One avoider with two findings beside two yardsticks, and a worst question that is a file."""
+    tried = Tried(
+        region="seen",
+        scenario_seed=5,
+        hand_in_base_m=np.array([0.8, -0.3, 0.1]),
+        tcp_in_base_m=np.array([0.7, 0.0, 0.35]),
+        proposed_in_base_m=np.array([0.7, 0.0, 0.45]),
+        largest_spread_m=0.004,
+        gained_m=-0.0234,
+        off_m=0.081,
+        optimum_gained_m=0.012,
+        sure=True,
+    )
+    claim = Claim(sentence="proposals lead away to within 10 mm", expected=Verdict.VIOLATED)
+    found = (
+        Finding(Kind.FAR_OFF, "seen", "1 % of the answers are more than 70.1 mm off the optimum"),
+        Finding(Kind.NOT_REPEATED, "", "2 of 50 answers differ"),
+    )
+    one = ScoredAvoider(
+        reference=avoider,
+        sha256="ab" * 32,
+        settings=(DEFAULTS, DEFAULTS),
+        card=scorecard(avoider, shift_m=0.07),
+        yardsticks=(scorecard("closed-form optimum", measured=False),),
+        findings=found,
+        searches=[Searched("seen", 500, asked=500)],
+        worst=[ShownQuestion(Objective.TOWARDS, tried, QuestionFile(Path(file), "", (claim,), "text"))],
+        left_out=["a hand within the robot"],
+    )
+    return replace(Scored(seed=7, budget=500, avoiders=[one]), **others)  # type: ignore[arg-type]
