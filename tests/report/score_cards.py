@@ -66,7 +66,12 @@ def region_score(name: str = "seen", *, questions: int = 200, shift_m: float = 0
         pull=((-0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, -0.05)),
         scale=None,
         spreads=Spreads(
-            within=((share, share, share),) * 3, error_to_spread=Figure(1.5, 1.4, 1.6), rank=None, rms_m=0.002
+            within=((share, share, share),) * 3,
+            error_to_spread=Figure(1.5, 1.4, 1.6),
+            by_axis=(1.5, 1.4, 1.6),
+            rank=None,
+            honest_rank=0.5,
+            rms_m=0.002,
         ),
         wrong_and_sure=Proportion.of(error > 0.06),
         above_threshold=None,
@@ -91,7 +96,7 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
             Jumps(region="seen", moved=Moved.HAND, segments=2, jumped=share, largest=change, steepest=None),
         ),
         repeats=(Repeat(way=Way.ORDER, questions=50, differ=2, largest_m=0.01, first=question),) * measured,
-        times=AnswerTimes(100, 0.0008, 0.0021, 0.0105, 0.0, 0.1) if measured else None,
+        times=AnswerTimes(100, 0.0008, 0.0021, 0.0105, 0, 0.0, 0.1) if measured else None,
     )
 
 
