@@ -533,11 +533,13 @@ def variance_for_deviation(units: float, spreads: Vectors) -> Vectors:
     return (spreads * units) ** 2 / units
 
 
-@_fault("deviation", (0.6, 0.8, 1.0), "of the way", of_spread=True)
-@_doubted
-def same_for_all(share: float, spreads: Vectors) -> Vectors:
-    """The same spread for all: it tells no error from another."""
-    return spreads + share * (0.007 - spreads)
+@_fault("deviation", (0.5, 0.8, 1.0), "of the questions", of_spread=True)
+@_pure
+def same_for_all(share: float, ask: Ask, hands: Vectors, tcps: Vectors, seeds: Seeds) -> Answers:
+    """The same spread for all, or for many: it tells no error from another."""
+    positions, spreads = ask(hands, tcps, seeds)
+    struck = _share(hands, tcps, np.zeros_like(seeds), salt=7) < share
+    return positions, np.where(struck[:, None], 0.007, spreads)
 
 
 @_fault("deviation", (0.6, 0.8, 1.0), "of the way", of_spread=True)
