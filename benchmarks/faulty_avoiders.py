@@ -889,7 +889,7 @@ def avoider_named(name: str) -> BatchAvoider:
         return Faulty(below, HARMLESS[change](below.propose_many), name)
     fault, level = FAULTS[change[:-2]], int(change[-1])
     below = base_named(base, of_spread=fault.of_spread)
-    magnitude = fault.magnitudes[level - 1]
+    magnitude = fault.magnitudes[(1, 2, 3).index(level)]
     declares_s = magnitude if fault.name == "declared_late" else None
     return Faulty(below, fault.make(magnitude, below.propose_many), name, declares_s)
 
