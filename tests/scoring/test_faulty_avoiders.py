@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import faulty_avoiders
@@ -28,6 +29,11 @@ def answers(avoider: BatchAvoider) -> Answers:
     return avoider.propose_many(hands, tcps, np.arange(3_000, dtype=np.uint64))
 
 
+@cache
+def sound_answers(base: str, of_spread: bool) -> Answers:
+    return answers(base_named(base, of_spread=of_spread))
+
+
 def apart(one: Answers, other: Answers) -> float:
     """The largest difference of a position or a spread [m]; infinite where one of them is no number."""
     with np.errstate(invalid="ignore"):
@@ -39,7 +45,7 @@ def apart(one: Answers, other: Answers) -> float:
 def test_the_slightest_fault_answers_otherwise_than_what_is_below_it(
     fault: faulty_avoiders.Fault, base: str
 ) -> None:
-    sound = answers(base_named(base, of_spread=fault.of_spread))
+    sound = sound_answers(base, fault.of_spread)
     faulty = avoider_named(f"{fault.name}_1_on_{base}")
     if fault.name == "raises_near_a_tcp":
         with pytest.raises(ArithmeticError):
@@ -56,7 +62,7 @@ def test_the_slightest_fault_answers_otherwise_than_what_is_below_it(
 @pytest.mark.parametrize("change", HARMLESS)
 def test_a_harmless_change_answers_alike(change: str, base: str) -> None:
     wider = change == "slightly_wider"
-    sound = answers(base_named(base, of_spread=wider))
+    sound = sound_answers(base, wider)
     positions, spreads = answers(avoider_named(f"{change}_on_{base}"))
     assert np.abs(positions - sound[0]).max() < 1e-12
     assert np.allclose(spreads, sound[1] * (1.02 if wider else 1.0))
