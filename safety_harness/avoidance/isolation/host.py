@@ -11,6 +11,7 @@ import sys
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -47,9 +48,12 @@ class RefusedError(Exception):
 
 
 class Host:
-    """``generation`` counts the processes; what was made in an earlier one is no more."""
+    """``generation`` counts the processes; what was made in an earlier one is no more.
 
-    def __init__(self, path: Path, source: bytes) -> None:
+    Of a ``silent`` one nobody hears what the file writes.
+    """
+
+    def __init__(self, path: Path, source: bytes, *, silent: bool = False) -> None:
         self.path = path
         self.lock = threading.RLock()
         self.numbers = count(1)  # of avoiders
@@ -58,7 +62,7 @@ class Host:
         self._process: Process | None = None
         self._dropped: deque[int] = deque()
         self._heard = b""
-        self._lines = 0
+        self._lines = MOST_LINES + 1 if silent else 0
 
     @property
     def alive(self) -> bool:
@@ -142,14 +146,27 @@ def _say_it_is_executed(path: Path, source: bytes) -> None:
         LOGGER.warning("executes %s", executed[key])
 
 
-_hosts: OrderedDict[tuple[Path, str], Host] = OrderedDict()
+_Hosts = OrderedDict[tuple[Path, str], Host]
+_shared: _Hosts = OrderedDict()
+_hosts: list[_Hosts] = [_shared]  # the last are those in use
+
+
+@contextmanager
+def processes_apart() -> Iterator[None]:
+    """Avoiders made within share no process, and no memory, with those made before; nobody hears them."""
+    _hosts.append(OrderedDict())
+    try:
+        yield
+    finally:
+        _hosts.pop()
 
 
 def host_of(path: Path, source: bytes) -> Host:
     """The one for this text of this file; a few stay ready though nobody uses them at the moment."""
-    key = path, hashlib.sha256(source).hexdigest()
-    host = _hosts.setdefault(key, Host(path, source))
-    _hosts.move_to_end(key)
-    while len(_hosts) > KEPT:
-        _hosts.popitem(last=False)  # its process ends when its last avoider is gone
-    return host
+    key, hosts = (path, hashlib.sha256(source).hexdigest()), _hosts[-1]
+    if key not in hosts:
+        hosts[key] = Host(path, source, silent=hosts is not _shared)
+    hosts.move_to_end(key)
+    while len(hosts) > KEPT:
+        hosts.popitem(last=False)  # its process ends when its last avoider is gone
+    return hosts[key]
