@@ -20,12 +20,14 @@ import json
 import multiprocessing
 import os
 import platform
+import re
 import resource
 import subprocess
 import time
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,11 +36,20 @@ from faulty_avoiders import BASES, FAULTS, HARMLESS, Fault, avoider_named, names
 from safety_harness.avoidance.asking import BatchAvoider
 from safety_harness.avoidance.shipped import SHIPPED
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
+from safety_harness.scoring.findings import findings
+from safety_harness.scoring.regions import named_regions
+from safety_harness.scoring.repeats import Subject
+from safety_harness.scoring.score import Counts, score, yardsticks
+from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.settings import DEFAULTS
+from safety_harness.space.regions import paper_seen
 
 OUT = Path(__file__).with_name("EVALUATE.md")
 LINES = Path(__file__).parents[1] / "reports" / "evaluate_faults.jsonl"
+NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SEEDS, MOST_CPU_S, WALL_LIMIT_S = 20, 60.0, 900.0
+SLOW = ("late_", "hiccups", "slow_for_near_hands")  # asked as little as their pace asks for
+REGIONS = named_regions(paper_seen(DEFAULTS), DEFAULTS)
 OTHERS = ("opposite pose", "nearest candidate")
 SOUND = (*SHIPPED, *OTHERS, *(f"{one}_on_{base}" for one in HARMLESS for base in BASES))
 BELOW = ("sound_on_network", "sound_on_optimum", "sound_with_spread_on_optimum")
@@ -46,12 +57,12 @@ BELOW = ("sound_on_network", "sound_on_optimum", "sound_with_spread_on_optimum")
 
 @dataclass(frozen=True)
 class Result:
-    """What scoring one avoider came to: findings by kind with a figure, or what went wrong."""
+    """What scoring one avoider came to: findings by kind and region in words, or what went wrong."""
 
     name: str
     seed: int
     revision: str
-    findings: dict[str, float]
+    findings: dict[str, str]
     cpu_s: float
     wall_s: float
     error: str = ""
@@ -67,20 +78,28 @@ def made(name: str) -> BatchAvoider:
     return avoider_named(name)
 
 
-def findings_of(avoider: BatchAvoider, seed: int) -> dict[str, float]:
-    """The findings on an avoider, by kind and region, each with its figure."""
-    raise NotImplementedError
+@cache
+def yards(seed: int) -> tuple[tuple[Scorecard, ...], float]:
+    """The yardsticks' scores, which are the same for all, and the processor time that they took."""
+    spent_s = _spent_s()
+    return yardsticks(REGIONS, seed=seed, counts=Counts()), _spent_s() - spent_s
 
 
 def measured(name: str, seed: int, revision: str) -> Result:
-    """Score it here; the processor time is that of this process and of those it waited for."""
-    begun_s, findings, error = time.perf_counter(), {}, ""
-    spent_s = _spent_s()
+    """Score it here; the processor time is that of all processes, with that of the yardsticks."""
+    found: dict[str, str] = {}
+    error, (against, yards_s) = "", yards(seed)
+    begun_s, spent_s = time.perf_counter(), _spent_s()
+    counts = None if any(slow in name for slow in SLOW) else Counts()
     try:
-        findings = findings_of(made(name), seed)
+        card = score(Subject.made_by(lambda: made(name), name), REGIONS, seed=seed, counts=counts)
+        for one in findings(card, against):
+            of_region = f" ({one.region})" if one.region else ""
+            found.setdefault(one.kind.value + of_region, one.words)
     except Exception as raised:  # of what is on trial, or of the scoring: a row of the table
         error = f"{type(raised).__name__}: {raised}"
-    return Result(name, seed, revision, findings, _spent_s() - spent_s, time.perf_counter() - begun_s, error)
+    cpu_s = yards_s + _spent_s() - spent_s
+    return Result(name, seed, revision, found, cpu_s, time.perf_counter() - begun_s, error)
 
 
 def apart(name: str, seed: int, revision: str) -> Result:
@@ -170,15 +189,29 @@ def sound_rows(results: dict[tuple[str, int], Result]) -> Iterator[str]:
     yield "| avoider | finding | in seeds | figures |"
     yield "|---|---|---|---|"
     for name in SOUND:
-        own = [result for (one, _), result in results.items() if one == name and not result.error]
-        figures: dict[str, list[float]] = defaultdict(list)
+        own = [result for (one, _), result in results.items() if one == name]
+        words: dict[str, list[str]] = defaultdict(list)
         for result in own:
-            for kind, figure in result.findings.items():
-                figures[kind].append(figure)
-        if not figures:
+            said = {"error": result.error} if result.error else result.findings
+            for kind, sentence in said.items():
+                words[kind].append(sentence)
+        if not words:
             yield f"| {name} | {'none' if own else 'not run'} | {len(own)} | |"
-        for kind, found in sorted(figures.items()):
-            yield f"| {name} | {kind} | {len(found)} of {len(own)} | {min(found):.4g} to {max(found):.4g} |"
+        for kind, every in sorted(words.items()):
+            yield f"| {name} | {kind} | {len(every)} of {len(own)} | {ranged(every)} |"
+
+
+def ranged(every: list[str]) -> str:
+    """Sentences that differ in their numbers, as one with ranges; the first where they differ otherwise."""
+    alike = [one for one in every if NUMBER.sub("#", one) == NUMBER.sub("#", every[0])]
+    columns = zip(*(NUMBER.findall(one) for one in alike), strict=True)
+    spans = iter([_span([(float(text.replace(",", "")), text) for text in column]) for column in columns])
+    return NUMBER.sub(lambda _: next(spans), every[0])
+
+
+def _span(values: list[tuple[float, str]]) -> str:
+    least, most = min(values)[1], max(values)[1]
+    return least if least == most else f"[{least} to {most}]"
 
 
 def summary(results: dict[tuple[str, int], Result]) -> Iterator[str]:
@@ -251,6 +284,7 @@ def main() -> None:
     todo = [task for task in tasks(given.slight) if task not in results and given.only in task[0]]
     given.lines.parent.mkdir(parents=True, exist_ok=True)
     for name, seed in [] if given.table else todo[given.part :: given.parts]:
+        yards(seed)  # before the fork, which has them then
         result = apart(name, seed, revision)
         results[name, seed] = result
         with given.lines.open("a") as file:
