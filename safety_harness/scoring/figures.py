@@ -13,6 +13,7 @@ from safety_harness.proportions import LEVEL, Proportion
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.scoring.scorecard import Asked, Figure, RegionScore, Spreads
+from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Settings, Vector3
 
 Floats = NDArray[np.float64]
@@ -130,7 +131,7 @@ def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, o
         tuple(mean(axis) for axis in error.T),
         _matrix(pull),
         _matrix(scale),
-        _spreads(error, said.spreads_m, off) if said.spreads_m.any() else None,
+        _spreads(error, asked, said.spreads_m) if said.spreads_m.any() else None,
         Proportion.of((off > WRONG_M) & sure),
         Proportion.of(~sure) if has_threshold.any() else None,
     )
@@ -158,7 +159,10 @@ def _matrix(rows: Floats) -> Matrix:
     return one, two, three
 
 
-def _spreads(error: ArrayNx3, spreads: ArrayNx3, off: Floats) -> Spreads:
+def _spreads(error: ArrayNx3, asked: Questions, spreads: ArrayNx3) -> Spreads:
+    off, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
+    drawn = spreads * generator(int(asked.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
+    honest = rank_correlation(largest, np.linalg.norm(drawn, axis=1))
     rms_m = float(np.sqrt((spreads**2).sum(axis=1).mean()))
     errors_m = root_mean_square(off)
     return Spreads(
@@ -168,7 +172,8 @@ def _spreads(error: ArrayNx3, spreads: ArrayNx3, off: Floats) -> Spreads:
         ),
         error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),
         by_axis=_by_axis(error, spreads),
-        rank=rank_correlation(spreads.max(axis=1), off),
+        rank=rank_correlation(largest, off),
+        honest_rank=honest.value if honest else 0.0,
         rms_m=rms_m,
     )
 

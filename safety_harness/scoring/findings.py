@@ -50,7 +50,10 @@ class Limits:
     )
     too_sure: float = 1.25  # error to spread, times the larger of 1 and what mc-dropout has
     too_unsure: float = 0.70  # times the smaller of the two
-    rank: float = 0.05  # below mc-dropout's rank correlation, beyond both intervals
+    rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
+    same_m: float = (
+        1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m, where bits are compared
+    )
     late: int = 4  # answers after the deadline: what else this machine does may delay a few
 
 
@@ -79,7 +82,7 @@ def findings(
             if (one.region, one.moved) == (jumps.region, jumps.moved)
         ]
         found += _of_jumps(jumps, others_jumps, limits)
-    found += _of_repeats(card.repeats)
+    found += _of_repeats(card.repeats, limits)
     found += _of_times(card, limits)
     return tuple(found)
 
@@ -270,9 +273,9 @@ def _slope(jumps: Jumps) -> float:
     return jumps.steepest.change_m / jumps.steepest.apart_m if jumps.steepest else 0.0
 
 
-def _of_repeats(repeats: Iterable[Repeat]) -> Iterator[Finding]:
+def _of_repeats(repeats: Iterable[Repeat], limits: Limits) -> Iterator[Finding]:
     for one in repeats:
-        if one.differ:
+        if one.largest_m > limits.same_m:
             words = (
                 f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
                 f"when {one.way.value}"

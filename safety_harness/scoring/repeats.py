@@ -1,6 +1,7 @@
 """Does an avoider answer the same questions alike, however they are asked?
 
-Its answers are compared by their bits with those of the very first time.  What remembers, looks at the clock,
+Its answers are compared by their bits with those of the very first time (of what differs by less than a
+nanometre findings say nothing: the order of a sum may hang on the size of a batch).  What remembers, looks at the clock,
 mixes the questions of a batch or is made otherwise in every process differs somewhere.
 """
 

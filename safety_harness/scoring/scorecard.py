@@ -50,13 +50,15 @@ class Spreads:
 
     ``within[k - 1][axis]``: the share of errors within k spreads.  ``error_to_spread``: rms error over rms
     spread, all axes together, and ``by_axis``: above 1 the avoider is too sure.  ``rank``: Spearman's
-    correlation of the largest spread with the error; None where one of them is constant.
+    correlation of the largest spread with the error, None where one of them is constant; ``honest_rank``: what
+    it would be if the errors were normal with just these spreads, simulated once.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
     error_to_spread: Figure
     by_axis: Vector3
     rank: Figure | None
+    honest_rank: float
     rms_m: float
 
 
