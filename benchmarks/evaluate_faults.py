@@ -37,7 +37,8 @@ from safety_harness.avoidance.asking import BatchAvoider
 from safety_harness.avoidance.shipped import SHIPPED
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.scoring.findings import findings
-from safety_harness.scoring.regions import named_regions
+from safety_harness.scoring.questions import Questions
+from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.repeats import Subject
 from safety_harness.scoring.score import Counts, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
@@ -49,7 +50,6 @@ LINES = Path(__file__).parents[1] / "reports" / "evaluate_faults.jsonl"
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SEEDS, MOST_CPU_S, WALL_LIMIT_S = 20, 60.0, 900.0
 SLOW = ("late_", "hiccups", "slow_for_near_hands")  # asked as little as their pace asks for
-REGIONS = named_regions(paper_seen(DEFAULTS), DEFAULTS)
 OTHERS = ("opposite pose", "nearest candidate")
 SOUND = (*SHIPPED, *OTHERS, *(f"{one}_on_{base}" for one in HARMLESS for base in BASES))
 BELOW = ("sound_on_network", "sound_on_optimum", "sound_with_spread_on_optimum")
@@ -78,6 +78,21 @@ def made(name: str) -> BatchAvoider:
     return avoider_named(name)
 
 
+class Remembering(QuestionRegion):
+    """A region that draws the same questions once: inverse kinematics takes most of a scoring's time."""
+
+    def draw(self, rng: np.random.Generator, count: int) -> Questions:
+        """As the region does, by the generator's state."""
+        key = self.name, repr(rng.bit_generator.state), count
+        if key not in DRAWN:
+            DRAWN[key] = super().draw(rng, count)
+        return DRAWN[key]
+
+
+DRAWN: dict[tuple[str, str, int], Questions] = {}
+REGIONS = tuple(Remembering(**vars(region)) for region in named_regions(paper_seen(DEFAULTS), DEFAULTS))
+
+
 @cache
 def yards(seed: int) -> tuple[tuple[Scorecard, ...], float]:
     """The yardsticks' scores, which are the same for all, and the processor time that they took."""
@@ -86,7 +101,7 @@ def yards(seed: int) -> tuple[tuple[Scorecard, ...], float]:
 
 
 def measured(name: str, seed: int, revision: str) -> Result:
-    """Score it here; the processor time is that of all processes, with that of the yardsticks."""
+    """Score it here; the processor time is that of all processes, with that of questions and yardsticks."""
     found: dict[str, str] = {}
     error, (against, yards_s) = "", yards(seed)
     begun_s, spent_s = time.perf_counter(), _spent_s()
