@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.regions import Region
-from safety_harness.learning.evaluation import reachable
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
 from safety_harness.space.regions import Seen, region_named
