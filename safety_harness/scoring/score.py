@@ -125,7 +125,8 @@ def score(
     alone, times_s = asked_alone(avoider, few)
     again: list[Repeat] = [compared(Way.ALONE, few, first[: len(few)], alone)]
     on_step("the same questions again")
-    again += repeats(subject, sample, first, counts.alone)
+    if len(sample):
+        again += repeats(subject, sample, first, counts.alone)
     scores, jumps = _by_region(avoider, regions, drawn, seed, counts, on_step)
     time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
     again.append(compared(Way.LATER, sample, first, asked_together(avoider, sample)))
@@ -137,7 +138,7 @@ def score(
         regions=scores,
         jumps=jumps,
         repeats=tuple(again),
-        times=_times(avoider, times_s, settings),
+        times=_times(avoider, times_s, settings) if times_s else None,
     )
 
 
