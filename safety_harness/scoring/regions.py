@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.regions import Region
-from safety_harness.learning.evaluation import reachable
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
 from safety_harness.space.regions import Seen, region_named
@@ -23,7 +23,8 @@ Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
 Flags = NDArray[np.bool_]
 
-MOST_DRAWN = 400  # pairs drawn for each that is wanted; then the region holds no more
+MOST_DRAWN, LEAST_DRAWN = 2_000, 200_000  # pairs, for each one found and in all: then there are no more
+AT_ONCE = 10_000
 FAR = "far"
 NAMED = (
     ("seen", "seen hand", "seen tcp"),
@@ -52,13 +53,12 @@ class QuestionRegion:
         """``count`` independent questions; fewer, or none, where pairs that belong to it are too rare."""
         hands, tcps = np.empty((0, 3)), np.empty((0, 3))
         drawn = 0
-        while len(hands) < count and drawn < MOST_DRAWN * (len(hands) + 1):
-            more = self.pairs(rng, max(count, 1_000))
-            drawn += len(more[0])
-            kept = self.holds(*more)
-            kept[kept] = reachable(more[1][kept], self.settings)
+        while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
+            more = self.pairs(rng, max(count, AT_ONCE))
+            drawn += max(count, AT_ONCE)
+            kept = np.flatnonzero(self.holds(*more))[: count - len(hands)]
+            kept = kept[reachable(more[1][kept], self.settings)]
             hands, tcps = np.concatenate([hands, more[0][kept]]), np.concatenate([tcps, more[1][kept]])
-        hands, tcps = hands[:count], tcps[:count]
         return Questions(hands, tcps, rng.integers(0, 2**63, len(hands), dtype=np.uint64))
 
 
@@ -69,7 +69,7 @@ def named_regions(seen: Seen, settings: Settings) -> tuple[QuestionRegion, ...]:
 
     def of(name: str, hands: Region, tcps: Region) -> QuestionRegion:
         def holds(hand: ArrayNx3, tcp: ArrayNx3) -> Flags:
-            return hands.contains(hand) & tcps.contains(tcp) & _near(hand, tcp, near_m)
+            return hands.contains(hand) & tcps.contains(tcp) & near(hand, tcp, near_m)
 
         return QuestionRegion(
             name=name,
@@ -92,12 +92,13 @@ def named_regions(seen: Seen, settings: Settings) -> tuple[QuestionRegion, ...]:
         name=FAR,
         about=f"far: hands farther than {near_m * 1e3:g} mm from the TCP, about which no run asks",
         pairs=lambda rng, count: (Region(hands).draw(rng, count), Region(tcps).draw(rng, count)),
-        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~_near(hand, tcp, near_m),
+        holds=lambda hand, tcp: hands.contains(hand) & tcps.contains(tcp) & ~near(hand, tcp, near_m),
         asked_in_runs=False,
         settings=settings,
     )
     return (*regions, far)
 
 
-def _near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
+def near(hands: ArrayNx3, tcps: ArrayNx3, near_m: float) -> Flags:
+    """(n,) are hands (n, 3) within ``near_m`` of the TCPs (n, 3)?"""
     return np.asarray(np.linalg.norm(hands - tcps, axis=1) < near_m)

@@ -34,7 +34,7 @@ YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
 FEWER = 3_000  # questions of a yardstick that takes long and has no learning: its figures hang on no place
 LATER_S = 2.0  # at least, between the first answers and those of a later time
 PROBE = 64  # questions that tell how quick an avoider is
-_QUESTIONS, _SEGMENTS = 0, 1  # below the branch and a region's number
+_QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,8 @@ def score(
     alone, times_s = asked_alone(avoider, few)
     again: list[Repeat] = [compared(Way.ALONE, few, first[: len(few)], alone)]
     on_step("the same questions again")
-    again += repeats(subject, sample, first, counts.alone)
+    if len(sample):
+        again += repeats(subject, sample, first, counts.alone)
     scores, jumps = _by_region(avoider, regions, drawn, seed, counts, on_step)
     time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
     again.append(compared(Way.LATER, sample, first, asked_together(avoider, sample)))
@@ -137,7 +138,7 @@ def score(
         regions=scores,
         jumps=jumps,
         repeats=tuple(again),
-        times=_times(avoider, times_s, settings),
+        times=_times(avoider, times_s, settings) if times_s else None,
     )
 
 
@@ -176,15 +177,25 @@ def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts
 
 
 def _paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
-    """As many questions as the avoider's pace allows, tried with another instance: this one knows nothing."""
-    few = region.draw(generator(seed, Branch.SCORING, 0, 2), PROBE)
+    """As many questions as the avoider's pace allows, tried with another instance: this one knows nothing.
+
+    The least of a few times, and in this process that of the processor: a busy machine asks no fewer.
+    """
+    few = region.draw(generator(seed, Branch.SCORING, 0, _PACE), PROBE)
     probed = subject.another()
     answers_at_first(probed, *first_question(region.settings))
-    begun_s = time.perf_counter()
-    asked_together(probed, few)
-    each_s = (time.perf_counter() - begun_s) / max(len(few), 1)
-    _, times_s = asked_alone(probed, few[:16])
-    return Counts().at_pace(each_s, float(np.mean(times_s)) if times_s else 0.0)
+    took = [_took_s(lambda: asked_together(probed, few)) for _ in range(3)]
+    wall_s, processor_s = (min(one) / max(len(few), 1) for one in zip(*took, strict=True))
+    each_s = max(processor_s, wall_s / 8.0) if subject.in_process else wall_s / 1.5
+    _, alone_s = asked_alone(probed, few[:16])
+    return Counts().at_pace(each_s, float(np.mean(alone_s)) if alone_s else 0.0)
+
+
+def _took_s(do: Callable[[], object]) -> tuple[float, float]:
+    """On the wall's clock and the processor's."""
+    begun_s, processor_s = time.perf_counter(), time.process_time()
+    do()
+    return time.perf_counter() - begun_s, time.process_time() - processor_s
 
 
 def _sample(regions: Sequence[QuestionRegion], drawn: Sequence[Questions], count: int) -> Questions:

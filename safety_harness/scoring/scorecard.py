@@ -50,8 +50,8 @@ class Spreads:
 
     ``within[k - 1][axis]``: the share of errors within k spreads.  ``error_to_spread``: rms error over rms
     spread, all axes together, and ``by_axis``: above 1 the avoider is too sure.  ``rank``: Spearman's
-    correlation of the largest spread with the error, None where one of them is constant; ``honest_rank``: what
-    it would be if the errors were normal with just these spreads, simulated once.
+    correlation of the largest spread with the error, None where one of them is constant; ``honest_rank``:
+    what it would be if the errors were normal with just these spreads, simulated once.
     """
 
     within: tuple[tuple[Proportion, Proportion, Proportion], ...]
