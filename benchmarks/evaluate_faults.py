@@ -186,7 +186,13 @@ def cell(fault: Fault, level: int, base: str, results: dict[tuple[str, int], Res
         return f"**error**: {result.error[:80]}"
     new = new_of(result, under)
     words = f"{', '.join(new[:3])}{f' and {len(new) - 3} more' if len(new) > 3 else ''}" or "**not named**"
-    return f"{words} ({result.cpu_s:.0f} s)"
+    return f"{words} ({result.cpu_s:.0f} s, {letters(results)[result.revision]})"
+
+
+def letters(results: dict[tuple[str, int], Result]) -> dict[str, str]:
+    """A letter for each revision that something was measured at."""
+    revisions = dict.fromkeys(result.revision for result in results.values())
+    return dict(zip(revisions, "abcdefghijklmnopqrstuvwxyz", strict=False))
 
 
 def fault_rows(results: dict[tuple[str, int], Result]) -> Iterator[str]:
@@ -254,15 +260,15 @@ def summary(results: dict[tuple[str, int], Result]) -> Iterator[str]:
 
 def table(results: dict[tuple[str, int], Result]) -> str:
     """EVALUATE.md."""
-    revisions = sorted({result.revision for result in results.values()})
+    revisions = [f"{letter} {revision}" for revision, letter in letters(results).items()]
     yours = (
         "A fault is named if a finding came that what is below it does not have; in brackets the processor "
-        "time. Magnitudes rise from slight to gross; the slight ones are wrong or hazardous too. Each can be "
+        "time and the revision. Magnitudes rise from slight to gross; the slight ones are wrong or hazardous too. Each can be "
         "tried: `safety-harness evaluate benchmarks/faulty_avoiders.py:NAME` (`python "
         "benchmarks/faulty_avoiders.py` lists the names and says what each does)."
     )
     head = (
-        f"Revisions {', '.join(revisions)}; {platform.system()} {platform.machine()}, {os.cpu_count()} CPUs, "
+        f"Revisions: {', '.join(revisions)}. {platform.system()} {platform.machine()}, {os.cpu_count()} CPUs, "
         f"Python {platform.python_version()}."
     )
     parts = (
