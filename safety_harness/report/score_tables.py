@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.proportions import Proportion
-from safety_harness.report.words import milliseconds_words, point_words, share_words, with_minus
+from safety_harness.proportions import Proportion, share_words
+from safety_harness.report.words import milliseconds_words, point_words, with_minus
 from safety_harness.scoring.scorecard import Change, Figure, Jumps, RegionScore, Repeat, Scorecard
 
 NONE = "\u2013"
