@@ -162,8 +162,8 @@ def attribute(
 
     Without them it is every violation of the scenario's own claims, and those that it expects.  One that
     the kinematic replay does not reproduce is not attributed.  ``spoilt`` are the ingredients that ``run``
-    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario; what the
-    run raises where it fails and no violation has been seen.
+    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario; a run
+    that fails where no violation has been seen raises what it raised.
     """
     given = tuple(claims)
     scenario = replace(admitted.scenario, claims=given or admitted.scenario.claims)
