@@ -314,17 +314,17 @@ def _least(replays: Iterable[Replay]) -> tuple[Replay, ...]:
     """For every set of ingredients that helps, its first change that does; the one that is blamed first.
 
     The system is blamed before the hand; what keeps the claim before what takes the occasion away; what can
-    be broken before what a designer chose, and of the latter those of which more changes help; then in the
-    order of ``Ingredient``.
+    be broken before what a designer chose; those of which more changes help before others; then in the order
+    of ``Ingredient``.
     """
     found = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
             first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
-            broken = CHOSEN.isdisjoint(first.ingredients)
-            seldom = -1.0 if broken else 1.0 - len(helping) / len(group)
-            found.append((*_last_resort(first), seldom, _rank(first.ingredients), first))
+            chosen = not CHOSEN.isdisjoint(first.ingredients)
+            often = len(helping) / len(group)
+            found.append((*_last_resort(first), chosen, -often, _rank(first.ingredients), first))
     return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:-1]))
 
 
