@@ -12,6 +12,7 @@ from safety_harness.admission.avoiders import is_a_program, with_avoider
 from safety_harness.admission.trial import judge
 from safety_harness.attribution.attribute import Answer, Attribution, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
+from safety_harness.avoidance.avoider import described
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -53,7 +54,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
     tally = AttributionTally.of(session.found)
     result(*tally.lines())
     if not session.found:
-        say(f"no violation in {len(admitted)} of the runs: nothing to attribute")
+        say(f"{len(admitted)} runs without a violation: nothing to attribute")
     if out is not None:
         write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
         write_text(out / PICTURE, standalone(draw_attributions(tally), style=asset("report.css")))
@@ -62,7 +63,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         say("interrupted: what was attributed until then is above")
         return INTERRUPTED
     missing = any(one.answer is Answer.NOT_ATTRIBUTED for one in session.found)
-    return DIFFERS if missing else AS_EXPECTED
+    return DIFFERS if missing or session.failed else AS_EXPECTED
 
 
 @dataclass
@@ -71,11 +72,18 @@ class _Session:
 
     confirm: bool
     found: list[Attribution] = field(default_factory=list)
+    failed: bool = False
     interrupted: bool = False
 
     def take(self, admitted: Admitted) -> None:
         """Attribute and print the violations of one run."""
-        for one in attribute(admitted):
+        try:
+            attributions = attribute(admitted)
+        except Exception as error:  # one run's failure must not cost the others' answers
+            self.failed = True
+            say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
+            return
+        for one in attributions:
             self.found.append(one)
             margin = one.unit.margin_text(one.margin)
             result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")
