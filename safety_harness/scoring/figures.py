@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.special import bdtrik
 
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
-from safety_harness.learning.evaluation import reachable
 from safety_harness.proportions import LEVEL, Proportion
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
@@ -17,6 +17,7 @@ from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Settings, Vector3
 
 Floats = NDArray[np.float64]
+ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
@@ -26,7 +27,7 @@ TAIL = (1.0 - LEVEL) / 2.0
 NORMAL = 1.959964
 
 
-def quantile(values: Floats, share: float) -> Figure:
+def quantile(values: ArrayN, share: float) -> Figure:
     """The ``share`` quantile of (n,) values, with order statistics for its ends: exact for any distribution.
 
     An end that no value bounds is infinite.
@@ -41,20 +42,20 @@ def quantile(values: Floats, share: float) -> Figure:
     )
 
 
-def mean(values: Floats) -> Figure:
+def mean(values: ArrayN) -> Figure:
     """The mean of (n,) values and its interval by the normal distribution."""
     centre = float(values.mean())
     half = NORMAL * float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else np.inf
     return Figure(centre, centre - half, centre + half)
 
 
-def root_mean_square(values: Floats) -> Figure:
+def root_mean_square(values: ArrayN) -> Figure:
     """Of (n,) values; its ends are the roots of those of the mean square."""
     squares = mean(values**2)
     return Figure(*(float(np.sqrt(max(end, 0.0))) for end in (squares.value, squares.low, squares.high)))
 
 
-def rank_correlation(one: Floats, other: Floats) -> Figure | None:
+def rank_correlation(one: ArrayN, other: ArrayN) -> Figure | None:
     """Spearman's, with Fisher's interval; None where one of them (n,) is constant or n is below 10."""
     if len(one) < 10 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
         return None
@@ -181,7 +182,8 @@ def _spreads(error: ArrayNx3, asked: Questions, spreads: ArrayNx3) -> Spreads:
 def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
     squares = (spreads**2).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        x, y, z = np.sqrt((error**2).mean(axis=0) / squares).tolist()
+        ratios = np.sqrt((error**2).mean(axis=0) / squares)
+    x, y, z = np.where(np.isnan(ratios), 1.0, ratios).tolist()  # no error and no spread
     return x, y, z
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.regions import Region
-from safety_harness.learning.evaluation import reachable
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
 from safety_harness.space.regions import Seen, region_named
@@ -56,10 +56,9 @@ class QuestionRegion:
         while len(hands) < count and drawn < max(MOST_DRAWN * len(hands), LEAST_DRAWN):
             more = self.pairs(rng, max(count, AT_ONCE))
             drawn += max(count, AT_ONCE)
-            kept = self.holds(*more)
-            kept[kept] = reachable(more[1][kept], self.settings)
+            kept = np.flatnonzero(self.holds(*more))[: count - len(hands)]
+            kept = kept[reachable(more[1][kept], self.settings)]
             hands, tcps = np.concatenate([hands, more[0][kept]]), np.concatenate([tcps, more[1][kept]])
-        hands, tcps = hands[:count], tcps[:count]
         return Questions(hands, tcps, rng.integers(0, 2**63, len(hands), dtype=np.uint64))
 
 

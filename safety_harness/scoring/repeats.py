@@ -91,7 +91,8 @@ def compared(way: Way, sample: Questions, first: Answers, second: Answers, *, ap
     one, other = _numbers(first), _numbers(second)
     differs = (one.view(np.uint64) != other.view(np.uint64)).any(axis=1)
     differs &= np.isfinite(one[:, :6]).all(axis=1) | np.isfinite(other[:, :6]).all(axis=1)
-    differs |= [first.faults.get(row) != second.faults.get(row) for row in range(len(sample))]
+    faults = [first.faults.get(row) != second.faults.get(row) for row in range(len(sample))]
+    differs |= np.array(faults, dtype=np.bool_)
     rows = np.flatnonzero(differs)
     apart_m = np.abs(one[rows, :6] - other[rows, :6]).max(axis=1, initial=0.0)
     return Repeat(

@@ -127,7 +127,8 @@ def score(
     alone, times_s = asked_alone(avoider, few)
     again: list[Repeat] = [compared(Way.ALONE, few, first[: len(few)], alone)]
     on_step("the same questions again")
-    again += repeats(subject, sample, first, counts.alone)
+    if len(sample):
+        again += repeats(subject, sample, first, counts.alone)
     card = Scorecard(
         avoider=subject.reference,
         name=avoider.name,
@@ -136,7 +137,7 @@ def score(
         regions=(),
         jumps=(),
         repeats=tuple(again),
-        times=_times(avoider, times_s, settings),
+        times=_times(avoider, times_s, settings) if times_s else None,
     )
     for region, jumps in _by_region(avoider, regions, drawn, seed, counts, on_step):
         card = replace(card, regions=(*card.regions, region), jumps=(*card.jumps, *jumps))
@@ -223,7 +224,8 @@ def _by_region(
     """Each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
-        scored, jumps = _scored(avoider, region, questions), []
+        scored = _scored(avoider, region, questions)
+        jumps: list[Jumps] = []
         if region.asked_in_runs and len(questions):
             for which, moved in enumerate(Moved):
                 rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)

@@ -1,6 +1,7 @@
 """An avoider is scored and its faults are named; what is as good as the yardsticks has no finding."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +158,13 @@ class Mine:
 def test_an_avoider_that_there_is_not_is_refused() -> None:
     with pytest.raises(InadmissibleError):
         Subject.of("mc-dropuot")
+
+
+def test_a_region_that_holds_nothing_to_ask_has_neither_figures_nor_findings() -> None:
+    settings = replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, critical_distance_m=0.005))
+    regions = named_regions(paper_seen(settings), settings)[1:2]
+    card = score(subject(), regions, seed=0, counts=COUNTS)
+    assert card.regions[0].off_m is None
+    assert not card.regions[0].asked_in_runs
+    assert card.times is None
+    assert findings(card, yardsticks(regions, seed=0, counts=COUNTS)) == ()
