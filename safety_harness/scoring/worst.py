@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.controller.desired import reachable
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.arrays import Array3
-from safety_harness.learning.evaluation import reachable
 from safety_harness.scoring.asking import asked_together
 from safety_harness.scoring.question_file import seed_of
 from safety_harness.scoring.questions import Questions
