@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import resolve_avoider, scenario_of_avoider
 from safety_harness.admission.trial import run_trial
+from safety_harness.avoidance.avoider import Avoider, AvoiderAround, Proposal
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scoring.question_file import QuestionFile, question_file, seed_of
@@ -19,8 +22,14 @@ from safety_harness.simulation.worlds import KINEMATIC
 HAND, TCP = np.array([0.83, -0.22, 0.21]), np.array([0.69, 0.02, 0.33])
 
 
-def made(folder: Path, hand: np.ndarray = HAND, tcp: np.ndarray = TCP, seed: int = 5) -> QuestionFile:
-    avoider = resolve_avoider(scenario_of_avoider("mc-dropout"))
+def made(
+    folder: Path,
+    hand: np.ndarray = HAND,
+    tcp: np.ndarray = TCP,
+    seed: int = 5,
+    avoider: Avoider | None = None,
+) -> QuestionFile:
+    avoider = avoider or resolve_avoider(scenario_of_avoider("mc-dropout"))
     options = {"title": "a question", "about": "for a test", "claims": CLAIMS}
     return question_file(folder / "worst.yaml", "mc-dropout", avoider, hand, tcp, seed, **options)  # type: ignore[arg-type]
 
@@ -41,6 +50,19 @@ def test_a_run_of_the_file_asks_the_question_first_with_its_seed(tmp_path: Path)
     found = {one.sentence: one.evaluate(trace).verdict for one in admit(scenario).properties}
     assert expected == found
     assert set(expected.values()) <= {Verdict.HOLDS, Verdict.VIOLATED}
+
+
+def test_an_avoider_that_takes_its_time_is_asked_the_question_all_the_same(tmp_path: Path) -> None:
+    @dataclass(frozen=True, eq=False)
+    class Slow(AvoiderAround):
+        decision_time_s: float = 0.08
+
+        def propose(self, **question: Any) -> Proposal:
+            return self.avoider.propose(**question)
+
+    slow = Slow(resolve_avoider(scenario_of_avoider("mc-dropout")))
+    aside = TCP + [0.05, 0.1, 0.05]  # from where the arm servos while it waits
+    assert made(tmp_path, tcp=aside, avoider=slow).path is not None
 
 
 def test_a_tcp_from_which_the_object_is_out_of_view_gets_another_place_of_the_object(tmp_path: Path) -> None:
