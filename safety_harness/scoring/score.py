@@ -221,7 +221,8 @@ def _by_region(
     """Each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
-        scored, jumps = _scored(avoider, region, questions), []
+        scored = _scored(avoider, region, questions)
+        jumps: list[Jumps] = []
         if region.asked_in_runs and len(questions):
             for which, moved in enumerate(Moved):
                 rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
