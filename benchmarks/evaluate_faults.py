@@ -109,8 +109,8 @@ def measured(name: str, seed: int, revision: str) -> Result:
     try:
         card = score(Subject.made_by(lambda: made(name), name), REGIONS, seed=seed, counts=counts)
         for one in findings(card, against):
-            of_region = f" ({one.region})" if one.region else ""
-            found.setdefault(one.kind.value + of_region, one.words)
+            key = one.kind.value + (f" ({one.region})" if one.region else "")
+            found[key] = f"{found[key]}; {one.words}" if key in found else one.words
     except Exception as raised:  # of what is on trial, or of the scoring: a row of the table
         error = f"{type(raised).__name__}: {raised}"
     cpu_s = yards_s + _spent_s() - spent_s
