@@ -182,7 +182,8 @@ def _spreads(error: ArrayNx3, asked: Questions, spreads: ArrayNx3) -> Spreads:
 def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
     squares = (spreads**2).mean(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        x, y, z = np.sqrt((error**2).mean(axis=0) / squares).tolist()
+        ratios = np.sqrt((error**2).mean(axis=0) / squares)
+    x, y, z = np.where(np.isnan(ratios), 1.0, ratios).tolist()  # no error and no spread
     return x, y, z
 
 

@@ -172,7 +172,7 @@ def _lengths(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
         if mine.low > limits.off_factor * worst.high:
             words = (
                 f"{name} of the answers are more than {_mm(mine)} off the optimum; "
-                f"of the yardsticks' {_mm(worst)}"
+                f"the worst yardstick: {_mm(worst)}"
             )
             yield Finding(Kind.FAR_OFF, score.region, words, shown)
             break
@@ -228,21 +228,17 @@ def _spreads(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
     if mine is None or not theirs:
         return
     their = theirs[-1]
-    ratio, axes = mine.error_to_spread, (*mine.by_axis, mine.error_to_spread.low)
-    most = limits.too_sure * max(1.0, their.error_to_spread.value, *their.by_axis)
-    least = limits.too_unsure * min(1.0, their.error_to_spread.value, *their.by_axis)
-    if max(axes) > most:
-        words = (
-            f"the errors are {max(*mine.by_axis, ratio.value):.2f} times the spreads on one axis; "
-            f"the limit is {most:.2f}"
-        )
-        yield Finding(Kind.SPREAD_MISSES, score.region, words, _questions(score.worst_off))
-    if min(*mine.by_axis, ratio.high) < least:
-        words = (
-            f"the errors are {min(*mine.by_axis, ratio.value):.2f} times the spreads on one axis; "
-            f"the least is {least:.2f}"
-        )
-        yield Finding(Kind.SPREAD_WIDE, score.region, words)
+    ratio, axes = mine.error_to_spread, np.array(mine.by_axis)
+    low, high = (ratio.low / ratio.value, ratio.high / ratio.value) if ratio.value else (1.0, 1.0)
+    most = limits.too_sure * max(1.0, *their.by_axis)
+    least = limits.too_unsure * min(1.0, *their.by_axis)
+    for kind, row, beyond, word in (
+        (Kind.SPREAD_MISSES, int(axes.argmax()), low * axes.max() > most, f"at most {most:.2f}"),
+        (Kind.SPREAD_WIDE, int(axes.argmin()), high * axes.min() < least, f"at least {least:.2f}"),
+    ):
+        if beyond:
+            words = f"along {'xyz'[row]} the errors are {axes[row]:.2f} times the spreads, and may be {word}"
+            yield Finding(kind, score.region, words, _questions(score.worst_off))
     if their.rank is not None:
         got = mine.rank or Figure(0.0, 0.0, 0.0)
         promised = mine.honest_rank if mine.rank else 1.0  # a constant spread ranks nothing
