@@ -106,7 +106,7 @@ def of_faults() -> None:
 
 
 def of_fault(trials: FaultTrials, fault: SeededFault) -> Iterator[Attribution]:
-    """Whose fault the violations are that the gravest magnitude causes in the first episode that shows it."""
+    """Whose fault the violations are that the largest magnitude causes in the first episode that shows it."""
     magnitude = fault.ladder.values[0]
     rung = trials.rung(fault, magnitude)
     sentences: Sequence[str] = [one.claim for one in rung.alarms if one.claim not in NO_CLAIMS]
