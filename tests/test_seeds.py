@@ -61,4 +61,5 @@ def test_branches_keep_their_numbers() -> None:
         "STATISTICS": 7,
         "SELFTEST": 8,
         "DECISION_TIME": 9,
+        "SCORING": 10,
     }
