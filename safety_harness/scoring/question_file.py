@@ -15,16 +15,23 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.poses import kinematics
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import question_of
+from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import InputError, SafetyHarnessError
 from safety_harness.geometry.arrays import Array3
+from safety_harness.robot.capsules import load_capsules
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.kinematics import FRAMES, forward_kinematics
 from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.settings import DEFAULTS, Settings, Vector3
+from safety_harness.simulation.truth import cell_capsules
 from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.trace.trace import Trace
 
@@ -48,6 +55,23 @@ class QuestionFile:
 def seed_of(scenario_seed: int) -> int:
     """The seed of the first question that a run of a scenario with this seed asks."""
     return leaf(scenario_seed, Branch.DECISION, 0)
+
+
+def begins_clear(settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> bool:
+    """Is the hand, its forearm away from the TCP, outside the arm when the TCP starts there?"""
+    arm, capsules = load_arm("ur10"), cell_capsules(load_capsules("ur10"), settings)
+    target = desired_transform_tcp_to_base(settings)
+    target[:3, 3] = tcp_in_base_m
+    joints = kinematics().nearest(target, np.array(settings.cell.preferred_joint_position_rad))
+    if joints is None:
+        return False
+    transforms, ends = np.empty((FRAMES, 4, 4)), np.empty((len(capsules.names), 2, 3))
+    forward_kinematics(arm.chain[0], joints, transforms)
+    place_capsules(capsules.records, transforms, ends)
+    away = hand_in_base_m - tcp_in_base_m
+    elbow = hand_in_base_m + settings.hand.forearm_length_m * away / max(float(np.linalg.norm(away)), 1e-9)
+    radii_m = settings.hand.radius_m, settings.hand.forearm_radius_m
+    return bool(hand_distance(capsules.records, ends, hand_in_base_m, elbow, *radii_m)[0] > 0.0)
 
 
 def question_file(

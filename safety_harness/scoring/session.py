@@ -12,6 +12,7 @@ from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoide
 from safety_harness.exceptions import NoAnswerError, Place, ScenarioError
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scoring.against import findings_against
+from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.findings import findings
 from safety_harness.scoring.question_file import question_file
 from safety_harness.scoring.regions import QuestionRegion, named_regions
@@ -20,15 +21,15 @@ from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.space_region import space_region
-from safety_harness.scoring.worst import Objective, Tried, search_region, worst_questions
+from safety_harness.scoring.worst import TOLERANCE_M, Objective, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.read import read_space
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.whole_file import write_text
 
 CLAIMS = (
-    "proposals lead away to within 10 mm",
-    "proposals never sure and more than 60 mm from the optimum",
+    f"proposals lead away to within {1e3 * TOLERANCE_M:g} mm",
+    f"proposals never sure and more than {1e3 * WRONG_M:g} mm from the optimum",
 )
 MOST_SHOWN, MOST_TRIED = 10, 30  # of the worst questions, as files
 AVOIDER = Place(field="AVOIDER")

@@ -2,8 +2,8 @@
 
 A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has
 the TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that
-the region does not hold are refused.  A question's seed is that of the first decision of a run with a
-declared seed, so that a scenario file can ask it again.
+the region does not hold, or with which no run begins, are refused.  A question's seed is that of the first
+decision of a run with a declared seed, so that a scenario file can ask it again.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
-from safety_harness.controller.desired import reachable
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.arrays import Array3
 from safety_harness.scoring.asking import asked_together
-from safety_harness.scoring.question_file import seed_of
+from safety_harness.scoring.figures import WRONG_M
+from safety_harness.scoring.question_file import begins_clear, seed_of
 from safety_harness.scoring.questions import Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.search.cube import Column, Cube, Points
@@ -34,6 +34,7 @@ from safety_harness.seeds import seed as leaf
 SEARCHER, BATCH = "diverse", 64
 SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
 DRAWS = 500  # for the boxes that are searched
+TOLERANCE_M = 0.010  # towards the hand
 APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
 # Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
 _FAR_M = 10.0
@@ -44,6 +45,11 @@ class Objective(Enum):
 
     TOWARDS = "leads least away from the hand"
     SURE_AND_OFF = "sure, and farthest from the optimum"
+
+    @property
+    def limit_m(self) -> float:
+        """What is not worse than that is shown to nobody; the claims of the files have the same limits."""
+        return TOLERANCE_M if self is Objective.TOWARDS else WRONG_M
 
 
 OBJECTIVES = tuple(Objective)
@@ -115,14 +121,17 @@ class _Searching:
         at = self._low + points[:, :6] * (self._high - self._low)
         tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
         held = self.region.holds(hands, tcps)
-        held[held] = reachable(tcps[held], self.region.settings)
+        held[held] = [
+            begins_clear(self.region.settings, hand, tcp)
+            for hand, tcp in zip(hands[held], tcps[held], strict=True)
+        ]
         numbers = self.which.interval_of(points[:, 6])[held]
         margins = np.full((len(points), len(OBJECTIVES)), np.nan)
         if held.any():
             seeds = np.array([seed_of(seed) for seed in self.scenario_seeds], np.uint64)[numbers]
             margins[held] = self._asked(Questions(hands[held], tcps[held], seeds), numbers)
         known = Outcomes.of_margins(margins)
-        refused = ["" if one else "not in the region" for one in held]
+        refused = ["" if one else "no run begins so" for one in held]
         return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
 
     def _asked(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -199,6 +208,7 @@ def worst_questions(searches: Sequence[Searched], most: int) -> list[tuple[Objec
 
 
 def _by_badness(searches: Sequence[Searched], objective: Objective) -> Iterator[tuple[Objective, Tried]]:
-    every = [one for ledger in searches for one in ledger.tried if one.badness_m(objective) > -np.inf]
+    tried = (one for ledger in searches for one in ledger.tried)
+    every = [one for one in tried if one.badness_m(objective) > objective.limit_m]
     for one in sorted(every, key=lambda one: -one.badness_m(objective)):
         yield objective, one

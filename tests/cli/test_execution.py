@@ -122,7 +122,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
     monkeypatch.setattr(host, "executed", {})
-    host._hosts.clear()  # processes that live from a test before
+    host._shared.clear()  # processes that live from a test before
     return folder
 
 

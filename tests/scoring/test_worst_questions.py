@@ -12,7 +12,7 @@ from safety_harness.avoidance.avoider import Proposal
 from safety_harness.avoidance.measures import gained_m, optimum_in_base_m
 from safety_harness.scoring import worst as module
 from safety_harness.scoring.asking import asked_together
-from safety_harness.scoring.question_file import seed_of
+from safety_harness.scoring.question_file import begins_clear, seed_of
 from safety_harness.scoring.questions import Questions
 from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.worst import Objective, Searched, search_region, worst_questions
@@ -82,6 +82,7 @@ def test_every_question_is_in_the_region_and_has_a_declared_seed() -> None:
     tcps = np.array([one.tcp_in_base_m for one in ledger.tried])
     assert ledger.asked == len(ledger.tried) == 600
     assert SEEN.holds(hands, tcps).all()
+    assert all(begins_clear(DEFAULTS, hand, tcp) for hand, tcp in zip(hands, tcps, strict=True))
     assert len({one.scenario_seed for one in ledger.tried}) == module.SEEDS
 
 
@@ -103,6 +104,16 @@ def test_the_avoider_is_asked_with_the_seed_that_a_run_asks_with() -> None:
 
     ledger = searched(Listens(), budget=64)
     assert set(asked) == {seed_of(one.scenario_seed) for one in ledger.tried}
+
+
+def test_a_sound_answer_is_no_worst_question_however_little_there_is_that_is_worse() -> None:
+    @dataclass(eq=False)
+    class Sound(WrongNear):
+        def propose(self, **question: Floats) -> Proposal:  # type: ignore[override]
+            hand, tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
+            return Proposal(tcp + 0.1 * (tcp - hand) / np.linalg.norm(tcp - hand), np.full(3, 0.1))
+
+    assert worst_questions([searched(Sound(spread_threshold_m=0.05), budget=200)], 10) == []
 
 
 def test_an_avoider_in_doubt_is_not_wrong_and_sure() -> None:
