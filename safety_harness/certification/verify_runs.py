@@ -28,8 +28,8 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.trace import overruling
 from safety_harness.trace.compare import first_difference
+from safety_harness.trace.overruling import COUNTS as OVERRULED
 
 MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
 MOST_TOGETHER = 32
@@ -161,7 +161,7 @@ class Compared:
 
 _JUDGEMENTS = "SELECT claim, outcome, margin FROM judgement WHERE stratum = ? AND episode = ?"
 _COUNTS = (
-    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *overruling.COUNTS))}, c.words, "
+    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *OVERRULED))}, c.words, "
     "e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
     "WHERE e.stratum = ? AND e.episode = ?"
 )
