@@ -85,7 +85,7 @@ class Gate:
     """Rules on proposals; holds no state between decisions."""
 
     kinematics: InverseKinematics
-    fallback: OppositePose
+    fallback: Avoider
     min_singular_value: float
     lowest_tcp_height_m: float
     kind: GateKind = GateKind.FULL

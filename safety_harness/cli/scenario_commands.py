@@ -247,3 +247,31 @@ def sample(
     from safety_harness.cli.show import sample as sample_space
 
     return sample_space(space, out=out, count=count, seed=seed)
+
+
+@command(commands, interrupted="interrupted before anything was attributed")
+def attribute(
+    runs: Annotated[
+        list[Path],
+        Argument(help="Scenario files, such as fuzz writes, traces, or folders of them.", metavar="RUN..."),
+    ],
+    avoider: OfAvoider = None,
+    out: Annotated[
+        Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
+    ] = None,
+    confirm: Annotated[
+        bool, Option("--confirm", help="Run each violation, and what is blamed changed, in PyBullet too.")
+    ] = False,
+) -> int:
+    """Say whose fault each violation is: the same run again with one ingredient changed, then two.
+
+    Changed are the avoider, its deadline, perception, drives and brakes, the servoing camera, prediction, the
+    gate, the fallback, the critical distance, and last the hand, which goes half as fast.  What no arm could
+    have kept is unavoidable.  Of a trace all that it violates is attributed, of a scenario file all that the
+    kinematic replay violates.  The program that a trace was made with has to be named again with --avoider.
+    Exit code 0: every violation has an answer, or there is none; 1: one is not attributed, since the
+    kinematic replay does not show it; 2: bad input, nothing was run; 130: interrupted.
+    """
+    from safety_harness.cli.attribute import attribute_runs
+
+    return attribute_runs(runs, avoider, out, confirm)

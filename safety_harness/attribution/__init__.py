@@ -1,0 +1,1 @@
+"""Whose fault a violation is: the same run again with one ingredient changed at a time, then two."""

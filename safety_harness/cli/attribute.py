@@ -1,0 +1,126 @@
+"""``safety-harness attribute``: whose fault the violations of runs are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from safety_harness.admission.admit import Admitted, Admitter
+from safety_harness.admission.avoiders import is_a_program, with_avoider
+from safety_harness.admission.trial import judge
+from safety_harness.attribution.attribute import Answer, Attribution, attribute, confirmed
+from safety_harness.attribution.tally import AttributionTally
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    explain_each,
+    result,
+    say,
+    usable,
+)
+from safety_harness.cli.runs import bar_of
+from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
+from safety_harness.report.attribution_picture import draw_attributions
+from safety_harness.report.page_parts import asset
+from safety_harness.report.svg import standalone
+from safety_harness.scenario.expand import gather
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.trace.store import load_trace
+from safety_harness.whole_file import write_text
+
+DATA, PICTURE = "attribution.json", "attribution.svg"
+TRACE = ".trace"
+
+
+def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
+    """Attribute, print, write; returns the exit code."""
+    scenarios, errors = _scenarios(paths, avoider)
+    admitted, refused = usable(scenarios, Admitter().admit)
+    if errors or refused:
+        say(f"{explain_each([*errors, *refused])} of the inputs cannot be used; nothing was run.")
+        return BAD_INPUT
+    session = _Session(confirm)
+    try:
+        with bar_of("runs") as bar:
+            for one in bar.track(admitted):
+                session.take(one)
+    except KeyboardInterrupt:
+        session.interrupted = True
+    tally = AttributionTally.of(session.found)
+    result(*tally.lines())
+    if not session.found:
+        say(f"no violation in {len(admitted)} of the runs: nothing to attribute")
+    if out is not None:
+        write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
+        write_text(out / PICTURE, standalone(draw_attributions(tally), style=asset("report.css")))
+        say(f"picture: {out / PICTURE} (for programs: {DATA})")
+    if session.interrupted:
+        say("interrupted: what was attributed until then is above")
+        return INTERRUPTED
+    missing = any(one.answer is Answer.NOT_ATTRIBUTED for one in session.found)
+    return DIFFERS if missing else AS_EXPECTED
+
+
+@dataclass
+class _Session:
+    """What was attributed so far."""
+
+    confirm: bool
+    found: list[Attribution] = field(default_factory=list)
+    interrupted: bool = False
+
+    def take(self, admitted: Admitted) -> None:
+        """Attribute and print the violations of one run."""
+        for one in attribute(admitted):
+            self.found.append(one)
+            margin = one.unit.margin_text(one.margin)
+            result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")
+            if self.confirm and one.answer is not Answer.NOT_ATTRIBUTED:
+                for again in confirmed(admitted, one):
+                    margin = one.unit.margin_text(again.margin)
+                    result(f"    in PyBullet, {again.words or 'as it is'}: {again.outcome.value}, {margin}")
+
+
+def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenario], list[InputError]]:
+    """What is to be run again: of a trace its scenario, which claims what it violates."""
+    traces = [path for path in paths if path.suffix == TRACE]
+    files = [path for path in paths if path.suffix != TRACE and not path.is_dir()]
+    errors: list[InputError] = []
+    for folder in (path for path in paths if path.is_dir()):
+        own = sorted(folder.glob("*.yaml"))
+        files += own
+        traces += [path for path in sorted(folder.rglob(f"*{TRACE}")) if path.with_suffix(".yaml") not in own]
+        if not (own or traces):
+            expected = f"a folder with scenario files (*.yaml) or traces (*{TRACE})"
+            errors.append(ScenarioError(place=Place(file=folder), expected=expected, got="none in it"))
+    gathered = gather(files) if files else None
+    named = gathered.scenarios if gathered else []
+    chosen, refused = usable(named, lambda one: one if avoider is None else with_avoider(one, avoider))
+    stored, unread = usable(traces, lambda path: _violated(path, avoider))
+    errors += [*(gathered.errors if gathered else ()), *refused, *unread]
+    return [*chosen, *(one for one in stored if one.claims)], errors
+
+
+def _violated(path: Path, avoider: str | None) -> Scenario:
+    """The scenario of a trace, with the claims that the trace violates alone."""
+    trace = load_trace(path)
+    scenario = trace.scenario
+    if avoider is not None:
+        scenario = with_avoider(scenario, avoider)
+    elif is_a_program(scenario.avoider):
+        raise TraceError(
+            place=Place(file=path, field="avoider"),
+            expected="the program named with --avoider, since repeating the run executes it",
+            got=f"a trace made with {scenario.avoider}",
+        )
+    evaluations = judge(trace, file=path)
+    claims = tuple(
+        replace(claim, expected=Verdict.VIOLATED)
+        for claim, evaluation in zip(trace.scenario.claims, evaluations, strict=True)
+        if evaluation.verdict is Verdict.VIOLATED
+    )
+    return replace(scenario, claims=claims)

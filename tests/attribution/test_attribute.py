@@ -1,0 +1,209 @@
+"""A violation whose cause was planted is attributed to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from examples import VISIT, TowardsTheHand, hand, scenario
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.attribution.attribute import Answer, Attribution, Outcome, attribute, confirmed
+from safety_harness.attribution.ingredients import CHANGES, Altered, ExactOptimum, Ingredient
+from safety_harness.attribution.tally import AttributionTally
+from safety_harness.avoidance.measures import optimum_in_base_m
+from safety_harness.avoidance.simple import OppositePose
+from safety_harness.exceptions import InadmissibleError
+from safety_harness.scenario.faults import (
+    AvoiderNaN,
+    AvoiderSilent,
+    Fault,
+    HandSensorBlind,
+    Joint,
+    JointStuck,
+)
+from safety_harness.scenario.model import Claim, MovingHand, Scenario, Verdict
+from safety_harness.scenario.moves import MoveTo, ReachForTcp, Wait, Withdraw
+from safety_harness.settings import DEFAULTS, DecisionTimes, GateKind, Settings
+from safety_harness.trace.trace import Trace
+
+DISTANCE = "hand distance never below 50 mm"
+AWAY = "repulsion moves away from every hand"
+SLOW_HAND = hand(
+    MoveTo(position_in_base_m=(0.76, -0.08, 0.38), speed_mps=0.25),
+    Wait(duration_s=1.0),
+    Withdraw(speed_mps=1.0),
+)
+
+
+def claim(sentence: str) -> Claim:
+    return Claim(sentence=sentence, expected=Verdict.HOLDS)
+
+
+def with_avoidance(**changed: object) -> Settings:
+    return replace(DEFAULTS, avoidance=replace(DEFAULTS.avoidance, **changed))  # type: ignore[arg-type]
+
+
+def slow(settings: Settings = DEFAULTS, *faults: Fault) -> Scenario:
+    return replace(scenario(SLOW_HAND, duration_s=6.0, settings=settings), faults=faults)
+
+
+def only(admitted: Admitted, sentence: str = DISTANCE) -> Attribution:
+    (found,) = attribute(admitted, [claim(sentence)])
+    return found
+
+
+REACH = with_avoidance(gate=GateKind.REACH)
+SMALL = with_avoidance(critical_distance_m=0.1)
+LATE = with_avoidance(decision_deadline_s=3.0, decision_time=DecisionTimes(quantiles_s=(1.6,)))
+
+
+def reversed_avoider() -> Admitted:
+    return admit(scenario(VISIT, settings=REACH), avoider=TowardsTheHand())
+
+
+def test_what_an_ordinary_system_keeps_is_what_these_tests_break() -> None:
+    assert attribute(admit(replace(slow(), claims=(claim(DISTANCE),)))) == ()
+
+
+def test_a_reversed_avoider_is_blamed() -> None:
+    found = only(reversed_avoider(), AWAY)
+    assert found.cause == (Ingredient.AVOIDER,)
+    assert found.margin is not None
+    assert found.margin < -0.3
+    assert any(one.ingredients == (Ingredient.GATE,) for one in found.helping)  # the full gate sees it too
+    assert found.words.startswith("avoider (exact optimum): +")
+
+
+def test_late_decisions_are_blamed_and_not_what_is_decided() -> None:
+    found = only(admit(slow(LATE)))
+    assert [one.ingredients for one in found.helping] == [(Ingredient.DEADLINE,)]
+
+
+def test_a_blind_sensor_is_blamed() -> None:
+    found = only(admit(slow(DEFAULTS, HandSensorBlind())))
+    assert [one.ingredients for one in found.helping] == [(Ingredient.PERCEPTION,)]
+
+
+def test_a_small_critical_distance_is_blamed_with_the_least_change_that_helps() -> None:
+    found = only(admit(slow(SMALL)))
+    assert found.group == "critical distance"
+    assert found.words.startswith("critical distance (x 2): +")
+    alone = {one.words: one.outcome for one in found.replays if len(one.changes) == 1}
+    assert alone["critical distance (x 1.5)"] is Outcome.VIOLATED
+
+
+def test_a_stuck_joint_is_blamed_for_all_that_it_breaks() -> None:
+    stuck = replace(scenario(VISIT), faults=(JointStuck(joint=Joint.ELBOW, from_s=0.5),))
+    sentences = [AWAY, "TCP acceleration never above 2 m/s2", "joint accelerations never above 500 deg/s2"]
+    found = attribute(admit(replace(stuck, claims=tuple(map(claim, sentences)))))
+    assert len(found) > 1
+    assert {one.cause for one in found} == {(Ingredient.DRIVES,)}
+
+
+@pytest.mark.parametrize("fault", [AvoiderNaN(), AvoiderSilent()])
+def test_an_avoider_that_answers_nothing_is_blamed(fault: Fault) -> None:
+    found = only(admit(replace(scenario(VISIT), faults=(fault,))), "proposed repulsive poses reachable")
+    assert found.cause == (Ingredient.AVOIDER,)
+
+
+def test_two_causes_are_named_together() -> None:
+    found = only(admit(slow(LATE, HandSensorBlind())))
+    assert found.cause == (Ingredient.DEADLINE, Ingredient.PERCEPTION)
+    assert found.group == "deadline and perception"
+    assert not any(one.helps for one in found.replays if len(one.changes) == 1)
+
+
+def test_what_the_replay_does_not_show_is_not_attributed() -> None:
+    found = only(admit(slow()))
+    assert found.answer is Answer.NOT_ATTRIBUTED
+    assert found.words == "not attributed: the kinematic replay does not reproduce it: holds"
+    assert not found.replays
+    expected = replace(slow(), claims=(Claim(sentence=DISTANCE, expected=Verdict.VIOLATED),))
+    assert [one.answer for one in attribute(admit(expected))] == [Answer.NOT_ATTRIBUTED]
+
+
+def test_a_run_that_fails_is_not_attributed() -> None:
+    def fails(systems: Sequence[Altered]) -> list[Trace | Exception]:
+        return [ValueError("no such run") for _ in systems]
+
+    (found,) = attribute(admit(slow(SMALL)), [claim(DISTANCE)], run=fails)
+    assert found.answer is Answer.NOT_ATTRIBUTED
+    assert "no such run" in found.why
+
+
+def test_it_is_the_same_every_time() -> None:
+    first, again = (only(admit(slow(SMALL))) for _ in range(2))
+    assert first.words == again.words
+    assert [(one.words, one.margin) for one in first.replays] == [
+        (one.words, one.margin) for one in again.replays
+    ]
+
+
+def test_pybullet_confirms_what_is_blamed() -> None:
+    system = admit(slow(SMALL))
+    as_it_is, changed = confirmed(system, only(system))
+    assert (as_it_is.outcome, changed.outcome) == (Outcome.VIOLATED, Outcome.KEPT)
+
+
+def test_a_claim_that_is_none_is_refused() -> None:
+    with pytest.raises(InadmissibleError):
+        attribute(admit(slow()), [claim("all is well")])
+
+
+def test_the_exact_optimum_is_the_closed_form_one_at_a_time_and_together() -> None:
+    rng = np.random.default_rng(3)
+    hands, tcps = rng.uniform(-1.0, 1.0, (2, 5, 3))
+    avoider = ExactOptimum(OppositePose(0.1), DEFAULTS)
+    expected = optimum_in_base_m(DEFAULTS, hands, tcps)
+    together, spreads = avoider.propose_many(hands, tcps, np.zeros(5, np.uint64))
+    single = [
+        avoider.propose(hand_position_in_base_m=h, tcp_position_in_base_m=t, seed=0).position_in_base_m
+        for h, t in zip(hands, tcps, strict=True)
+    ]
+    assert np.array_equal(together, expected)
+    assert not spreads.any()
+    assert np.allclose(single, expected, rtol=0.0, atol=1e-15)
+
+
+def test_what_changes_nothing_is_not_tried() -> None:
+    system = Altered.of(admit(scenario(hand())))
+    tried = {str(change) for change in CHANGES if change.on(system) is not None}
+    idle = {"deadline (answers within a tick)", "perception (ideal)", "servoing (ideal camera)"}
+    assert not tried & {*idle, "avoider (opposite pose)", "hand (half as fast)"}
+    assert "avoider (exact optimum)" in tried
+    assert "gate (the other kind)" in tried
+
+
+def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
+    moves = (
+        Wait(duration_s=0.5),
+        ReachForTcp(speed_mps=1.0, until_distance_m=0.2, at_most_s=2.0),
+        Withdraw(speed_mps=0.6),
+    )
+    (change,) = (one for one in CHANGES if one.ingredient is Ingredient.HAND)
+    slower = change.on(Altered.of(admit(scenario(hand(*moves)))))
+    assert slower is not None
+    assert slower.scenario.duration_s == 5.0
+    (half,) = slower.scenario.hands
+    assert isinstance(half, MovingHand)
+    assert half.moves == (
+        Wait(duration_s=0.5),
+        ReachForTcp(speed_mps=0.5, until_distance_m=0.2, at_most_s=4.0),
+        Withdraw(speed_mps=0.3),
+    )
+
+
+def test_a_tally_counts_each_violation_once_and_every_change_that_helps() -> None:
+    found = [only(reversed_avoider(), AWAY), only(admit(slow(SMALL))), only(admit(slow()))]
+    tally = AttributionTally.of(found)
+    assert tally.words == "of 3: 1 avoider, 1 critical distance, 1 not attributed"
+    assert tally.would_help["avoider (exact optimum)"] == 1
+    assert tally.would_help["critical distance (x 2)"] == 1
+    assert tally.would_help["critical distance (x 1.5)"] == 0
+    assert list(AttributionTally.of([]).lines()) == []
+    data = tally.as_json()
+    assert data["violations"] == 3
+    assert data["groups"] == tally.groups
