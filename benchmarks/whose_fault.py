@@ -43,6 +43,7 @@ NO_CLAIMS = ("the run can be carried through", "the same question has the same a
 
 
 def main() -> None:
+    """As the command line asks."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--draws", type=int, default=300)
     parser.add_argument("--motions", type=int, default=1000)

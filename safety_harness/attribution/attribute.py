@@ -17,7 +17,7 @@ from typing import Protocol
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
-from safety_harness.attribution.ingredients import Altered, Change, Ingredient, changes_for
+from safety_harness.attribution.ingredients import CHOSEN, Altered, Change, Ingredient, changes_for
 from safety_harness.attribution.unavoidable import why_unavoidable
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.answered import NOT_MODELLED
@@ -37,7 +37,7 @@ class Outcome(Enum):
     """What became of the claim in a replay."""
 
     KEPT = "kept"
-    NO_OCCASION = "no longer put to the test"
+    NO_OCCASION = "no longer exercised"
     VIOLATED = "still violated"
     UNTOLD = "no verdict"
 
@@ -307,17 +307,19 @@ def _best(replays: Iterable[Replay]) -> list[Replay]:
 def _least(replays: Iterable[Replay]) -> tuple[Replay, ...]:
     """For every set of ingredients that helps, its first change that does; the one that is blamed first.
 
-    The system is blamed before the hand; what keeps the claim before what takes the occasion away; those of
-    which every change helps before those of which some do; then in the order of ``Ingredient``.
+    The system is blamed before the hand; what keeps the claim before what takes the occasion away; what can
+    be broken before what a designer chose, and of the latter those of which more changes help; then in the
+    order of ``Ingredient``.
     """
     found = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
             first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
-            found.append((-len(helping) / len(group), _rank(first.ingredients), first))
-    found.sort(key=lambda one: (*_last_resort(one[2]), *one[:2]))
-    return tuple(replay for *_, replay in found)
+            broken = CHOSEN.isdisjoint(first.ingredients)
+            seldom = -1.0 if broken else 1.0 - len(helping) / len(group)
+            found.append((*_last_resort(first), seldom, _rank(first.ingredients), first))
+    return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:-1]))
 
 
 def _last_resort(replay: Replay) -> tuple[bool, bool]:

@@ -57,8 +57,8 @@ FARTHEST_M = 3.0  # a critical distance that a scenario may have
 class Ingredient(Enum):
     """What a run is made of.
 
-    In the order in which they are blamed where everything else is equal: what answers, what it knows, what
-    carries out, then what the designer chose, and last the person.
+    In the order in which they are blamed where everything else is equal: what can be broken, then what a
+    designer chose (``CHOSEN``), and last the person.
     """
 
     AVOIDER = "avoider"
@@ -66,11 +66,14 @@ class Ingredient(Enum):
     PERCEPTION = "perception"
     DRIVES = "drives and brakes"
     SERVOING = "servoing"
-    PREDICTION = "prediction"
     GATE = "gate"
+    PREDICTION = "prediction"
     FALLBACK = "fallback"
     DISTANCE = "critical distance"
     HAND = "hand"
+
+
+CHOSEN = frozenset({Ingredient.PREDICTION, Ingredient.FALLBACK, Ingredient.DISTANCE})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,7 +192,7 @@ def _opposite(system: Altered) -> Altered:
 
 
 def _in_a_tick(system: Altered) -> Altered:
-    """Answers within one control period where any took longer: no time at all puts nothing to the test."""
+    """Answers within one control period where any took longer: no time at all exercises nothing."""
     on_time, settings = system.without(AvoiderLate), system.scenario.settings
     declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
     if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
@@ -318,9 +321,9 @@ CHANGES: tuple[Change, ...] = (
     Change(Ingredient.PERCEPTION, "ideal", _exact_hands),
     Change(Ingredient.DRIVES, "ideal", _sound_drives),
     Change(Ingredient.SERVOING, "ideal camera", _exact_camera),
+    Change(Ingredient.GATE, "the other kind", _other_gate),
     Change(Ingredient.PREDICTION, "none", _predicting(lambda settings: 0.0)),
     Change(Ingredient.PREDICTION, "as far as a stop takes", _predicting(_time_to_stop_s)),
-    Change(Ingredient.GATE, "the other kind", _other_gate),
     Change(Ingredient.FALLBACK, "protective stop", _stops),
     Change(Ingredient.DISTANCE, "x 1.5", _avoiding_from(lambda s: 1.5 * s.avoidance.critical_distance_m)),
     Change(Ingredient.DISTANCE, "x 2", _avoiding_from(lambda s: 2.0 * s.avoidance.critical_distance_m)),

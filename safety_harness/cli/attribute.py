@@ -91,18 +91,18 @@ def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenari
     files = [path for path in paths if path.suffix != TRACE and not path.is_dir()]
     errors: list[InputError] = []
     for folder in (path for path in paths if path.is_dir()):
-        own = sorted(folder.glob("*.yaml"))
+        own, stored = sorted(folder.glob("*.yaml")), sorted(folder.rglob(f"*{TRACE}"))
         files += own
-        traces += [path for path in sorted(folder.rglob(f"*{TRACE}")) if path.with_suffix(".yaml") not in own]
-        if not (own or traces):
+        traces += [path for path in stored if path.with_suffix(".yaml") not in own]
+        if not (own or stored):
             expected = f"a folder with scenario files (*.yaml) or traces (*{TRACE})"
             errors.append(ScenarioError(place=Place(file=folder), expected=expected, got="none in it"))
     gathered = gather(files) if files else None
     named = gathered.scenarios if gathered else []
     chosen, refused = usable(named, lambda one: one if avoider is None else with_avoider(one, avoider))
-    stored, unread = usable(traces, lambda path: _violated(path, avoider))
+    violated, unread = usable(traces, lambda path: _violated(path, avoider))
     errors += [*(gathered.errors if gathered else ()), *refused, *unread]
-    return [*chosen, *(one for one in stored if one.claims)], errors
+    return [*chosen, *(one for one in violated if one.claims)], errors
 
 
 def _violated(path: Path, avoider: str | None) -> Scenario:
