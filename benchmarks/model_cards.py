@@ -20,7 +20,7 @@ from safety_harness.admission.measured_times import answer_times_s, machine
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.cli.learning import evaluate
+from safety_harness.cli.learning import metrics
 from safety_harness.report.words import milliseconds_words
 from safety_harness.settings import DEFAULTS
 
@@ -136,7 +136,7 @@ def main() -> None:
     """Evaluate, and write the page."""
     with tempfile.TemporaryDirectory() as folder:
         figures = Path(folder) / "figures.json"
-        if evaluate(SHIPPED, out=figures) != 0:
+        if metrics(SHIPPED, out=figures) != 0:
             sys.exit("the shipped models cannot be evaluated")
         found = json.loads(figures.read_text())
     models = {name: load_model(shipped_model(name)) for name in SHIPPED}

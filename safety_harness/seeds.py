@@ -23,6 +23,7 @@ class Branch(IntEnum):
     STATISTICS = 7
     SELFTEST = 8
     DECISION_TIME = 9
+    SCORING = 10
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

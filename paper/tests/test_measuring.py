@@ -13,7 +13,7 @@ import pytest
 from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.candidates import CandidateCap
 from safety_harness.avoidance.shipped import shipped_model
-from safety_harness.learning.evaluation import reachable
+from safety_harness.controller.desired import reachable
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import DEFAULTS

@@ -105,8 +105,9 @@ class Altered(Admitted):
         return self.with_scenario(replace(self.scenario, faults=kept))
 
     def with_settings(self, alter: Callable[[Settings], Settings]) -> Altered:
-        """With other settings."""
-        return self.with_scenario(replace(self.scenario, settings=alter(self.scenario.settings)))
+        """With other settings of controller, hand sensor or brakes: none of those below is refused."""
+        scenario = replace(self.scenario, settings=alter(self.scenario.settings))
+        return self if scenario == self.scenario else replace(self, scenario=scenario)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +241,8 @@ def _exact_camera(system: Altered) -> Altered:
         )
         return replace(settings, camera=camera)
 
-    return system.without(CameraFault).with_settings(alter)
+    seen = system.without(CameraFault)
+    return seen.with_scenario(replace(seen.scenario, settings=alter(seen.scenario.settings)))
 
 
 def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], Altered]:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterator
+from pathlib import Path
 
+from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import PAIRS
+from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.properties.against import SCALES, TOLERANCE, p_words, paired_words
+from safety_harness.scenario.references import file_and_name
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.whole_file import write_text
 
 _NOT = f"IN ({int(EpisodeOutcome.HOLDS)}, {int(EpisodeOutcome.UNTESTED)})"  # surely not violated
 _ONLY_ONE = (
@@ -19,6 +26,23 @@ _LOST = (
     f"WHERE c.sentence = ? AND a.outcome = {int(EpisodeOutcome.HOLDS)} AND b.outcome = a.outcome "
     "AND b.margin - a.margin > ?"
 )
+
+
+def plan_against(ledger: Ledger, reference: str) -> Plan:
+    """The ledger's plan with ``reference`` (named from the working directory) for its avoider.
+
+    It is written, with all its files, to a folder beside the ledger, and read from there.
+    """
+    slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
+    file = unpacked(ledger.files, ledger.path.parent / f"{ledger.path.stem}-against-{slug}")
+    own, name = file_and_name(reference)
+    if own:
+        own = os.path.relpath(Path(own).expanduser().resolve(), file.parent)
+        reference = f"{own}:{name}" if name else own
+    line, text = f"avoider: {reference}", file.read_text()
+    replaced, count = re.subn(r"(?m)^avoider:.*$", lambda _: line, text)
+    write_text(file, replaced if count else f"{text.rstrip()}\n{line}\n")
+    return read_plan(file)
 
 
 def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:

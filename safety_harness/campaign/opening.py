@@ -146,6 +146,8 @@ def explained(path: Path) -> Iterator[None]:
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise unusable(path, "a ledger that nobody else keeps locked", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error
+    except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
+        raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say, say_shared_modules
-from safety_harness.cli.options import command
+from safety_harness.cli.options import OfReference, command
 from safety_harness.exceptions import LedgerError, Place, ScenarioError
 
 if TYPE_CHECKING:
@@ -198,24 +198,41 @@ def export(
 
 @_command()
 def compare(
-    first: Annotated[Path, Argument(help="The ledger before.", metavar="A")],
-    second: Annotated[Path, Argument(help="The ledger after.", metavar="B")],
+    first: Annotated[Path, Argument(help="The ledger before; with --against, that after.", metavar="A")],
+    second: Annotated[Path | None, Argument(help="The ledger after.", metavar="[B]")] = None,
+    against: OfReference = None,
+    workers: _Workers = None,
 ) -> int:
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
+    With --against in place of B the plan of A is run with that avoider first, beside the ledger, or what is
+    left of it; then it says what is worse in A.
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
     episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
     margin first; last margins that B lost though both hold, and in one sentence the episodes that only one of
     them violates any claim in.
-    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared.
+    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
+    not end well, its own.
     """
-    from safety_harness.campaign.against import against_lines
+    from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
     from safety_harness.campaign.overruled import compare_overruling
+    from safety_harness.campaign.session import LEDGER
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
 
+    if (second is None) is (against is None):
+        expected = "either B or --against"
+        raise ScenarioError(place=Place(field="compare"), expected=expected, got="both or none")
+    if against is not None:
+        with Ledger.open(first) as mine:
+            plan = plan_against(mine, against)
+        first, second = plan.file.parent / LEDGER, first
+        code = _carry_on(plan, first, workers, None, "1/1")
+        if code != AS_EXPECTED:
+            return code
+    assert second is not None
     with Ledger.open(first) as before, Ledger.open(second) as after:
         for one_of in (before, after):
             if words := fallback_of(one_of).words:

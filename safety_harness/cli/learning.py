@@ -167,8 +167,8 @@ def _epoch_lines(recipe: Recipe) -> Callable[[Epoch], None]:
     return tell
 
 
-@command(commands, interrupted="interrupted: no evaluation was written")
-def evaluate(
+@command(commands, interrupted="interrupted: no figures were written")
+def metrics(
     models: Annotated[
         list[str],
         Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
@@ -177,8 +177,9 @@ def evaluate(
     seed: Seed = 0,
     out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
 ) -> int:
-    """Compare models on seen and unseen space: errors, intervals, coverage, doubt as a detector.
+    """Compare networks on seen and unseen space: errors, intervals, coverage, doubt as a detector.
 
+    Against what they learn, eq. 13's labels; ``evaluate`` scores any avoider.
     Every model answers the same questions; no sample was used in training or calibration.
     Exit code 0; 2: bad input; 130: interrupted.
     """

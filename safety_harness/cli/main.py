@@ -11,6 +11,7 @@ from safety_harness.cli.campaign import commands as of_campaigns
 from safety_harness.cli.certify import commands as of_reports
 from safety_harness.cli.certify import of_certify
 from safety_harness.cli.console import BAD_INPUT, explain
+from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.scenario_commands import commands as of_scenarios
@@ -22,9 +23,9 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
-    "it, and certify; make the data of a learned avoider, train, evaluate and export it.",
+    "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (of_scenarios, of_search, of_reports, of_selftest):
+for group in (of_scenarios, of_search, of_scoring, of_reports, of_selftest):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")

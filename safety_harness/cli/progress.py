@@ -48,6 +48,13 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
 
 
 @contextmanager
+def watching_steps() -> Iterator[Callable[[str], None]]:
+    """Yields what is told which step comes next: one line that changes, or without a terminal a line each."""
+    with _lines() as show:
+        yield lambda words: show([words], True)
+
+
+@contextmanager
 def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yields what is told of the progress: rate, time left, worst margins, violations."""
     claims = tuple(claim.sentence for claim in plan.claims)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import inverse_transform, transform_from
 from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.servoing.control import DesiredView, desired_view
 from safety_harness.settings import Settings
 
@@ -17,6 +20,21 @@ DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base: x forward, y right, z dow
 def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
     """(4, 4) the desired TCP pose: straight above the object, looking down."""
     return transform_from(DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
+
+
+def reachable(positions_in_base_m: ArrayNx3, settings: Settings) -> NDArray[np.bool_]:
+    """(n,): has the position inverse kinematics within the joint limits, in the desired orientation?
+
+    ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
+    """
+    kinematics = InverseKinematics(load_arm())
+    pose = desired_transform_tcp_to_base(settings)
+    reference = np.array(settings.cell.preferred_joint_position_rad)
+    has = np.empty(len(positions_in_base_m), dtype=np.bool_)
+    for k, position in enumerate(positions_in_base_m):
+        pose[:3, 3] = position
+        has[k] = kinematics.nearest(pose, reference) is not None
+    return has
 
 
 def desired_camera(settings: Settings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Dropout, Model
-from safety_harness.controller.desired import desired_transform_tcp_to_base
+from safety_harness.controller.desired import reachable
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.dataset import (
     SPACES,
@@ -50,8 +50,6 @@ from safety_harness.learning.metrics import (
 from safety_harness.learning.recipes import SplitKind
 from safety_harness.learning.trained_model import interval_scale
 from safety_harness.proportions import Proportion
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import Settings
 
 Floats = NDArray[np.float64]
@@ -287,21 +285,6 @@ def evaluate_model(
             )
         )
     return figures
-
-
-def reachable(positions_in_base_m: Floats, settings: Settings) -> NDArray[np.bool_]:
-    """(n,): has the position inverse kinematics within the joint limits, in the desired orientation?
-
-    ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
-    """
-    kinematics = InverseKinematics(load_arm())
-    pose = desired_transform_tcp_to_base(settings)
-    reference = np.array(settings.cell.preferred_joint_position_rad)
-    has = np.empty(len(positions_in_base_m), dtype=np.bool_)
-    for k, position in enumerate(positions_in_base_m):
-        pose[:3, 3] = position
-        has[k] = kinematics.nearest(pose, reference) is not None
-    return has
 
 
 def _recipe(model: Model) -> Mapping[str, Any]:

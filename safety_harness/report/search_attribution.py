@@ -42,7 +42,8 @@ class FaultsOfSearch:
 
     def as_json(self) -> dict[str, object]:
         """As a tally's, with how many of how many."""
-        return {"groups of violations": self.groups, "attributed": self.attributed} | self.tally.as_json()
+        counts = {"groups of violations": self.groups, "attributed": self.attributed}
+        return {"words": self.words} | counts | self.tally.as_json()
 
 
 @dataclass(eq=False)

@@ -67,7 +67,7 @@ class SearchEvidence:
     findings: Findings
     fallback: str
     overruling: Overruling  # in the runs of the search
-    repeated: Repeated | None
+    repeated: Repeated | None = None
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

@@ -94,8 +94,8 @@ class Overruling:
         of_all = f"{self.proposals:,} {'proposal' if self.proposals == 1 else 'proposals'}"
         said = f"overruled {self.overruled:,} of {of_all} ({share_words(self.overruled, self.proposals)})"
         why = ", ".join(f"{n:,} {_NAMES[check].replace('_', ' ')}" for check, n in self.reasons.most_common())
-        ways = ((self.replaced, "replaced by the opposite pose"), (self.stopped, "by a stop"))
-        instead = ", ".join(f"{n:,} {how}" for n, how in ways if n)
+        ways = ((self.replaced, "by the opposite pose"), (self.stopped, "by a stop"))
+        instead = ", ".join(f"{n:,} {how}" for n, how in ways if n).replace(" ", " replaced ", 1)
         return "; ".join(filter(None, (f"{said}: {why}" if why else said, instead)))
 
     @property

@@ -36,6 +36,16 @@ class Counts(Pure):
         return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 1e-4 * self.asked])
 
 
+class Drawn(Pure):
+    name = "draws from the process's own stream"
+
+    def __init__(self):
+        np.random.seed(0)
+
+    def propose(self, *, tcp_position_in_base_m, **question):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.05 + 0.01 * np.random.random()])
+
+
 class Clocked(Pure):
     name = "looks at the clock"
 

@@ -85,12 +85,16 @@ def test_none_of_ours_is_noticed(name: str) -> None:
 
 
 def test_asking_again_leaves_the_first_avoider_and_its_runs_alone(file: Path) -> None:
+    other = file.with_name("another.py")  # has a process of its own
+    other.write_text(TEXT)
     untouched, checked = Admitter(), Admitter()
-    alone = [*runs(f"{file}:Counts", untouched), *runs(f"{file}:Counts", untouched)]
-    first = runs(f"{file}:Counts", checked)
+    alone = [trace for _ in range(2) for trace in runs(f"{other}:Drawn", untouched, [1, 2])]
+    first = runs(f"{file}:Drawn", checked, [1, 2])
     assert asked_again(first).differing
-    for one, other in zip(alone, [*first, *runs(f"{file}:Counts", checked)], strict=True):
-        assert first_difference(one, other) is None
+    second = runs(f"{file}:Drawn", checked, [1, 2])
+    assert first_difference(first[0], second[0]) is not None
+    for one, same in zip(alone, [*first, *second], strict=True):
+        assert first_difference(one, same) is None
 
 
 def test_what_is_asked_again_does_not_hang_on_the_order_in_which_runs_end(

@@ -219,6 +219,16 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
             Ledger.open(path)
 
 
+def test_a_damaged_schema_is_refused_though_its_message_cannot_be_read(tmp_path: Path, plan: Plan) -> None:
+    path = filled(tmp_path, plan)
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    data = path.read_bytes().replace(b"viewepisodes", b"view\xa0pisodes")
+    path.write_bytes(data.replace(b"CREATE VIEW episodes", b"CRXATE VIEW episodes"))
+    with pytest.raises(LedgerError, match="not UTF-8"):
+        Ledger.open(path)
+
+
 def test_only_one_runner_works_on_a_ledger(tmp_path: Path) -> None:
     path = tmp_path / "ledger.sqlite"
     code = (

@@ -151,7 +151,60 @@ def test_two_avoiders_are_compared_on_the_same_episodes(
     assert "more often (from" in out
     assert "the 4 intervals hold together with 95 % confidence, each alone with 98.75 %" in out
     assert compare(folder / "ledger.sqlite", folder / "ledger.sqlite") == AS_EXPECTED
-    assert "worse:" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "worse:" not in out
+    assert "violates a claim that" in out
+    assert "keeps in 0 of 16 runs; the other way round in 0 (p = 1)" in out
+
+
+def test_a_campaign_is_held_against_an_avoider_without_a_plan_of_its_own(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.sqlite"
+    mine.write_bytes((folder / "ledger.sqlite").read_bytes())
+    assert compare(mine) == BAD_INPUT
+    assert compare(mine, mine, against="nearest candidate") == BAD_INPUT
+    capsys.readouterr()
+    for _ in ("run", "there already"):
+        assert compare(mine, against="nearest candidate", workers=1) == AS_EXPECTED
+        assert "mine.sqlite violates a claim that" in capsys.readouterr().out
+    with Ledger.open(tmp_path / "mine-against-nearest-candidate" / "ledger.sqlite") as other:
+        assert "avoider: nearest candidate" in other.files[0].data.decode()
+        assert tally_of(other).complete
+
+
+def test_margins_lost_and_violations_of_one_campaign_alone_are_counted_by_hand(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    holds, violated, unclear = EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED, EpisodeOutcome.INCONCLUSIVE
+    # Of the first claim, episode by episode: new, gone, lost, lost less than the tolerance, unclear.
+    pairs = [
+        ((holds, 0.1), (violated, -0.1)),
+        ((violated, -0.1), (holds, 0.1)),
+        ((holds, 0.2), (holds, 0.1)),
+        ((holds, 0.2), (holds, 0.195)),
+        ((unclear, 0.0), (violated, -0.1)),
+    ]
+    for number, name in enumerate(("before", "after")):
+        with ledger_in(tmp_path / name, plan_in(tmp_path / name)) as ledger:
+            ledger.record(
+                Row(
+                    stratum=stratum,
+                    episode=k,
+                    seed=k,
+                    judgements=(
+                        ClaimJudgement(*pairs[k % 5][number], 0.2, 1),
+                        ClaimJudgement(holds, 0.1, 0.2, 1),
+                    ),
+                )
+                for stratum, count in enumerate((30, 20))
+                for k in range(count)
+            )
+    compare(*(tmp_path / name / "ledger.sqlite" for name in ("before", "after")))
+    out = capsys.readouterr().out
+    lost = "margin lost by more than 10.0 mm: hand distance never below 150 mm: in 10 episodes"
+    assert f"{lost}, the most +200.0 mm -> +100.0 mm in near, episode 2" in out
+    assert "keeps in 10 of 50 runs; the other way round in 10 (p = 1)" in out
 
 
 def test_an_avoider_that_is_shown_to_be_worse_ends_a_comparison_with_1(

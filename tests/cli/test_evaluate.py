@@ -1,144 +1,226 @@
-"""``safety-harness evaluate``: what is printed and written are the figures; mistakes are explained."""
+"""``safety-harness evaluate``: any avoider is scored, its findings are said, and its worst questions run."""
 
 from __future__ import annotations
 
-import hashlib
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from avoidance.random_models import random_model
+from typer.testing import CliRunner
 
-from safety_harness.avoidance.model_file import Calibration, Dropout, save_model
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
-from safety_harness.cli.learning import evaluate
-from safety_harness.learning import evaluation_file as module
-from safety_harness.learning.dataset import generate, seen
-from safety_harness.learning.evaluation_file import SCHEMA
-from safety_harness.learning.manifest import data_hash
-from safety_harness.settings import DEFAULTS
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
+from safety_harness.cli.evaluate import DATA, PAGE, evaluate
+from safety_harness.cli.main import app
+from safety_harness.report.score_document import SCHEMA
+from safety_harness.scoring import session as module
 
-SETS = ["seen, new TCPs", "seen, test part by sample", "unseen hand", "unseen tcp", "unseen both"]
-CALIBRATION = Calibration(
-    interval_multiplier=2.0, spread_threshold_m=0.02, residual_std_m=(0.01, 0.01, 0.01), samples=9
-)
+MINE = """
+import numpy as np
+from safety_harness.avoidance.avoider import Proposal
 
+class Towards:
+    name = "towards <b>the</b> hand"
 
-@pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Random weights, with a card of a data set that can be made again."""
-    data = generate(DEFAULTS, seen(DEFAULTS), seed=5, tcps=30, candidates=20, hands=4)
-    about = {"seed": 5, "tcps": 30, "candidates": 20, "hands": 4, "space": "seen", "split": "by sample"}
-    card = {"data": about | {"sha256": data_hash(data)}}
-    path = tmp_path_factory.mktemp("mine") / "model.safetensors"
-    save_model(replace(random_model(Dropout.INTER), card=card, calibration=CALIBRATION), path)
-    return path
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        way = hand_position_in_base_m - tcp_position_in_base_m
+        return Proposal(tcp_position_in_base_m + 0.1 * way / max(np.linalg.norm(way), 1e-9))
+
+class Raises(Towards):
+    def propose(self, **question):
+        raise ValueError("no")
+"""
+FEW = {"questions": 300, "search": 0, "regions": ["seen"]}
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Neither calibrated nor with a card of ours, and without a spread."""
-    path = tmp_path_factory.mktemp("models") / "plain.safetensors"
-    save_model(random_model(Dropout.NONE), path)
-    return path
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "mine.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 def written(out: Path) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(out.read_text())
+    document: dict[str, Any] = json.loads((out / DATA).read_text())
     return document
 
 
-def test_models_stand_side_by_side_in_tables_and_whole_in_json(
-    model: Path, plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_shipped_network_has_no_finding_and_all_its_files(
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "new" / "evaluation.json"
-    assert evaluate([model, plain], samples=50, seed=2, out=out) == AS_EXPECTED
+    assert evaluate(["mc-dropout"], out=Path("out"), **FEW) == AS_EXPECTED  # type: ignore[arg-type]
     printed = capsys.readouterr()
-    document = written(out)
-    assert (document["schema"], document["samples"], document["seed"]) == (SCHEMA, 50, 2)
-    first, second = document["models"]
-    assert first["sha256"] == hashlib.sha256(model.read_bytes()).hexdigest()
-    assert [one["set"] for one in first["sets"]] == SETS
-    assert [one["set"] for one in second["sets"]] == [SETS[0], *SETS[2:]]
-    assert [one["rows"] for one in first["sets"]] == [50, 12, 50, 50, 50]  # a tenth of 30 x 4 samples
-    assert second["calibration"] is None
-    assert second["sets"][0]["intervals_95"] is None
-    label = model.parent.name
-    for text in (f"{label}: MC dropout", "plain: not calibrated", "plain: no test part of the training data"):
-        assert text in printed.out
-    for one in first["sets"]:
-        (errors, intervals, doubt) = [
-            line for line in printed.out.splitlines() if line.startswith(one["set"]) and f" {label} " in line
-        ][:3]
-        rmse = [f"{1e3 * value:.2f}" for value in one["errors_m"]["rmse"]]
-        assert errors.split(label)[1].split()[:3] == rmse
-        covered = one["intervals_95"]["joint"]
-        limits = f"[{100 * covered['low']:.1f}, {100 * covered['high']:.1f}]"
-        assert f"{100 * covered['share']:.1f}% {limits}" in " ".join(intervals.split())
-        above = one["above_spread_threshold"]
-        assert f"{100 * above['count'] / above['trials']:.1f}%" in doubt
-        assert (one["auroc_against_seen"] is None) == one["seen"]
-    assert "(floor)" in printed.out
-    assert "drawing 50 TCPs and hands: unseen tcp" in printed.err
-    assert "drawing" not in printed.out
+    document = written(folder / "out")
+    (one,) = document["avoiders"]
+    assert (document["schema"], document["seed"], document["finding_count"]) == (SCHEMA, 0, 0)
+    assert len(one["sha256"]) == 64
+    assert one["regions"][0]["off_m"]["p50"]["value"] > 0.0
+    assert "times" not in one
+    assert document["times"]["mc-dropout"]["median_s"] > 0.0
+    assert "0 findings on mc-dropout" in printed.out
+    assert "closed-form optimum" in printed.out
+    assert "no finding" in (folder / "out" / PAGE).read_text()
 
 
-def test_the_same_seed_gives_the_same_figures_whatever_stands_beside_a_model(
-    model: Path, plain: Path, tmp_path: Path
+def test_an_avoider_that_leads_towards_the_hand_is_a_finding(
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert evaluate([model, plain], samples=20, seed=2, out=tmp_path / "a.json") == AS_EXPECTED
-    assert evaluate([plain, model, model], samples=20, seed=2, out=tmp_path / "b.json") == AS_EXPECTED
-    assert evaluate([model], samples=20, seed=3, out=tmp_path / "c.json") == AS_EXPECTED
-    a, b, c = (written(tmp_path / f"{name}.json")["models"] for name in "abc")
-    assert a[0]["sets"] == b[1]["sets"] == b[2]["sets"]
-    assert a[1]["sets"] == b[0]["sets"]
-    assert a[0]["sets"] != c[0]["sets"]
-    assert [one["label"] for one in b] == ["plain", model.parent.name, f"{model.parent.name} #2"]
-
-
-def test_a_shipped_model_is_evaluated_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(["deterministic"], samples=20) == AS_EXPECTED
+    assert evaluate(["mine.py:Towards"], out=Path("out"), **FEW) == DIFFERS  # type: ignore[arg-type]
     printed = capsys.readouterr().out
-    assert "deterministic: deterministic network" in printed
-    assert "seen, test part by TCP" in printed
+    kinds = {finding["kind"] for finding in written(folder / "out")["avoiders"][0]["findings"]}
+    assert "leads towards the hand" in kinds
+    assert "leads towards the hand (seen): 100 % (300 of 300)" in printed
+    page = (folder / "out" / PAGE).read_text()
+    assert "towards &lt;b&gt;the&lt;/b&gt; hand" in page
+    assert "<b>the</b>" not in page
 
 
-def test_mistakes_are_explained_and_nothing_is_written(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_an_avoider_that_raises_is_a_finding_and_no_crash(folder: Path) -> None:
+    assert evaluate(["mine.py:Raises"], out=Path("out"), **FEW) == DIFFERS  # type: ignore[arg-type]
+    one = written(folder / "out")["avoiders"][0]
+    assert "no answer" in {finding["kind"] for finding in one["findings"]}
+    assert one["regions"][0]["answered"]["count"] == 0
+    assert one["regions"][0]["off_m"] is None
+
+
+def test_all_but_the_times_repeats_from_the_seed(folder: Path) -> None:
+    def figures(out: str, seed: int) -> dict[str, Any]:
+        options = FEW | {"search": 128}
+        evaluate(["deterministic"], out=Path(out), seed=seed, **options)  # type: ignore[arg-type]
+        document = written(folder / out)
+        document.pop("times")
+        return document
+
+    first = figures("a", 1)
+    assert first["avoiders"][0]["search"]["worst"] != []
+    assert first == figures("b", 1)
+    assert first != figures("c", 2)
+
+
+def test_a_search_changes_no_figure_and_its_worst_questions_run_as_they_expect(folder: Path) -> None:
+    evaluate(["mine.py:Towards"], out=Path("without"), **FEW)  # type: ignore[arg-type]
+    options = FEW | {"search": 128}
+    evaluate(["mine.py:Towards"], out=Path("with"), **options)  # type: ignore[arg-type]
+    (one,), (other,) = written(folder / "without")["avoiders"], written(folder / "with")["avoiders"]
+    assert one["regions"] == other["regions"]
+    assert one["findings"] == other["findings"]
+    (ledger,) = other["search"]["regions"]
+    assert ledger["asked"] == 128
+    files = sorted((folder / "with").glob("*.yaml"))
+    assert len(files) == len(other["search"]["worst"]) > 1
+    found = CliRunner().invoke(app, ["run", str(files[0]), "--out", "run"])
+    assert found.exit_code == AS_EXPECTED, found.output
+    assert "violated" in files[0].read_text()
+
+
+def test_against_a_reference_only_what_it_does_not_do_is_reported(
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    broken = tmp_path / "broken.safetensors"
-    broken.write_bytes(b"import os")
-    elsewhere = tmp_path / "elsewhere.safetensors"
-    other = random_model(Dropout.NONE)
-    save_model(replace(other, seen=replace(other.seen, tcp_low_m=(0.60, -0.15, 0.25))), elsewhere)
-    out = tmp_path / "out.json"
-    for models, options, said in (
-        ([], {}, "at least one model"),
-        ([tmp_path / "none.safetensors"], {}, "no such file"),
-        ([model, broken], {}, "broken.safetensors"),
-        ([elsewhere], {}, "seen.tcp_low_m"),
-        ([model], {"samples": 9}, "--samples"),
-        ([model], {"samples": 10**7}, "--samples"),
-        ([model], {"seed": -1}, "--seed"),
+    (folder / "again.py").write_text(MINE)
+    few = FEW | {"against": "again.py:Towards"}
+    assert evaluate(["mine.py:Towards"], out=Path("alike"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    few = FEW | {"against": "opposite pose"}
+    assert evaluate(["mine.py:Towards"], out=Path("worse"), **few) == DIFFERS  # type: ignore[arg-type]
+    printed = capsys.readouterr().out
+    assert "on 300 questions on which opposite pose does neither" in printed
+
+
+def test_several_avoiders_stand_side_by_side_and_one_that_hangs_costs_only_itself(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    score = module.score
+
+    def hangs(subject: Any, *args: Any, **options: Any) -> object:
+        if subject.reference == "optimum":
+            raise module.NoAnswerError("optimum", 1.0)
+        return score(subject, *args, **options)
+
+    monkeypatch.setattr(module, "score", hangs)
+    code = evaluate(["optimum", "opposite pose"], out=Path("out"), **FEW)  # type: ignore[arg-type]
+    assert code == BAD_INPUT
+    document = written(folder / "out")
+    assert [one["reference"] for one in document["avoiders"]] == ["opposite pose"]
+    assert "optimum" in document["failed"][0]
+    assert "gave no answer" in capsys.readouterr().err
+
+
+def test_ctrl_c_keeps_the_avoiders_that_were_finished(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    score = module.score
+
+    def interrupted(subject: Any, *args: Any, **options: Any) -> object:
+        if subject.reference == "deterministic":
+            raise KeyboardInterrupt
+        return score(subject, *args, **options)
+
+    monkeypatch.setattr(module, "score", interrupted)
+    code = evaluate(["opposite pose", "deterministic"], out=Path("out"), **FEW)  # type: ignore[arg-type]
+    assert code == INTERRUPTED
+    document = written(folder / "out")
+    assert document["interrupted"]
+    assert [one["reference"] for one in document["avoiders"]] == ["opposite pose"]
+    assert evaluate(["deterministic"], out=Path("none"), **FEW) == INTERRUPTED  # type: ignore[arg-type]
+    assert not (folder / "none").exists()
+
+
+def test_ctrl_c_keeps_the_regions_that_were_finished(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    score = module.score
+
+    def interrupted(*args: Any, on_region: Any, **options: Any) -> object:
+        def told(card: Any) -> None:
+            on_region(card)
+            raise KeyboardInterrupt
+
+        return score(*args, on_region=told, **options)
+
+    monkeypatch.setattr(module, "score", interrupted)
+    few = FEW | {"regions": ["seen", "unseen tcp"], "search": 64}
+    assert evaluate(["mine.py:Towards"], out=Path("out"), **few) == INTERRUPTED  # type: ignore[arg-type]
+    one = written(folder / "out")["avoiders"][0]
+    assert [region["region"] for region in one["regions"]] == ["seen"]
+    assert one["findings"] != []
+    assert one["search"]["worst"] == []
+    assert "Interrupted." in (folder / "out" / PAGE).read_text()
+    assert "what was finished is kept" in capsys.readouterr().err
+
+
+def test_the_questions_of_a_space_are_a_region(folder: Path) -> None:
+    space = Path(__file__).parents[2] / "scenarios" / "spaces" / "reaching-hands.yaml"
+    few = FEW | {"regions": None, "spaces": [space]}
+    assert evaluate(["mc-dropout"], out=Path("out"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    (region,) = written(folder / "out")["avoiders"][0]["regions"]
+    assert (region["region"], region["asked"]) == ("reaching-hands", 300)
+
+
+def test_what_no_run_asks_is_named_and_not_searched(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = FEW | {"regions": ["far"], "search": 64}
+    assert evaluate(["opposite pose"], out=Path("out"), **few) == AS_EXPECTED  # type: ignore[arg-type]
+    assert "far (no run asks)" in capsys.readouterr().out
+    assert written(folder / "out")["avoiders"][0]["search"]["regions"] == []
+    assert "No run can ask such a question" in (folder / "out" / PAGE).read_text()
+
+
+def test_mistakes_are_explained_before_anything_is_asked(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for avoiders, options, said in (
+        (["mc-dropot"], {}, "did you mean"),
+        (["mc-dropout", "none.onnx"], {}, "none.onnx"),
+        (["mine.py:Nobody"], {}, "Nobody"),
+        (["mc-dropout"], {"regions": ["elsewhere"]}, "--region"),
+        (["mc-dropout"], {"against": "none.py:Mine"}, "--against"),
     ):
-        assert evaluate(models, out=out, **options) == BAD_INPUT  # type: ignore[arg-type]
+        few = FEW | options
+        assert evaluate(avoiders, out=Path("out"), **few) == BAD_INPUT  # type: ignore[arg-type]
         printed = capsys.readouterr()
         assert said in printed.err
         assert printed.out == ""
-    assert not out.exists()
-    assert evaluate([model], samples=10, out=model / "out.json") == BAD_INPUT
-    assert "can be written" in capsys.readouterr().err
+    assert not (folder / "out").exists()
 
 
-def test_ctrl_c_ends_without_a_file(
-    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_place_that_cannot_be_written_is_bad_input(
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(module, "evaluate_model", interrupted)
-    assert evaluate([model], samples=10, out=tmp_path / "out.json") == INTERRUPTED
-    assert "interrupted" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert evaluate(["opposite pose"], out=Path("mine.py"), **FEW) == BAD_INPUT  # type: ignore[arg-type]
+    assert "can be written" in capsys.readouterr().err

@@ -74,7 +74,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "campaign attribute": ("report/ledger.sqlite", BAD_INPUT),  # without --execute-avoider
     "attribute a trace": (TRACE, BAD_INPUT),
     "campaign merge": ("merged.sqlite report/ledger.sqlite", AS_EXPECTED),
-    "evaluate": (OWN, BAD_INPUT),
+    "metrics": (OWN, BAD_INPUT),
     "export": (OWN, BAD_INPUT),
     "dataset": ("--help", AS_EXPECTED),
     "train": ("--help", AS_EXPECTED),
@@ -86,6 +86,7 @@ EXECUTES: dict[str, str | None] = {
     "replay": f"{TRACE} --avoider {OWN}",
     "fuzz": "space.yaml --budget 3",
     "certify plan": None,
+    "evaluate": f"{OWN} --questions 50 --search 0 --out scores",
     "time": f"{OWN} --questions 100 --out times.json",
     "verify": None,
     "selftest": None,

@@ -16,6 +16,7 @@ import made_up
 import made_up_evidence
 import made_up_faults
 import pytest
+import score_cards
 import test_page as reproduction
 import test_search_page as search
 
@@ -26,6 +27,9 @@ from safety_harness.certification.page import render as evidence_page
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
+from safety_harness.report.question_maps import VIEWS, question_map
+from safety_harness.report.score_page import OFF, ScoreEvidence
+from safety_harness.report.score_page import render as score_page
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
 from safety_harness.selftest.document import render as selftest_page
@@ -93,9 +97,21 @@ def reproduced() -> str:
     return reproduction_page(spoilt(results), spoilt(reproduction.ABOUT))
 
 
+def scored() -> str:
+    made = spoilt(score_cards.scored(failed=["b"]))
+    return score_page(ScoreEvidence(scored=made, command=MARKUP, generated_at=WHEN))
+
+
+def question_map_file() -> str:
+    asked = score_cards.region_score().questions
+    values = asked.hands_in_base_m[:, 0]
+    return question_map(asked.hands_in_base_m, values, OFF, VIEWS[0], prefix="m-", title=MARKUP)
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
+    "score.html.j2": scored,
     "evidence.html.j2": certified,
     "selftest.html.j2": tried,
     "reproduction.html.j2": reproduced,
@@ -151,6 +167,7 @@ def coverage_file() -> str:
 XML: dict[str, Callable[[], str]] = {
     "certification/folder.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
     "report/coverage_map.py": coverage_file,
+    "report/question_maps.py": question_map_file,
     "report/svg.py": coverage_file,
 }
 

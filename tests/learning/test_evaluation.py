@@ -14,6 +14,7 @@ from uncertainty_toolbox import metrics_accuracy, metrics_calibration
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Calibration, Dropout, Model, load_model
 from safety_harness.avoidance.shipped import shipped_model
+from safety_harness.controller.desired import reachable
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning import metrics, trained_model
 from safety_harness.learning.dataset import SPACES, SPLITS, generate, seen, space_named
@@ -27,7 +28,6 @@ from safety_harness.learning.evaluation import (
     fresh_sets,
     has_spread,
     leaf,
-    reachable,
 )
 from safety_harness.learning.evaluation import (
     test_part as make_test_part,

@@ -109,13 +109,7 @@ def test_a_violation_without_a_verdict_of_the_reference_is_told_and_not_tested()
 
 @pytest.mark.parametrize(
     ("pair", "worse"),
-    [
-        ((-0.1, 0.1), True),
-        ((-0.2, -0.1), True),
-        ((None, 0.1), True),
-        ((0.1, 0.2), False),
-        ((0.1, -0.1), False),
-    ],
+    [((-0.1, 0.1), True), ((-0.2, -0.1), True), ((None, 0.1), True), ((0.1, 0.2), False)],
 )
 def test_worse_are_violations_and_lost_verdicts_but_not_lost_margins(
     pair: tuple[float | None, float | None], worse: bool

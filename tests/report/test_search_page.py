@@ -119,6 +119,7 @@ def evidence(**changes: object) -> SearchEvidence:
         fallback="",
         overruling=Overruling(2810, 2500, 310, Counter({Check.UNCERTAIN: 2700, Check.TABLE: 110})),
         computing_time="computing time not modelled",
+        repeated=None,
         baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
         coverage=Coverage(Counter({CELL: 4})),
         violations=Coverage(Counter({CELL: 2})),

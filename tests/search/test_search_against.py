@@ -12,8 +12,12 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
+from safety_harness.properties.against import Change
 from safety_harness.search import session as search_session
-from safety_harness.search.against import difference
+from safety_harness.search.against import Reference, difference
+from safety_harness.search.confirm import Complaint, Confirm
+from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.space.read import read_space
 from tests.search.short_space import TEXT
 
 SPACE = TEXT.replace("400 ms", "700 ms").replace("150 mm", "100 mm")
@@ -84,11 +88,27 @@ def test_a_violation_counts_where_the_reference_has_no_margin() -> None:
     assert difference(-0.2, None, 0.1) == -0.2
 
 
+def test_shrinking_keeps_to_what_the_reference_does_not_violate(folder: Path) -> None:
+    reference = Reference(REFERENCE)
+    trials = Trials(
+        read_space(folder / "space.yaml"), in_kinematic, avoider="mine.py:Sideways", reference=reference
+    )
+    points = np.array([[0.67, 0.71, 0.17], [0.67, 0.71, 0.9]])  # slow; too fast for both
+    found = trials(points, 0)
+    assert [run.claims[0].change for run in trials.differences] == [Change.NEW, Change.NONE]
+    assert (found.margins[:, 0] < 0.0).tolist() == [True, False]
+    of_mine, of_both = Complaint(trials.claims[0]), Complaint(trials.claims[0], reference=reference)
+    for number, (point, new) in enumerate(zip(points, (True, False), strict=True)):
+        scenario = trials.scenario(point, number)
+        assert Confirm(of_mine, in_kinematic)(scenario)
+        assert Confirm(of_both, in_kinematic)(scenario) is new
+
+
 def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {"avoider": "mine.py:Sideways", "against": REFERENCE, "budget": 128}
-    assert fuzz(Path("space.yaml"), out=Path("out"), **asked) == DIFFERS
+    space, mine = Path("space.yaml"), "mine.py:Sideways"
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=128) == DIFFERS
     said = capsys.readouterr()
     assert "with opposite pose on the same draws: holds, +" in said.out
     assert "mine.py:Sideways violates a claim that opposite pose keeps in" in said.err
@@ -114,15 +134,15 @@ def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
 def test_an_equal_of_the_reference_has_nothing_that_it_does_not_do_as_well(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {"avoider": "mine.py:Equal", "against": REFERENCE, "budget": 40}
-    assert fuzz(Path("space.yaml"), out=Path("out"), **asked) == AS_EXPECTED
+    space, mine = Path("space.yaml"), "mine.py:Equal"
+    assert fuzz(space, out=Path("out"), avoider=mine, against=REFERENCE, budget=40) == AS_EXPECTED
     said = capsys.readouterr()
     assert "nothing found that opposite pose does not do as well, in 40 runs" in said.err
     assert said.out == ""
     found = json.loads((folder / "out" / "findings.json").read_text())
     assert found["distinct"] == []
     assert [claim["least margin"] for claim in found["claims"]] == [None, None]
-    assert fuzz(Path("space.yaml"), out=Path("alone"), avoider="mine.py:Equal", budget=12) == DIFFERS
+    assert fuzz(space, out=Path("alone"), avoider=mine, budget=12) == DIFFERS
 
 
 def test_a_reference_that_there_is_not_ends_a_search_at_once(

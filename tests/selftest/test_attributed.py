@@ -26,7 +26,7 @@ def test_every_part_is_an_ingredient_of_its_own() -> None:
     ("name", "sentence", "ingredient"),
     [
         ("sign flip", "repulsion moves away from every hand", Ingredient.AVOIDER),
-        ("late commands", "TCP acceleration never above 2 m/s2", Ingredient.DEADLINE),
+        ("late commands", "repulsion moves away from every hand", Ingredient.DEADLINE),
     ],
 )
 def test_a_seeded_fault_is_blamed(name: str, sentence: str, ingredient: Ingredient) -> None:

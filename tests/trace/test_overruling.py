@@ -55,7 +55,7 @@ def test_without_proposals_there_are_no_words_and_no_share() -> None:
     assert Overruling().words == ""
     assert np.isnan(Overruling().share)
     assert Overruling(3).words == "overruled 0 of 3 proposals (0 %)"
-    assert Overruling(1, 1).words.startswith("overruled 1 of 1 proposal (100 %)")
+    assert Overruling(1, 0, 1).words == "overruled 1 of 1 proposal (100 %); 1 replaced by a stop"
 
 
 def test_plain_numbers_give_the_same_again() -> None:

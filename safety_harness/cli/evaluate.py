@@ -1,0 +1,149 @@
+"""``safety-harness evaluate``: score any avoider directly, before the gate and without a simulation."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.options import Seed, command
+from safety_harness.exceptions import OutputError
+
+if TYPE_CHECKING:
+    from safety_harness.scoring.results import Scored, ScoredAvoider
+
+PAGE, DATA = "evaluation.html", "evaluation.json"
+commands = Typer()
+
+
+@command(commands, interrupted="interrupted: nothing was scored")
+def evaluate(
+    avoiders: Annotated[
+        list[str],
+        Argument(
+            help="Any avoiders: shipped ones by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            metavar="AVOIDER...",
+        ),
+    ],
+    regions: Annotated[
+        list[str] | None, Option("--region", help="Only this named region; may be repeated.", metavar="NAME")
+    ] = None,
+    spaces: Annotated[
+        list[Path] | None,
+        Option("--space", help="The hands and TCPs of a space's draws; may be repeated.", metavar="FILE"),
+    ] = None,
+    against: Annotated[
+        str | None,
+        Option(help="A reference: only what it does not do counts as a finding.", metavar="AVOIDER"),
+    ] = None,
+    questions: Annotated[
+        int | None,
+        Option(help="In the first region; without it as many as the avoider's pace allows.", min=100),
+    ] = None,
+    search: Annotated[
+        int,
+        Option(help="Questions to search with for the worst ones; 0: no search.", min=0, metavar="BUDGET"),
+    ] = 4_000,
+    seed: Seed = 0,
+    out: Annotated[Path, Option(help="Folder for the page, the figures and the worst questions.")] = Path(
+        "reports/evaluate"
+    ),
+) -> int:
+    """Score avoiders directly: what are their proposals worth, before any gate, without a simulation?
+
+    Hands and TCPs are drawn in named regions, or as the draws of a space lead to, and put to the avoider and
+    to yardsticks; a search of its own looks for the worst questions, written as scenario files that run
+    takes.  A Python file is executed.
+    Exit code 0: no finding; 1: findings; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    """
+    from safety_harness.admission.avoiders import told_avoider
+    from safety_harness.cli.progress import watching_steps
+    from safety_harness.scenario.files import told
+    from safety_harness.scoring.session import ScoringSession
+
+    with watching_steps() as on_step:
+        session = ScoringSession(
+            avoiders,
+            out,
+            seed=seed,
+            questions=questions,
+            budget=search,
+            regions=regions or (),
+            spaces=spaces or (),
+            against=against,
+            on_step=on_step,
+        )
+        scored = session.run()
+    say(*(f"error: {one}" for one in scored.failed))
+    if not scored.avoiders:
+        say(f"{'interrupted: ' if scored.interrupted else ''}nothing was scored")
+        return INTERRUPTED if scored.interrupted else BAD_INPUT
+    for one in scored.avoiders:
+        result(*_lines(one))
+    words = [
+        "safety-harness",
+        "evaluate",
+        *map(told_avoider, avoiders),
+        "--search",
+        str(search),
+        "--seed",
+        str(seed),
+    ]
+    words += [] if questions is None else ["--questions", str(questions)]
+    words += [word for name in regions or () for word in ("--region", name)]
+    words += [word for path in spaces or () for word in ("--space", str(told(path)))]
+    words += [] if against is None else ["--against", told_avoider(against)]
+    try:
+        _write(scored, out, shlex.join([*words, "--out", str(told(out))]))
+    except OutputError as error:
+        explain(error)
+        return BAD_INPUT
+    if scored.interrupted:
+        say("interrupted: what was finished is kept")
+        return INTERRUPTED
+    if scored.failed:
+        return BAD_INPUT
+    return DIFFERS if scored.findings else AS_EXPECTED
+
+
+def _lines(one: ScoredAvoider) -> Iterator[str]:
+    """What the terminal shows of one avoider."""
+    from safety_harness.cli.evaluation_tables import table
+    from safety_harness.report.score_tables import COLUMNS, figures, repeat_words, rows_of, times_words
+
+    cards = (one.card, *one.yardsticks)
+    yield from table(
+        f"{one.reference}: {one.card.name}; below it the yardsticks, which are no duty",
+        ("region", "avoider", *COLUMNS),
+        [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],
+    )
+    yield ""
+    alike = all(repeat.differ == 0 for repeat in one.card.repeats)
+    ways = f"the same bits in all {len(one.card.repeats)} ways of asking"
+    told: Sequence[str] = [f"{one.way.value}: {repeat_words(one)}" for one in one.card.repeats if one.differ]
+    yield "asked again: " + (ways if alike else "; ".join(told))
+    yield f"time: {times_words(one.card)}"
+    for search in one.searches:
+        yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
+    yield f"{len(one.findings)} findings on {one.reference}" + (":" if one.findings else "")
+    for finding in one.findings:
+        yield f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"
+
+
+def _write(scored: Scored, out: Path, again: str) -> None:
+    from safety_harness.report.score_document import document
+    from safety_harness.report.score_page import ScoreEvidence, render
+    from safety_harness.whole_file import write_text
+
+    write_text(out / DATA, document(scored))
+    evidence = ScoreEvidence(scored=scored, command=again, generated_at=datetime.now(UTC))
+    write_text(out / PAGE, render(evidence))
+    files = [shown.file.path for one in scored.avoiders for shown in one.worst if shown.file.path]
+    if files:
+        say(f"worst questions as scenarios: {files[0]} and {len(files) - 1} more")
+    say(f"page: {out / PAGE} (for programs: {DATA})")

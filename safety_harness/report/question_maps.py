@@ -1,0 +1,134 @@
+"""Where answers are bad, as pictures: questions seen from above or from the side, in squares of a grid.
+
+A square is the larger the worse its worst question is, and the worst have another colour: nothing is told
+by colour alone.  All squares of one class are one path, so that a map costs a few kilobytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.geometry.arrays import ArrayNx3
+from safety_harness.report.svg import Ink, describe
+
+CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 46, 10, 36, 14
+AXES = "xyz"
+VIEWS = ((0, 1, "from above"), (0, 2, "from the side"))  # across, up
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Classes of a quantity: ``edges`` rise, and what is not below the last is bad (n + 1 ``words``).
+
+    Of a cell the largest value counts, or with ``shares`` the mean.
+    """
+
+    edges: tuple[float, ...]
+    words: tuple[str, ...]
+    shares: bool = False
+
+    def classes(self, values: NDArray[np.float64]) -> NDArray[np.int64]:  # (n,)
+        """(n,) which class each value is in; what is no number is in the worst."""
+        found = np.searchsorted(np.array(self.edges), values, side="right")
+        return np.where(np.isnan(values), len(self.edges), found)
+
+    def size_px(self, level: int) -> int:
+        """Of a square of a class, within its cell."""
+        return 4 + round((CELL_PX - 5) * level / len(self.edges))
+
+
+def question_map(
+    positions: ArrayNx3,
+    values: NDArray[np.float64],  # (n,)
+    scale: Scale,
+    view: tuple[int, int, str],
+    *,
+    prefix: str,
+    title: str,
+) -> str:
+    """An ``<svg>``: positions (n, 3) in base [m], each cell by the class of its ``values`` (n,)."""
+    across, up, seen = view
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    size = np.maximum(high - low, 1e-6)
+    cell = np.minimum(((positions - low) / size * CELLS).astype(np.int64), CELLS - 1)
+    place = cell[:, across], cell[:, up]
+    count, found = np.zeros((CELLS, CELLS)), np.full((CELLS, CELLS), 0.0 if scale.shares else -np.inf)
+    np.add.at(count, place, 1.0)
+    (np.add if scale.shares else np.maximum).at(found, place, values)
+    worst = np.where(count > 0, scale.classes(found / np.maximum(count, 1.0) if scale.shares else found), -1)
+    side = CELLS * CELL_PX
+    width, height = LEFT_PX + side + RIGHT_PX, TOP_PX + side + BELOW_PX
+    root = Element("svg", {"viewBox": f"0 0 {width} {height}", "width": str(width), "height": str(height)})
+    told = ", ".join(
+        f"{np.count_nonzero(worst == level)} of {words}" for level, words in enumerate(scale.words)
+    )
+    cells = f"{np.count_nonzero(worst >= 0)} cells with questions, seen {seen}: {told}."
+    describe(root, prefix=prefix, title=title, description=cells)
+    box = {"x": str(LEFT_PX), "y": str(TOP_PX), "width": str(side), "height": str(side), "fill": "none"}
+    SubElement(root, "rect", {**box, "stroke": f"var({Ink.GRID.variable})"})
+    for level in range(len(scale.words)):
+        _draw_class(root, np.argwhere(worst == level), scale, level)
+    _label_axes(root, side, (low[across], high[across]), (low[up], high[up]), AXES[across] + AXES[up])
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _draw_class(root: Element, cells: NDArray[np.int64], scale: Scale, level: int) -> None:
+    """All squares of a class (n, 2), as one path."""
+    size_px = scale.size_px(level)
+    inset = (CELL_PX - size_px) / 2.0
+    bad = level == len(scale.edges)
+    squares = "".join(
+        f"M{LEFT_PX + CELL_PX * i + inset:g} {TOP_PX + CELL_PX * (CELLS - 1 - j) + inset:g}"
+        f"h{size_px}v{size_px}h-{size_px}z"
+        for i, j in cells.tolist()
+    )
+    if squares:
+        ink = Ink.LIMIT if bad else Ink.TCP
+        SubElement(root, "path", {"d": squares, "fill": f"var({ink.variable})"})
+
+
+def _label_axes(
+    root: Element, side: int, across_m: tuple[float, float], up_m: tuple[float, float], names: str
+) -> None:
+    """The ends of both axes in millimetres, and their names."""
+    bottom = TOP_PX + side
+    marks: Sequence[tuple[float, float, str, str]] = (
+        (LEFT_PX, bottom + 15, _mm(across_m[0]), "start"),
+        (LEFT_PX + side, bottom + 15, _mm(across_m[1]), "end"),
+        (LEFT_PX + side / 2, bottom + 15, f"{names[0]}, mm", "middle"),
+        (LEFT_PX - 6, bottom, _mm(up_m[0]), "end"),
+        (LEFT_PX - 6, TOP_PX + 10, _mm(up_m[1]), "end"),
+        (LEFT_PX - 6, TOP_PX + side / 2, f"{names[1]}, mm", "end"),
+    )
+    for x, y, words, anchor in marks:
+        place = {"x": f"{x:g}", "y": f"{y:g}", "text-anchor": anchor, "font-size": "11"}
+        SubElement(root, "text", {**place, "fill": f"var({Ink.MUTED.variable})"}).text = words
+
+
+def _mm(value_m: float) -> str:
+    return f"{1e3 * value_m:.0f}".replace("-", "\u2212")
+
+
+def key_of(scale: Scale) -> str:
+    """An ``<svg>`` of the classes, for below the maps."""
+    width = sum(40 + 7 * len(words) for words in scale.words)
+    root = Element("svg", {"viewBox": f"0 0 {width} 18", "width": str(width), "height": "18"})
+    root.set("aria-hidden", "true")
+    left = 0
+    for level, words in enumerate(scale.words):
+        size = scale.size_px(level)
+        ink = Ink.LIMIT if level == len(scale.edges) else Ink.TCP
+        place = {"x": f"{left + 9 - size / 2:g}", "y": f"{9 - size / 2:g}"}
+        SubElement(
+            root, "rect", {**place, "width": str(size), "height": str(size), "fill": f"var({ink.variable})"}
+        )
+        text = {"x": str(left + 22), "y": "13", "font-size": "11", "fill": f"var({Ink.TEXT.variable})"}
+        SubElement(root, "text", text).text = words
+        left += 40 + 7 * len(words)
+    return ElementTree.tostring(root, encoding="unicode")

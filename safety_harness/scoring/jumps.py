@@ -1,0 +1,194 @@
+"""Where answers jump between near questions: along straight segments, of which the uneven ones are followed.
+
+A segment has one seed, and the hand or the TCP moves along it while the other stays.  Most segments pass
+through questions that were drawn, those of the worst answers among them; a ball of 15 mm radius among the
+hands of a region is met by a few in a thousand.  A segment is followed where its answers are least even:
+the step that differs most from the median step is divided by eight, over and over, until its ends are a
+nanometre apart.  What still differs there by more than half a millimetre is a jump, and no steep slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
+from safety_harness.geometry.arrays import ArrayNx3
+from safety_harness.proportions import Proportion
+from safety_harness.scoring.questions import Answers, Questions
+from safety_harness.scoring.regions import QuestionRegion
+from safety_harness.scoring.scorecard import Change, Jumps, Moved
+
+Ask = Callable[[Questions], Answers]
+Floats = NDArray[np.float64]
+
+JUMP_M = 0.0005
+NEAR_M = 2e-9  # the end of following: a slope would have to be 250,000 to look like a jump
+STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
+POINTS = 13  # of a segment
+LENGTHS_M = {Moved.HAND: 0.300, Moved.TCP: 0.120}
+ANCHOR_LENGTH_M = 0.060  # through the worst questions
+ANCHORS = 64  # by each of three measures
+FOLLOWED = 128  # of the other segments
+PARTS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class _Segments:
+    """Questions at ``middles`` (n), moved along ``directions`` (n, 3), unit vectors, by up to half a length.
+
+    ``half_m`` (n,).
+    """
+
+    moved: Moved
+    middles: Questions
+    directions: ArrayNx3
+    half_m: Floats
+
+    def at(self, rows: NDArray[np.int64], along_m: Floats) -> Questions:
+        """The questions at distances (k,) from the middles of some segments (k,)."""
+        return moved_by(self.middles[rows], self.moved, along_m[:, None] * self.directions[rows])
+
+
+def moved_by(questions: Questions, moved: Moved, shifts_m: ArrayNx3) -> Questions:
+    """The same questions with hands, or TCPs, shifted."""
+    if moved is Moved.HAND:
+        return Questions(questions.hands_in_base_m + shifts_m, questions.tcps_in_base_m, questions.seeds)
+    return Questions(questions.hands_in_base_m, questions.tcps_in_base_m + shifts_m, questions.seeds)
+
+
+def jumps_of(
+    ask: Ask,
+    region: QuestionRegion,
+    moved: Moved,
+    questions: Questions,
+    answers: Answers,
+    rng: np.random.Generator,
+    count: int,
+) -> Jumps:
+    """Along ``count`` segments through the first questions, and some through those of the worst answers.
+
+    ``questions`` were drawn in the region and answered with ``answers``.
+    """
+    segments = _segments(region, moved, questions, answers, rng, count)
+    total, per = len(segments.middles), POINTS
+    grid = np.linspace(-1.0, 1.0, per)
+    rows = np.repeat(np.arange(total), per)
+    along_m = (segments.half_m[:, None] * grid).ravel()
+    points = segments.at(rows, along_m)
+    inside = region.holds(points.hands_in_base_m, points.tcps_in_base_m)
+    values = np.full((total * per, 6), np.nan)
+    values[inside] = _values(ask(points[inside]))
+    steps = np.diff(values.reshape(total, per, 6), axis=1)
+    uneven_m = _uneven_m(steps)  # (n, per - 1)
+    at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
+    first = len(segments.middles) - count  # anchors come first
+    random = first + np.argsort(-best[first:], kind="stable")[:FOLLOWED]
+    chosen = np.concatenate([np.arange(first), random])
+    chosen = chosen[best[chosen] > 0.0]
+    step_m = 2.0 * segments.half_m[chosen] / (per - 1)
+    start_m = -segments.half_m[chosen] + step_m * at[chosen]
+    return _followed(ask, region.name, segments, chosen, start_m, step_m)
+
+
+def _segments(
+    region: QuestionRegion,
+    moved: Moved,
+    questions: Questions,
+    answers: Answers,
+    rng: np.random.Generator,
+    count: int,
+) -> _Segments:
+    anchors = questions[_anchors(questions, answers, region)]
+    middles = Questions.joined([anchors, questions[:count]])
+    directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    halves = [
+        np.full(len(anchors), ANCHOR_LENGTH_M / 2.0),
+        np.full(len(middles) - len(anchors), LENGTHS_M[moved] / 2.0),
+    ]
+    return _Segments(moved, middles, directions, np.concatenate(halves))
+
+
+def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
+    """The questions with the largest error, the least gain and the largest error for their spread."""
+    hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
+    off = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
+    badness = [off, -gained_m(hands, tcps, proposed), off / (answers.spreads_m.max(axis=1) + 1e-3)]
+    worst = [np.argsort(-np.nan_to_num(one, nan=-np.inf), kind="stable")[:ANCHORS] for one in badness]
+    return np.unique(np.concatenate(worst))
+
+
+def _values(answers: Answers) -> Floats:
+    """(n, 6) positions and spreads."""
+    return np.hstack([answers.positions_in_base_m, answers.spreads_m])
+
+
+def _size_m(changes: Floats) -> Floats:
+    """(...) of changes (..., 6): the larger of that of the position and that of the spread."""
+    position, spread = np.linalg.norm(changes[..., :3], axis=-1), np.linalg.norm(changes[..., 3:], axis=-1)
+    return np.asarray(np.maximum(position, spread))
+
+
+def _uneven_m(steps: Floats) -> Floats:
+    """(n, k) how much each of k steps (n, k, 6) differs from the segment's median step; 0 where unknown."""
+    known = np.isfinite(steps).all(axis=2, keepdims=True)
+    with np.errstate(all="ignore"):
+        filled = np.where(known, steps, np.nan)
+        usual = np.nan_to_num(_nanmedian(filled))
+    return np.asarray(np.nan_to_num(_size_m(filled - usual[:, None])))
+
+
+def _nanmedian(values: Floats) -> Floats:
+    """(n, 6) medians of (n, k, 6), NaN left out; numpy's own warns where there is nothing else."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    counts = np.isfinite(values).sum(axis=1)
+    middle = np.maximum((counts - 1) // 2, 0)[:, None]
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1)[:, 0])
+
+
+def _followed(
+    ask: Ask, name: str, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
+) -> Jumps:
+    """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near."""
+    largest: Change | None = None
+    steepest: Change | None = None
+    count = len(segments.middles)
+    jumped = np.zeros(count, dtype=np.bool_)
+    while len(rows):
+        parts = np.arange(PARTS + 1) / PARTS
+        points_m = start_m[:, None] + step_m[:, None] * parts
+        points = segments.at(np.repeat(rows, PARTS + 1), points_m.ravel())
+        values = _values(ask(points)).reshape(len(rows), PARTS + 1, 6)
+        steps = np.diff(values, axis=1)
+        best = np.argmax(_uneven_m(steps), axis=1)
+        every = np.arange(len(rows))
+        change_m, step_m = np.nan_to_num(_size_m(steps[every, best])), step_m / PARTS
+        start_m = points_m[every, best]
+
+        def change(k: int) -> Change:
+            ends = points[np.array([k * (PARTS + 1) + best[k], k * (PARTS + 1) + best[k] + 1])]  # noqa: B023
+            return Change(segments.moved, ends.one(0), ends.one(1), float(change_m[k]), float(step_m[k]))  # noqa: B023
+
+        slopes = np.where((step_m >= STEEP_M[0]) & (step_m < STEEP_M[1]), change_m / step_m, 0.0)
+        k = int(np.argmax(slopes))
+        if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
+            steepest = change(k)
+        done = (step_m <= NEAR_M) & (change_m > JUMP_M)
+        jumped[rows[done]] = True
+        k = int(np.argmax(np.where(done, change_m, 0.0)))
+        if done[k] and (largest is None or change_m[k] > largest.change_m):
+            largest = change(k)
+        kept = (step_m > NEAR_M) & ((change_m > JUMP_M) | (step_m > STEEP_M[1]))
+        rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
+    return Jumps(
+        region=name,
+        moved=segments.moved,
+        segments=count,
+        jumped=Proportion.of(jumped) if count else None,
+        largest=largest,
+        steepest=steepest,
+    )
