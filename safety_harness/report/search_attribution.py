@@ -37,8 +37,9 @@ class FaultsOfSearch:
     @property
     def words(self) -> str:
         """In one line."""
-        some = "" if self.attributed == self.groups else f" ({self.groups} lie apart)"
-        return f"whose fault, {self.tally.words}{some}"
+        _, _, groups = self.tally.words.partition(": ")
+        some = "" if self.attributed == self.groups else f"{self.attributed} of "
+        return f"whose fault, of {some}{self.groups} violations that lie apart: {groups or 'not asked'}"
 
     def as_json(self) -> dict[str, object]:
         """As a tally's, with how many of how many."""
