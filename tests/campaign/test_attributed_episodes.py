@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.admission.trial import judge, run_many
 from safety_harness.campaign.attributed import ViolatedEpisodes, violated_episodes
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
@@ -73,8 +74,11 @@ def test_an_episode_drawn_again_is_the_one_that_was_run(path: Path) -> None:
     plan = read_plan(path.parent / "plan.yaml")
     with Ledger.open(path) as ledger:
         again = list(violated_episodes(plan, ViolatedEpisodes.first(ledger, 2), programs=False))
-        seeds = dict(ledger.all("SELECT stratum, seed FROM episode WHERE episode = 0"))
-    assert [one.scenario.seed for one, _ in again] == [seeds[0], seeds[1]]
+        noted = "SELECT margin FROM judgement WHERE episode = 0 AND claim = 0 ORDER BY stratum"
+        margins = [margin for (margin,) in ledger.all(noted)]
+    runs = run_many([one for one, _ in again])
+    assert [judge(run)[0].margin for run in runs] == margins
+    assert len({*margins}) == 2
     assert [[claim.sentence for claim in claims] for _, claims in again] == [
         ["hand distance never below 50 mm"]
     ] * 2
