@@ -6,7 +6,7 @@ it does not have.  The shipped avoiders and the harmless changes are scored with
 
 Each result is a line of --lines as soon as it is there, with the revision it was made at; what is there
 already for a name and a seed is not made again, so that the whole (hours) may be stopped and started.
---slight leaves out all but the slightest magnitudes; --table only writes the table.
+--what chooses a part; --table only writes the table.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ LINES = Path(__file__).parents[1] / "reports" / "evaluate_faults.jsonl"
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 SEEDS, MOST_CPU_S, WALL_LIMIT_S = 20, 60.0, 900.0
 SLOW = ("late_", "hiccups", "slow_for_near_hands")  # asked as little as their pace asks for
-OTHERS = ("opposite pose", "nearest candidate")
+SLOWEST = "nearest candidate"
+OTHERS = ("opposite pose", SLOWEST)
 SOUND = (*SHIPPED, *OTHERS, *(f"{one}_on_{base}" for one in HARMLESS for base in BASES))
 BELOW = ("sound_on_network", "sound_on_optimum", "sound_with_spread_on_optimum")
 
@@ -109,8 +110,8 @@ def measured(name: str, seed: int, revision: str) -> Result:
     try:
         card = score(Subject.made_by(lambda: made(name), name), REGIONS, seed=seed, counts=counts)
         for one in findings(card, against):
-            of_region = f" ({one.region})" if one.region else ""
-            found.setdefault(one.kind.value + of_region, one.words)
+            key = one.kind.value + (f" ({one.region})" if one.region else "")
+            found[key] = f"{found[key]}; {one.words}" if key in found else one.words
     except Exception as raised:  # of what is on trial, or of the scoring: a row of the table
         error = f"{type(raised).__name__}: {raised}"
     cpu_s = yards_s + _spent_s() - spent_s
@@ -152,15 +153,17 @@ def known(lines: Path) -> dict[tuple[str, int], Result]:
     return {(result.name, result.seed): result for result in results}
 
 
-def tasks(slight: bool) -> Iterator[tuple[str, int]]:
-    """Names and seeds: what is below, the slight faults, then seed after seed of the sound ones."""
-    yield from ((name, 0) for name in BELOW)
+def tasks(what: str) -> Iterator[tuple[str, int]]:
+    """Names and seeds: what is below, the slight faults, the others, then the sound ones seed after seed."""
     every = list(names())[::-1]  # the classes that are hardest to see come first
-    yield from ((name, 0) for name in every if "_1_on_" in name)
-    if not slight:
+    if what in ("all", "faults", "slight"):
+        yield from ((name, 0) for name in BELOW)
+        yield from ((name, 0) for name in every if "_1_on_" in name)
+    if what in ("all", "faults"):
         yield from ((name, 0) for name in every if "_1_on_" not in name)
-    for seed in range(SEEDS):
-        yield from ((name, seed) for name in SOUND)
+    if what in ("all", "sound"):
+        yield from ((name, seed) for seed in range(SEEDS) for name in SOUND if name != SLOWEST)
+        yield from ((SLOWEST, seed) for seed in range(SEEDS))
 
 
 # The table
@@ -263,13 +266,13 @@ def table(results: dict[tuple[str, int], Result]) -> str:
     revisions = [f"{letter} {revision}" for revision, letter in letters(results).items()]
     yours = (
         "A fault is named if a finding came that what is below it does not have; in brackets the processor "
-        "time and the revision. Magnitudes rise from slight to gross; the slight ones are wrong or hazardous too. Each can be "
-        "tried: `safety-harness evaluate benchmarks/faulty_avoiders.py:NAME` (`python "
+        "time and the revision. Magnitudes rise from slight to gross; the slight ones are wrong or hazardous "
+        "too. Each can be tried: `safety-harness evaluate benchmarks/faulty_avoiders.py:NAME` (`python "
         "benchmarks/faulty_avoiders.py` lists the names and says what each does)."
     )
     head = (
-        f"Revisions: {', '.join(revisions)}. {platform.system()} {platform.machine()}, {os.cpu_count()} CPUs, "
-        f"Python {platform.python_version()}."
+        f"Revisions: {', '.join(revisions)}. {platform.system()} {platform.machine()}, "
+        f"{os.cpu_count()} CPUs, Python {platform.python_version()}."
     )
     parts = (
         "# Faulty avoiders, scored",
@@ -295,14 +298,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--lines", type=Path, default=LINES, help="where results are kept")
     parser.add_argument("--out", type=Path, default=OUT, help="where the table goes")
-    parser.add_argument("--slight", action="store_true", help="the slightest magnitudes only")
+    parser.add_argument("--what", choices=("all", "faults", "slight", "sound"), default="all")
     parser.add_argument("--only", default="", help="names that contain this")
     parser.add_argument("--part", type=int, default=0, help="of --parts, which may run beside each other")
     parser.add_argument("--parts", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="measure nothing")
     given = parser.parse_args()
     results, revision = known(given.lines), described()
-    todo = [task for task in tasks(given.slight) if task not in results and given.only in task[0]]
+    todo = [task for task in tasks(given.what) if task not in results and given.only in task[0]]
     given.lines.parent.mkdir(parents=True, exist_ok=True)
     for name, seed in [] if given.table else todo[given.part :: given.parts]:
         yards(seed)  # before the fork, which has them then

@@ -162,25 +162,31 @@ def attribute(
 
     Without them it is every violation of the scenario's own claims, and those that it expects.  One that
     the kinematic replay does not reproduce is not attributed.  ``spoilt`` are the ingredients that ``run``
-    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario.
+    spoils beside the scenario.  InadmissibleError for a claim that cannot be judged in this scenario; a run
+    that fails where no violation has been seen raises what it raised.
     """
     given = tuple(claims)
     scenario = replace(admitted.scenario, claims=given or admitted.scenario.claims)
     properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
     trials = _Trials(replace(Altered.of(admitted), scenario=scenario, properties=properties), run)
     first = trials.made([()])[()]
+    seen = [bool(given) or claim.expected is Verdict.VIOLATED for claim in scenario.claims]
+    if isinstance(first, Exception) and not any(seen):
+        raise first
     found = []
     for number, prop in enumerate(properties):
-        tell = _Told(trials, number, prop)
+        tell, why = _Told(trials, number, prop), ""
         if isinstance(first, Exception):
-            found.append(tell.made(Answer.NOT_ATTRIBUTED, None, f"the run fails: {described(first)}"))
-            continue
-        evaluation = tell.evaluation(first)
-        if evaluation.verdict is Verdict.VIOLATED:
-            found.append(tell.attributed(evaluation.margin, changes_for(spoilt)))
-        elif given or scenario.claims[number].expected is Verdict.VIOLATED:
+            margin, why = None, f"the kinematic replay fails: {described(first)}"
+        else:
+            evaluation = tell.evaluation(first)
+            margin = evaluation.margin
+            if evaluation.verdict is Verdict.VIOLATED:
+                found.append(tell.attributed(margin, changes_for(spoilt)))
+                continue
             why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
-            found.append(tell.made(Answer.NOT_ATTRIBUTED, evaluation.margin, why))
+        if seen[number]:
+            found.append(tell.made(Answer.NOT_ATTRIBUTED, margin, why))
     return _jointly(found)
 
 
@@ -308,17 +314,17 @@ def _least(replays: Iterable[Replay]) -> tuple[Replay, ...]:
     """For every set of ingredients that helps, its first change that does; the one that is blamed first.
 
     The system is blamed before the hand; what keeps the claim before what takes the occasion away; what can
-    be broken before what a designer chose, and of the latter those of which more changes help; then in the
-    order of ``Ingredient``.
+    be broken before what a designer chose; those of which more changes help before others; then in the order
+    of ``Ingredient``.
     """
     found = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
             first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
-            broken = CHOSEN.isdisjoint(first.ingredients)
-            seldom = -1.0 if broken else 1.0 - len(helping) / len(group)
-            found.append((*_last_resort(first), seldom, _rank(first.ingredients), first))
+            chosen = not CHOSEN.isdisjoint(first.ingredients)
+            often = len(helping) / len(group)
+            found.append((*_last_resort(first), chosen, -often, _rank(first.ingredients), first))
     return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:-1]))
 
 

@@ -12,6 +12,7 @@ from safety_harness.admission.avoiders import is_a_program, with_avoider
 from safety_harness.admission.trial import judge
 from safety_harness.attribution.attribute import Answer, Attribution, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
+from safety_harness.avoidance.avoider import described
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -52,7 +53,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
     except KeyboardInterrupt:
         session.interrupted = True
     if not session.found:
-        say(f"no violation in {len(admitted)} of the runs: nothing to attribute")
+        say(f"{len(admitted)} runs without a violation: nothing to attribute")
     return conclude(session, out)
 
 
@@ -68,7 +69,7 @@ def conclude(session: AttributionSession, out: Path | None) -> int:
         say("interrupted: what was attributed until then is above")
         return INTERRUPTED
     missing = any(one.answer is Answer.NOT_ATTRIBUTED for one in session.found)
-    return DIFFERS if missing else AS_EXPECTED
+    return DIFFERS if missing or session.failed else AS_EXPECTED
 
 
 @dataclass
@@ -77,11 +78,18 @@ class AttributionSession:
 
     confirm: bool
     found: list[Attribution] = field(default_factory=list)
+    failed: bool = False
     interrupted: bool = False
 
     def take(self, admitted: Admitted, claims: Sequence[Claim] = ()) -> None:
         """Attribute and print the violations of one run: of these claims, or of all of its own."""
-        for one in attribute(admitted, claims):
+        try:
+            attributions = attribute(admitted, claims)
+        except Exception as error:  # one run's failure must not cost the others' answers
+            self.failed = True
+            say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
+            return
+        for one in attributions:
             self.found.append(one)
             margin = one.unit.margin_text(one.margin)
             result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")

@@ -43,7 +43,7 @@ def evaluate(
     ] = None,
     questions: Annotated[
         int | None,
-        Option(help="In the first region; without it as many as the avoider's pace allows.", min=100),
+        Option(help="In the first region; without it as many as the avoider's pace allows.", min=20),
     ] = None,
     search: Annotated[
         int,

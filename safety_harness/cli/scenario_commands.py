@@ -270,7 +270,7 @@ def attribute(
     have kept is unavoidable.  Of a trace all that it violates is attributed, of a scenario file all that the
     kinematic replay violates.  The program that a trace was made with has to be named again with --avoider.
     Exit code 0: every violation has an answer, or there is none; 1: one is not attributed, since the
-    kinematic replay does not show it; 2: bad input, nothing was run; 130: interrupted.
+    kinematic replay does not show it, or fails; 2: bad input, nothing was run; 130: interrupted.
     """
     from safety_harness.cli.attribute import attribute_runs
 

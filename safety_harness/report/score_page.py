@@ -133,7 +133,7 @@ def _map(
     region: str,
 ) -> tuple[str, str, Markup]:
     caption = f"{who}, {view[2]}"
-    what = "leads towards the hand" if scale.shares else "off the optimum"
+    what = "towards the hand" if scale.shares else "off the optimum"
     title = f"{region}: {what}, by the position of the {who}, {view[2]}"
     return caption, what, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from safety_harness.admission.admit import Admitter
 from safety_harness.attribution.attribute import Answer, Attribution, Replay, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
+from safety_harness.avoidance.avoider import described
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession
@@ -57,7 +58,10 @@ class SearchAttribution:
     def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
         """Lines for people about one counterexample; what would have helped is run in PyBullet as well."""
         admitted = self._admitter.admit(scenario)
-        (one,) = attribute(admitted, (claim,))
+        try:
+            (one,) = attribute(admitted, (claim,))
+        except Exception as error:  # what was found must not be lost for want of an explanation
+            return (f"whose fault: cannot be told: {described(error)}",)
         self.found[scenario.name] = one
         lines = [f"whose fault: {one.words}"]
         if one.answer is Answer.ATTRIBUTED:
@@ -77,8 +81,11 @@ class SearchAttribution:
         done = 0
         try:
             for together in _by_run(chosen):
-                found += self._of_run(session, together)
-                done += len(together)
+                try:
+                    found += self._of_run(session, together)
+                    done += len(together)
+                except Exception as error:
+                    session.output.say(f"a violation cannot be attributed: {described(error)}")
         except KeyboardInterrupt:
             session.findings.interrupted = True
         tally = AttributionTally.of(found)

@@ -107,6 +107,7 @@ _NAMES = (
     "spreads",
     "wrong_and_sure",
     "above_threshold",
+    "stuck",
 )
 
 
@@ -135,8 +136,19 @@ def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, o
         _spreads(error, asked, said.spreads_m) if said.spreads_m.any() else None,
         Proportion.of((off > WRONG_M) & sure),
         Proportion.of(~sure) if has_threshold.any() else None,
+        Proportion.of(_most_alike(proposed)),
     )
     return dict(zip(_NAMES, values, strict=True))
+
+
+def _most_alike(proposed: ArrayNx3) -> NDArray[np.bool_]:
+    """(n,) which rows have the most frequent coordinate of all, on its axis."""
+    found = np.zeros(len(proposed), dtype=np.bool_)
+    for column in proposed.T:
+        values, counts = np.unique(column, return_counts=True)
+        if counts.max() > np.count_nonzero(found):
+            found = column == values[counts.argmax()]
+    return found
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings) -> NDArray[np.bool_]:

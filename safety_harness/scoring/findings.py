@@ -40,6 +40,8 @@ class Limits:
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
     doubtful: float = 0.10  # where the yardsticks are above their own threshold more often, others may be too
+    stuck: float = 0.0005  # no two answers of a yardstick have a coordinate in common
+    stuck_least: int = 10  # of single precision some do
     off_factor: float = 1.25  # of the worst yardstick's median, 95 % and 99 % quantile
     most_factor: float = 1.5  # of the worst yardstick's largest distance, of ten thousand questions
     bias_m: float = 0.003  # more than bias_factor times the worst yardstick's: mc-dropout's is 4 mm in "seen"
@@ -102,6 +104,9 @@ def _of_region(score: RegionScore, others: Sequence[RegionScore], limits: Limits
     if score.off_m is None:
         return
     yield from _shares(score, others, limits)
+    if score.stuck and score.stuck.count >= limits.stuck_least and score.stuck.low > limits.stuck:
+        words = f"{_percent(score.stuck)} of the answers have the very same coordinate"
+        yield Finding(Kind.STUCK, score.region, words)
     yield from _lengths(score, others, limits)
     yield from _spreads(score, others, limits)
 

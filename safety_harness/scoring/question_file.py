@@ -17,6 +17,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.flaky import question_of
 from safety_harness.exceptions import InputError, SafetyHarnessError
 from safety_harness.geometry.arrays import Array3
 from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Scenario, Verdict
@@ -126,12 +127,9 @@ def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) 
     """Why the first decision is not the one on this question; empty if it is."""
     if len(trace.decisions) == 0:
         return "the run asks nothing: the hand is not seen"
-    first = trace.decisions[0]
-    apart_m = max(
-        float(np.abs(first["hand_position_in_base_m"] - hand_in_base_m).max()),
-        float(np.abs(first["tcp_position_in_base_m"] - tcp_in_base_m).max()),
-    )
-    same = apart_m <= SAME_PLACE_M and int(first["seed"]) == seed_of(trace.scenario.seed)
+    hand, tcp = question_of(trace, trace.decisions[0])
+    apart_m = max(float(np.abs(hand - hand_in_base_m).max()), float(np.abs(tcp - tcp_in_base_m).max()))
+    same = apart_m <= SAME_PLACE_M and int(trace.decisions[0]["seed"]) == seed_of(trace.scenario.seed)
     return "" if same else f"the run's first question is {1e3 * apart_m:.1f} mm from it"
 
 

@@ -33,6 +33,7 @@ OPTIMUM, TRAINED = "closed-form optimum", "mc-dropout"
 YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
 FEWER = 3_000  # questions of a yardstick that takes long and has no learning: its figures hang on no place
 LATER_S = 2.0  # at least, between the first answers and those of a later time
+QUICK_S = 0.00015  # a question: all of some 200,000 are asked within half a minute
 PROBE = 64  # questions that tell how quick an avoider is
 _QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
 
@@ -60,14 +61,10 @@ class Counts:
         return Counts(*(max(round(count * share), 20) for count in vars(self).values()))
 
     def at_pace(self, each_s: float, alone_s: float) -> Counts:
-        """Fewer for an avoider that takes ``each_s`` a question of many, ``alone_s`` alone."""
-        share = next((share for most_s, share in _BY_PACE if each_s <= most_s), 1 / 256)
-        fewer = replace(self._times(share), sample=max(self.sample // (4 if share < 1 else 1), 20))
+        """Fewer, by halves, for an avoider that takes ``each_s`` a question of many, ``alone_s`` alone."""
+        share = 2.0 ** -np.clip(np.ceil(np.log2(max(each_s, 1e-9) / QUICK_S)), 0, 8)
         slow = 10 if alone_s > 0.04 else 3 if alone_s > 0.008 else 1
-        return replace(fewer, alone=max(self.alone // slow, 20))
-
-
-_BY_PACE = ((0.0006, 1.0), (0.0024, 1 / 4), (0.01, 1 / 16), (0.04, 1 / 64))  # seconds a question, share
+        return replace(self._times(float(share)), alone=max(self.alone // slow, 20))
 
 
 @dataclass(frozen=True)
@@ -224,7 +221,8 @@ def _by_region(
     """Each region's score and jumps."""
     for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
         on_step(region.name)
-        scored, jumps = _scored(avoider, region, questions), []
+        scored = _scored(avoider, region, questions)
+        jumps: list[Jumps] = []
         if region.asked_in_runs and len(questions):
             for which, moved in enumerate(Moved):
                 rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)

@@ -73,7 +73,8 @@ class RegionScore:
     how the error grows with the hand's position at a fixed TCP, (3, 3) metres a metre by least squares, and
     ``scale`` with the TCP's: rows are the axes of the error.  Of the optimum both are 0; of what takes no
     notice of the hand the pull is 0.05 on the diagonal.  ``wrong_and_sure``: more than ``WRONG_M`` off, with
-    no spread above the avoider's own threshold.
+    no spread above the avoider's own threshold.  ``stuck``: the largest share of answers with the very same
+    coordinate: those of an avoider that clips, rounds or has collapsed.
     """
 
     region: str
@@ -98,6 +99,7 @@ class RegionScore:
     above_threshold: Proportion | None  # None: the avoider has no threshold
     worst_off: tuple[Asked, ...]  # ten at most, the worst first
     worst_gained: tuple[Asked, ...]
+    stuck: Proportion | None = None
 
 
 class Moved(Enum):
@@ -206,6 +208,7 @@ class Kind(Enum):
     SPREAD_MISSES = "too sure: the spread is too small"
     SPREAD_WIDE = "too unsure: the spread is too large"
     SPREAD_UNRANKED = "the spread does not rank the errors"
+    STUCK = "the same answer to many questions"
     WRONG_AND_SURE = "wrong and sure"
     UNSURE = "above its own threshold too often"
     NOT_REPEATED = "does not repeat"

@@ -31,7 +31,7 @@ from safety_harness.search.searchers import searcher_named
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
 
-BATCH = 64
+SEARCHER, BATCH = "diverse", 64
 SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
 DRAWS = 500  # for the boxes that are searched
 APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
@@ -162,7 +162,6 @@ def search_region(
     seed: int,
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
-    searcher: str = "diverse",
 ) -> Searched:
     """Search region ``number`` with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
     ledger = Searched(region.name, budget)
@@ -172,7 +171,7 @@ def search_region(
     own = tuple(leaf(seed, Branch.SEARCH, 6, number, k) for k in range(SEEDS))
     searching = _Searching(avoider, region, drawn, own, ledger)
     goals = [Goal(one.value, 0.1) for one in OBJECTIVES]
-    make = searcher_named(searcher)(
+    make = searcher_named(SEARCHER)(
         searching.cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 7, number)
     )
     try:

@@ -132,6 +132,8 @@ def test_a_run_that_fails_is_not_attributed() -> None:
     (found,) = attribute(admit(slow(SMALL)), [claim(DISTANCE)], run=fails)
     assert found.answer is Answer.NOT_ATTRIBUTED
     assert "no such run" in found.why
+    with pytest.raises(ValueError, match="no such run"):
+        attribute(admit(replace(slow(SMALL), claims=(claim(DISTANCE),))), run=fails)
 
 
 def test_it_is_the_same_every_time() -> None:

@@ -80,7 +80,7 @@ def test_whose_fault_the_violations_of_a_search_are_is_told_with_its_stratum(tmp
     put(tmp_path, "2-nearer", budget=10)
     known = search_evidence(searches_of(plan_in(tmp_path, SEARCHING), tmp_path))
     assert known is not None
-    assert [line for line in known.lines if "fault" in line] == [
+    assert [line for line in known.lines if "whose" in line] == [
         "near: whose fault, of 2 violations: 2 avoider"
     ]
 

@@ -12,8 +12,10 @@ from typer.testing import CliRunner
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.evaluate import DATA, PAGE, evaluate
 from safety_harness.cli.main import app
+from safety_harness.exceptions import NoAnswerError
 from safety_harness.report.score_document import SCHEMA
 from safety_harness.scoring import session as module
+from safety_harness.scoring.score import score
 
 MINE = """
 import numpy as np
@@ -128,11 +130,9 @@ def test_against_a_reference_only_what_it_does_not_do_is_reported(
 def test_several_avoiders_stand_side_by_side_and_one_that_hangs_costs_only_itself(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    score = module.score
-
     def hangs(subject: Any, *args: Any, **options: Any) -> object:
         if subject.reference == "optimum":
-            raise module.NoAnswerError("optimum", 1.0)
+            raise NoAnswerError("optimum", 1.0)
         return score(subject, *args, **options)
 
     monkeypatch.setattr(module, "score", hangs)
@@ -145,8 +145,6 @@ def test_several_avoiders_stand_side_by_side_and_one_that_hangs_costs_only_itsel
 
 
 def test_ctrl_c_keeps_the_avoiders_that_were_finished(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    score = module.score
-
     def interrupted(subject: Any, *args: Any, **options: Any) -> object:
         if subject.reference == "deterministic":
             raise KeyboardInterrupt
@@ -165,8 +163,6 @@ def test_ctrl_c_keeps_the_avoiders_that_were_finished(folder: Path, monkeypatch:
 def test_ctrl_c_keeps_the_regions_that_were_finished(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    score = module.score
-
     def interrupted(*args: Any, on_region: Any, **options: Any) -> object:
         def told(card: Any) -> None:
             on_region(card)

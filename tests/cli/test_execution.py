@@ -86,7 +86,7 @@ EXECUTES: dict[str, str | None] = {
     "replay": f"{TRACE} --avoider {OWN}",
     "fuzz": "space.yaml --budget 3",
     "certify plan": None,
-    "evaluate": f"{OWN} --questions 50 --search 0 --out scores",
+    "evaluate": f"{OWN} --questions 100 --search 0 --out scores",
     "time": f"{OWN} --questions 100 --out times.json",
     "verify": None,
     "selftest": None,

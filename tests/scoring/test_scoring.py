@@ -94,6 +94,10 @@ def stretched(optimum: Array, hands: Array, tcps: Array) -> tuple[Array, Array]:
     return optimum + 0.3 * (tcps - tcps.mean(axis=0)), 0.0 * optimum
 
 
+def clipped(optimum: Array, hands: Array, tcps: Array) -> tuple[Array, Array]:
+    return np.minimum(optimum, [1.0, np.quantile(optimum[:, 1], 0.97), 1.0]), 0.0 * optimum
+
+
 @pytest.mark.parametrize(
     ("change", "kind"),
     [
@@ -110,6 +114,7 @@ def stretched(optimum: Array, hands: Array, tcps: Array) -> tuple[Array, Array]:
         (doubtful, Kind.SPREAD_WIDE),
         (doubtful, Kind.SPREAD_UNRANKED),
         (stretched, Kind.SCALE),
+        (clipped, Kind.STUCK),
     ],
 )
 def test_a_fault_is_named(change: Change, kind: Kind, beside: tuple[Scorecard, ...]) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.avoider import Proposal
 from safety_harness.avoidance.measures import gained_m, optimum_in_base_m
 from safety_harness.scoring import worst as module
+from safety_harness.scoring.asking import asked_together
 from safety_harness.scoring.question_file import seed_of
 from safety_harness.scoring.questions import Questions
 from safety_harness.scoring.regions import QuestionRegion, named_regions
@@ -43,7 +44,8 @@ class WrongNear:
 
 
 def searched(avoider: WrongNear, region: QuestionRegion = SEEN, **options: int) -> Searched:
-    return search_region(avoider, region, **({"budget": 600, "seed": 1, "number": 0} | options))
+    wanted = {"budget": 600, "seed": 1} | options
+    return search_region(avoider, region, budget=wanted["budget"], seed=wanted["seed"], number=0)
 
 
 def test_a_fault_in_a_place_is_found_and_nearer_than_chance_finds_it() -> None:
@@ -120,13 +122,13 @@ def test_what_is_not_answered_is_counted_and_is_no_worst_question() -> None:
 
 
 def test_ctrl_c_keeps_what_was_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    ask, left = module.asked_together, [3]
+    left = [3]
 
     def interrupted(avoider: WrongNear, questions: Questions) -> object:
         left[0] -= 1
         if left[0] == 0:
             raise KeyboardInterrupt
-        return ask(avoider, questions)
+        return asked_together(avoider, questions)
 
     monkeypatch.setattr(module, "asked_together", interrupted)
     ledger = searched(WrongNear())
