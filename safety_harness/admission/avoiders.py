@@ -150,9 +150,12 @@ def told_avoider(reference: str) -> str:
     return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
 
 
-def replay_command(scenario: Scenario, trace: Path) -> str:
-    """The command that repeats a run; a program of the user's has to be named anew to be executed."""
-    command = ["safety-harness", "replay", str(told(trace))]
+def replay_command(scenario: Scenario, trace: Path, *others: Path, by: str = "replay") -> str:
+    """The command that repeats runs with one avoider; a user's program has to be named anew to be executed.
+
+    ``by`` is another command that repeats runs.
+    """
+    command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
     if is_a_program(scenario.avoider):
         command += ["--avoider", told_avoider(os.path.abspath(command_line_reference(scenario)))]
     return shlex.join(command)

@@ -61,11 +61,12 @@ class AttributionTally:
             "violations": len(self.attributions),
             "groups": self.groups,
             "would have helped": self.would_help,
-            "attributions": [_as_json(one) for one in self.attributions],
+            "attributions": [as_json_of(one) for one in self.attributions],
         }
 
 
-def _as_json(one: Attribution) -> dict[str, object]:
+def as_json_of(one: Attribution) -> dict[str, object]:
+    """One violation with its replays; margins in SI."""
     return {
         "scenario": one.scenario,
         "claim": one.claim.sentence,

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
@@ -21,6 +22,7 @@ from safety_harness.certification.results import refuse_hopeless
 from safety_harness.certification.tools import HarnessTrials, read_oracles, read_selftest
 from safety_harness.exceptions import SafetyHarnessError, explanation
 from safety_harness.interrupts import one_more_ctrl_c
+from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_files import write_search
 from safety_harness.search.default import Default
 from safety_harness.search.session import SearchOutput, search_space
@@ -112,13 +114,15 @@ class Certification:
                     avoider=self.plan.avoider_here,
                     sentences=tuple(claim.sentence for claim in self.plan.claims),
                 )
+                attribution = SearchAttribution()
                 made = search_space(
                     trials,
                     Default,
                     out=one.folder,
                     budget=one.asked,
                     output=output,
-                    write_page=write_search,
+                    write_page=partial(write_search, attribution=attribution),
+                    explain=attribution.explain,
                 )
             except SafetyHarnessError as error:
                 output.say(f"error: {explanation(error)}")

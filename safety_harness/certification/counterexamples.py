@@ -118,6 +118,12 @@ def _circumstances(run: JudgedRun) -> tuple[str, ...]:
 SEARCH, FINDINGS = "search", "findings.json"
 
 
+class FaultsFound(Struct, frozen=True):
+    """Whose fault the violations of a search are, in one line."""
+
+    words: str
+
+
 class Found(Struct, frozen=True, kw_only=True):
     """A findings.json: runs tried of those asked for, distinct violations, files of counterexamples."""
 
@@ -129,6 +135,7 @@ class Found(Struct, frozen=True, kw_only=True):
     distinct: list[Any]
     unconfirmed: list[Any] = field(name="not confirmed in PyBullet")
     counterexamples: tuple[str, ...]
+    attribution: FaultsFound | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +200,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
         for stratum, found in known
     ]
     lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]
+    lines += [f"{stratum}: {found.attribution.words}" for stratum, found in known if found.attribution]
     lines.append("A search looks where violations are: its counts are no estimate of anything.")
     return SearchSummary(
         runs=sum(found.tried for _, found in known), searcher=known[0][1].searcher, lines=tuple(lines)

@@ -27,9 +27,10 @@ from safety_harness.cli.runs import bar_of
 from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
+from safety_harness.report.search_attribution import confirming_line
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
-from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.trace.store import load_trace
 from safety_harness.whole_file import write_text
 
@@ -44,17 +45,22 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
     if errors or refused:
         say(f"{explain_each([*errors, *refused])} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
-    session = _Session(confirm)
+    session = AttributionSession(confirm)
     try:
         with bar_of("runs") as bar:
             for one in bar.track(admitted):
                 session.take(one)
     except KeyboardInterrupt:
         session.interrupted = True
-    tally = AttributionTally.of(session.found)
-    result(*tally.lines())
     if not session.found:
         say(f"{len(admitted)} runs without a violation: nothing to attribute")
+    return conclude(session, out)
+
+
+def conclude(session: AttributionSession, out: Path | None) -> int:
+    """Print the groups, write the files."""
+    tally = AttributionTally.of(session.found)
+    result(*tally.lines())
     if out is not None:
         write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
         write_text(out / PICTURE, standalone(draw_attributions(tally), style=asset("report.css")))
@@ -67,7 +73,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
 
 
 @dataclass
-class _Session:
+class AttributionSession:
     """What was attributed so far."""
 
     confirm: bool
@@ -75,10 +81,10 @@ class _Session:
     failed: bool = False
     interrupted: bool = False
 
-    def take(self, admitted: Admitted) -> None:
-        """Attribute and print the violations of one run."""
+    def take(self, admitted: Admitted, claims: Sequence[Claim] = ()) -> None:
+        """Attribute and print the violations of one run: of these claims, or of all of its own."""
         try:
-            attributions = attribute(admitted)
+            attributions = attribute(admitted, claims)
         except Exception as error:  # one run's failure must not cost the others' answers
             self.failed = True
             say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
@@ -89,8 +95,7 @@ class _Session:
             result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")
             if self.confirm and one.answer is not Answer.NOT_ATTRIBUTED:
                 for again in confirmed(admitted, one):
-                    margin = one.unit.margin_text(again.margin)
-                    result(f"    in PyBullet, {again.words or 'as it is'}: {again.outcome.value}, {margin}")
+                    result(f"    {confirming_line(again, one)}")
 
 
 def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenario], list[InputError]]:

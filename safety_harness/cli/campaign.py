@@ -248,6 +248,30 @@ def compare(
 
 
 @_command()
+def attribute(
+    ledger: _LedgerFile,
+    most: Annotated[int, Option(help="Violations of each claim: the first so many.", min=1)] = 100,
+    out: Annotated[
+        Path | None, Option(help="Also attribution.json and attribution.svg, to this folder.")
+    ] = None,
+    confirm: Annotated[bool, Option("--confirm", help="Ask PyBullet as well.")] = False,
+    execute_avoider: Annotated[
+        bool, Option("--execute-avoider", help="Allow the Python files of the plan to be executed.")
+    ] = False,
+) -> int:
+    """Say whose fault the violations of a campaign are: its episodes run again, as attribute does.
+
+    An episode is drawn again from its seed, so that no trace need be stored.  How many of how many violations
+    are attributed is said first.
+    Exit code 0: every one has an answer, or there is none; 1: one is not attributed; 2: bad input; 130:
+    interrupted.
+    """
+    from safety_harness.cli.campaign_attribute import attribute_ledger
+
+    return attribute_ledger(ledger, most, execute_avoider, out, confirm)
+
+
+@_command()
 def merge(
     into: Annotated[Path, Argument(help="The ledger to make.", metavar="INTO")],
     ledgers: Annotated[list[Path], Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -49,14 +50,16 @@ def fuzz(
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
     With --against it searches for what the avoider violates and the reference keeps, on the same draws.
-    Counterexamples are shrunk, confirmed in PyBullet and explained, with a page, fuzz.html, about them and
-    a map of what was covered, coverage.svg; Ctrl-C keeps what was found so far.
+    Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
+    it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
+    covered, coverage.svg; Ctrl-C keeps what was found so far.
     A claim that the space expects to be violated has to be found within the budget.
     Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
     none of what it does, or an avoider that gave no answer, or answered otherwise when asked again; 2: bad
     input, or a place that cannot be written; 130: interrupted.
     """
     from safety_harness.cli.progress import watching_search
+    from safety_harness.report.search_attribution import SearchAttribution
     from safety_harness.report.search_files import write_search
     from safety_harness.search.against import Reference
     from safety_harness.search.sampling import UniformSampling
@@ -75,6 +78,7 @@ def fuzz(
             expected="another searcher, to compare with uniform sampling",
             got="--searcher uniform",
         )
+    attribution = SearchAttribution()
     made = search_space(
         Trials(
             read_space(space),
@@ -88,8 +92,9 @@ def fuzz(
         out=out,
         budget=budget,
         output=SearchOutput(say, result, watching_search),
-        write_page=write_search,
+        write_page=partial(write_search, attribution=attribution),
         baseline=baseline,
+        explain=attribution.explain,
     )
     if made.unwritable is not None:
         return BAD_INPUT

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import replay_command, told_avoider
+from safety_harness.admission.avoiders import command_line_reference, replay_command, told_avoider
 from safety_harness.admission.repeatability import Repeatability, Repeated
 from safety_harness.admission.taking import NotTaken, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
@@ -42,6 +42,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
+from safety_harness.scenario.model import Verdict
 from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
 
@@ -187,6 +188,7 @@ class RunSession:
             result(*self.against.lines())
         if self.runs:
             say(f"report: {self.out / REPORT} (for programs: {DATA})")
+        self._say_whose_fault()
         if self.unwritable is not None:
             return BAD_INPUT
         if self.interrupted:
@@ -194,6 +196,16 @@ class RunSession:
         good = all(verdicts) if self.against is None else self._as_good()
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
+
+    def _say_whose_fault(self) -> None:
+        """The commands that attribute what was violated and not expected to be: one for each avoider."""
+        wrong: dict[str, list[JudgedRun]] = {}
+        for one in self.runs:
+            if any(e.verdict is Verdict.VIOLATED is not claim.expected for claim, e in one.judged_claims()):
+                wrong.setdefault(command_line_reference(one.trace.scenario), []).append(one)
+        for runs in wrong.values():
+            files = [one.trace_file for one in runs if one.trace_file is not None]
+            say(f"whose fault: {replay_command(runs[0].trace.scenario, *files, by='attribute')}")
 
     def _as_good(self) -> bool:
         """Was every run held against the reference's, and none found worse?"""

@@ -10,12 +10,14 @@ from math import isfinite
 
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import told_avoider
+from safety_harness.attribution.tally import as_json_of
 from safety_harness.exceptions import OutputError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
 from safety_harness.report.page_parts import asset
+from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
@@ -29,10 +31,15 @@ from safety_harness.whole_file import write_text
 PAGE, COVERAGE = "fuzz.html", "coverage.svg"
 
 
-def write_search(session: SearchSession) -> None:
-    """The three files, in the folder of the session, which keeps what the disk or Ctrl-C says to that."""
+def write_search(session: SearchSession, attribution: SearchAttribution | None = None) -> None:
+    """The three files, in the folder of the session, which keeps what the disk or Ctrl-C says to that.
+
+    With an ``attribution`` all violations are attributed before, which is said.
+    """
     out, say = session.out, session.output.say
-    evidence = evidence_of(session)
+    evidence = evidence_of(session, attribution)
+    if evidence.faults is not None:
+        say(evidence.faults.words)
     try:
         with one_more_ctrl_c(say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
             write_text(out / FINDINGS, json.dumps(as_json(session.trials, evidence), indent=1) + "\n")
@@ -47,10 +54,12 @@ def write_search(session: SearchSession) -> None:
         say(f"no page was written; the files are in {out}")
 
 
-def evidence_of(session: SearchSession) -> SearchEvidence:
+def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
     """Everything that the page shows."""
     trials = session.trials
     avoider = trials.avoider or trials.space.simplest.avoider
+    faults = None if attribution is None else attribution.of_search(session)
+    each = {} if attribution is None else attribution.found
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
@@ -72,6 +81,10 @@ def evidence_of(session: SearchSession) -> SearchEvidence:
         confirmed=session.confirmed,
         unconfirmed=tuple(session.unconfirmed),
         not_found=tuple(session.not_found),
+        faults=faults,
+        attributed={
+            shown.path.name: each[shown.path.stem] for shown in session.written if shown.path.stem in each
+        },
         nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),
         provenance=provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider),
@@ -123,6 +136,10 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         f"confirmed in {PYBULLET.label}": evidence.confirmed,
         f"not confirmed in {PYBULLET.label}": [_of_group(trials, one.group) for one in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
+        "attribution of counterexamples": {
+            name: as_json_of(one) for name, one in evidence.attributed.items()
+        },
+        "attribution": None if evidence.faults is None else evidence.faults.as_json(),
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
         "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
     }

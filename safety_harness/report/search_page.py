@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -13,14 +14,17 @@ from markupsafe import Markup
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import Repeated
+from safety_harness.attribution.attribute import Attribution
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import share_words
+from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.search_attribution import FaultsOfSearch
 from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
@@ -74,6 +78,8 @@ class SearchEvidence:
     nearest_hand_m: float
     agreement: Agreement
     provenance: Provenance
+    faults: FaultsOfSearch | None = None  # whose fault all violations are
+    attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     against: Against | None = None  # how the runs differ from those with a reference
 
 
@@ -112,6 +118,7 @@ def render(evidence: SearchEvidence) -> str:
             if one.searched is not None
         ],
         map=Markup(map_of(evidence)),
+        faults_picture=Markup("" if evidence.faults is None else draw_attributions(evidence.faults.tally)),
         refused=findings.refused.most_common(),
         nearest_hand=Unit.LENGTH.margin_text(evidence.nearest_hand_m)
         if isfinite(evidence.nearest_hand_m)

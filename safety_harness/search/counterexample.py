@@ -1,13 +1,13 @@
 """A counterexample: shrunk, confirmed, explained, and as a scenario file with its evidence in comments.
 
-Why it violates is known as far as other runs tell: what takes the violation away, what was decided.
+Why it violates is known as far as other runs tell, which another part makes, and by what was decided.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,56 +16,26 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import folder_of
-from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import InputError
 from safety_harness.properties.base import Evaluation
 from safety_harness.robot.description import urdf_file
-from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.confirm import Complaint, Confirm, failure_of, in_one_world
+from safety_harness.search.confirm import Complaint, Confirm, in_one_world
 from safety_harness.search.coverage import cell_of
 from safety_harness.search.findings import TriedPoint
-from safety_harness.search.shrink import Shrunk, shrink, simpler
+from safety_harness.search.shrink import Shrunk, shrink
 from safety_harness.search.trials import ScenarioRunner, Trials
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 
-_MOST_REMOVED = 12  # ingredients that are taken away, one at a time
+Explain = Callable[[Scenario, Claim], Sequence[str]]
+"""Lines for people on why a scenario violates a claim."""
 
 
-@dataclass(frozen=True)
-class Ingredient:
-    """What becomes of the complaint without one thing; ``matters`` if it is gone then."""
-
-    step: str
-    outcome: str
-    matters: bool
-
-    def __str__(self) -> str:
-        return f"{self.step}: {self.outcome}"
-
-
-def ingredients(scenario: Scenario, complaint: Complaint, world: ScenarioRunner) -> list[Ingredient]:
-    """What becomes of the complaint when one thing is removed or neutralised."""
-    found = []
-    for step, other in list(simpler(scenario))[:_MOST_REMOVED]:
-        try:
-            run = world([admit(other)])[0]
-            found.append(Ingredient(step, _outcome(complaint, run), not complaint.is_in(run)))
-        except InputError as error:
-            found.append(Ingredient(step, f"cannot be tried, expected {error.expected}", False))
-    return found
-
-
-def _outcome(complaint: Complaint, run: Trace | Exception) -> str:
-    if complaint.claim is None or isinstance(run, Exception):
-        return failure_of(run) or "nothing goes wrong"
-    evaluation = property_of(complaint.claim, run.scenario).evaluate(run)
-    margin = "" if evaluation.margin is None else f", {evaluation.margin_text()}"
-    words = evaluation.verdict.value + margin
-    other = complaint.reference_words(run) if evaluation.verdict is Verdict.VIOLATED else ""
-    return f"{words}; {other}" if other else words
+def unexplained(scenario: Scenario, claim: Claim) -> Sequence[str]:
+    """An Explain that says nothing."""
+    return ()
 
 
 def seen_of(scenario: Scenario) -> Seen:
@@ -109,8 +79,8 @@ class Counterexample:
 
     ``run`` is that run (an Exception for one that could not be carried on), ``draws`` in how many of
     DRAWS draws of the avoider's own randomness it happens.  ``found_margin`` is the margin in the confirming
-    world before shrinking [SI], None for a mishap.  ``circumstances`` are lines for people.  Where shrinking
-    was interrupted there are neither ingredients nor draws.
+    world before shrinking [SI], None for a mishap.  ``circumstances`` and ``attribution``, whose fault
+    it is, are lines for people.  Where shrinking was interrupted there are neither attribution nor draws.
     """
 
     complaint: Complaint
@@ -119,13 +89,13 @@ class Counterexample:
     evaluations: tuple[Evaluation, ...]
     found_margin: float | None
     circumstances: tuple[str, ...]
-    ingredients: tuple[Ingredient, ...]
+    attribution: tuple[str, ...]
     draws: int | None
 
     @property
     def explanation(self) -> list[str]:
         """Lines for people."""
-        lines = [*self.circumstances, *map(str, self.ingredients)]
+        lines = [*self.attribution, *self.circumstances]
         if self.draws is not None:
             often = f"it happens in {self.draws} of {DRAWS} draws of it"
             lines.append(f"the avoider's own randomness: {often}")
@@ -164,11 +134,17 @@ class Counterexample:
 
 
 def counterexample_of(
-    found: Scenario, complaint: Complaint, world: ScenarioRunner, *, budget: int
+    found: Scenario,
+    complaint: Complaint,
+    world: ScenarioRunner,
+    *,
+    budget: int,
+    explain: Explain = unexplained,
 ) -> Counterexample | None:
     """Confirm, shrink and explain; None if ``world`` does not show the complaint.
 
     What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
+    ``explain`` is asked about a violation, and not where the avoider gave no answer.
     Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
     """
     first = world([admit(found)])[0]
@@ -188,7 +164,9 @@ def counterexample_of(
         tuple(filter(None, (complaint.reference_words(last.run), *circumstances(last.run))))
         if isinstance(last.run, Trace)
         else (),
-        tuple(ingredients(shrunk.scenario, complaint, world)) if whole else (),
+        tuple(explain(shrunk.scenario, complaint.claim))
+        if whole and complaint.claim is not None and not complaint.kind
+        else (),
         confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
     )
 

@@ -24,7 +24,14 @@ from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
-from safety_harness.search.counterexample import Counterexample, counterexample_of, origin_of, text_of
+from safety_harness.search.counterexample import (
+    Counterexample,
+    Explain,
+    counterexample_of,
+    origin_of,
+    text_of,
+    unexplained,
+)
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
@@ -89,8 +96,9 @@ class SearchSession:
     """One search and what becomes of its findings.  What cannot be written is printed instead.
 
     ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
-    ``confirming`` shows as well, and ``unwritable`` is why no more is written.  ``repeated`` is what a second
-    avoider answered to questions of the search; None if it was not asked.
+    ``confirming`` shows as well, and ``unwritable`` is why no more is written.  ``explain`` says of each why
+    it violates.  ``repeated`` is what a second avoider answered to questions of the search; None if it was
+    not asked.
     """
 
     trials: Trials
@@ -98,6 +106,7 @@ class SearchSession:
     budget: int
     output: SearchOutput
     confirming: ScenarioRunner = in_pybullet
+    explain: Explain = unexplained
     findings: Findings = field(init=False)
     baseline: Findings | None = None
     written: list[WrittenCounterexample] = field(default_factory=list)
@@ -230,7 +239,9 @@ class SearchSession:
         path = self._file(self.out, complaint, number)
         found = replace(self._found(self.out, group.worst), file=path, name=path.stem)
         try:
-            one = counterexample_of(found, complaint, self.confirming, budget=SHRINKING_RUNS)
+            one = counterexample_of(
+                found, complaint, self.confirming, budget=SHRINKING_RUNS, explain=self.explain
+            )
         except KeyboardInterrupt:
             self.findings.interrupted = True
             return None
@@ -304,13 +315,14 @@ def search_space(
     output: SearchOutput,
     write_page: Callable[[SearchSession], None],
     baseline: bool = False,
+    explain: Explain = unexplained,
 ) -> SearchSession:
     """Search, shrink, confirm, explain, write to ``out``.
 
     ``baseline`` samples the space uniformly as well, with the same budget, to compare with.  Raises
     InadmissibleError for a space of which next to no point can be tried.
     """
-    session = SearchSession(trials, out, budget, output)
+    session = SearchSession(trials, out, budget, output, explain=explain)
     session.findings = session.search(make, trials)
     if baseline and not session.findings.interrupted and session.unwritable is None:
         output.say("the baseline: uniform sampling with the same budget")

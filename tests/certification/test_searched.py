@@ -75,6 +75,16 @@ def test_a_search_that_is_missing_is_said_for_each_stratum(tmp_path: Path) -> No
     assert "nearer: the search was not made, or failed" in known.lines
 
 
+def test_whose_fault_the_violations_of_a_search_are_is_told_with_its_stratum(tmp_path: Path) -> None:
+    put(tmp_path, "1-near", attribution={"words": "whose fault, of 2 violations: 2 avoider", "groups": {}})
+    put(tmp_path, "2-nearer", budget=10)
+    known = search_evidence(searches_of(plan_in(tmp_path, SEARCHING), tmp_path))
+    assert known is not None
+    assert [line for line in known.lines if "whose" in line] == [
+        "near: whose fault, of 2 violations: 2 avoider"
+    ]
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from examples import hand, scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
-from safety_harness.cli.scenario_commands import attribute
+from safety_harness.cli.scenario_commands import attribute, run
 from safety_harness.scenario.faults import HandSensorBlind
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
@@ -104,3 +105,15 @@ def test_pybullet_is_asked_for_what_is_shown(tmp_path: Path, capsys: pytest.Capt
     out = capsys.readouterr().out
     assert "in PyBullet, as it is: still violated, -" in out
     assert "in PyBullet, perception (ideal): kept, +" in out
+
+
+def test_run_names_the_command_that_attributes_what_it_did_not_expect(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run([written(blind(), Path("blind.yaml"))], Path("out")) == DIFFERS
+    assert run([written(blind(Verdict.VIOLATED), Path("expected.yaml"))], Path("as-it-says")) == AS_EXPECTED
+    commands = re.findall(r"whose fault: safety-harness attribute (.+)", capsys.readouterr().err)
+    assert commands == ["out/traces/blind.trace"]
+    assert attribute([Path(commands[0])]) == AS_EXPECTED
+    assert "of 1: 1 perception" in capsys.readouterr().out

@@ -71,6 +71,8 @@ LOOKS: dict[str, tuple[str, int]] = {
     "campaign query": ("report/ledger.sqlite", AS_EXPECTED),
     "campaign export": ("report/ledger.sqlite table.csv --traces kept", AS_EXPECTED),
     "campaign compare": ("report/ledger.sqlite report/ledger.sqlite", AS_EXPECTED),
+    "campaign attribute": ("report/ledger.sqlite", BAD_INPUT),  # without --execute-avoider
+    "attribute a trace": (TRACE, BAD_INPUT),
     "campaign merge": ("merged.sqlite report/ledger.sqlite", AS_EXPECTED),
     "metrics": (OWN, BAD_INPUT),
     "export": (OWN, BAD_INPUT),
@@ -88,6 +90,8 @@ EXECUTES: dict[str, str | None] = {
     "time": f"{OWN} --questions 100 --out times.json",
     "verify": None,
     "selftest": None,
+    "attribute": "scenario.yaml",
+    "campaign attribute": "report/ledger.sqlite --execute-avoider --most 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
 }
@@ -137,7 +141,11 @@ def test_the_document_has_the_same_table() -> None:
     text = (Path(__file__).parents[2] / "docs" / "avoiders.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| `run`"))
     executing = set(re.findall(r"`([a-z ]+)`", row.split("|")[1])) - {"pytest"}
-    assert executing == {name.removesuffix(" plan") for name in EXECUTES} - {"replay", "verify"}
+    assert executing == {name.removesuffix(" plan") for name in EXECUTES} - {
+        "replay",
+        "verify",
+        "campaign attribute",
+    }
 
 
 @pytest.mark.parametrize("name", LOOKS)

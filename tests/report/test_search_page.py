@@ -21,7 +21,7 @@ from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.report.search_page import SearchEvidence, render
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld, disagreement_of
-from safety_harness.search.counterexample import Counterexample, Ingredient
+from safety_harness.search.counterexample import Counterexample
 from safety_harness.search.coverage import Coverage, CoverageCell
 from safety_harness.search.cube import Column, Cube
 from safety_harness.search.findings import Findings, Goal, Outcomes
@@ -71,9 +71,9 @@ def counterexample() -> Counterexample:
         evaluations=run.evaluations,
         found_margin=-0.1098,
         circumstances=("the run: right, to 1 m/s", "decision 1; largest spread 7 mm (threshold 5 mm)"),
-        ingredients=(
-            Ingredient("without the right hand", "inconclusive", True),
-            Ingredient("without the tremor", "violated, -9.9 mm", False),
+        attribution=(
+            "whose fault: perception (ideal): +9.0 mm",
+            "in PyBullet, perception (ideal): kept, +8.0 mm",
         ),
         draws=7,
     )
@@ -119,6 +119,7 @@ def evidence(**changes: object) -> SearchEvidence:
         fallback="",
         overruling=Overruling(2810, 2500, 310, Counter({Check.UNCERTAIN: 2700, Check.TABLE: 110})),
         computing_time="computing time not modelled",
+        repeated=None,
         baseline=findings_of([(0.4, 0.2), (0.2, 0.2), (0.3, 0.2), (0.1, 0.1)], "uniform"),
         coverage=Coverage(Counter({CELL: 4})),
         violations=Coverage(Counter({CELL: 2})),
@@ -178,11 +179,10 @@ def test_a_counterexample_is_shown_with_pictures_margins_reasons_files_and_comma
         "shrunk in 88 runs",
         "7 of 10",
         "largest spread 7 mm",
-        "without the tremor",
+        "whose fault: perception (ideal): +9.0 mm",
+        "in PyBullet, perception (ideal): kept, +8.0 mm",
     ):
         assert words in section.text, words
-    (gone,) = section.all("tr", "matters")
-    assert gone.all("th")[0].text == "without the right hand"
     links = [link.attributes["href"] for link in section.all("ul", "files")[0].all("a")]
     assert links == ["space-claim-1.yaml", "space-claim-1.trace"]
     commands = [code.text for code in section.all("code", "copy")]
@@ -289,7 +289,7 @@ def test_a_mishap_without_a_trace_has_a_section_too() -> None:
         evaluations=(),
         found_margin=None,
         circumstances=(),
-        ingredients=(),
+        attribution=(),
         draws=None,
     )
     page = parse(render(evidence(shown=(replace(shown(), one=one, trace_file=None),))))

@@ -41,7 +41,7 @@ def of(shrunk: Scenario, complaint: Complaint | None = None) -> Counterexample:
         evaluations=(),
         found_margin=None,
         circumstances=(),
-        ingredients=(),
+        attribution=(),
         draws=None,
     )
 

@@ -15,7 +15,7 @@ from safety_harness.admission.trial import judge, run_many, run_trial
 from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
-from safety_harness.search.counterexample import circumstances, ingredients, seen_of
+from safety_harness.search.counterexample import circumstances, seen_of
 from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
 from safety_harness.search.findings import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
@@ -185,15 +185,6 @@ def test_other_draws_of_an_avoider_without_any_are_the_same_and_of_a_network_are
     assert not np.array_equal(first, second)
     assert np.array_equal(first, again)
     assert OtherDraws(network, 0).spread_threshold_m == network.spread_threshold_m
-
-
-def test_an_explanation_says_what_takes_the_violation_away() -> None:
-    found = {one.step: one for one in ingredients(fast_run().scenario, complaint(), in_pybullet)}
-    hand, offset = found["without the right hand"], found["without the start's offset"]
-    assert str(hand).startswith("without the right hand: inconclusive")
-    assert hand.matters
-    assert str(offset).startswith("without the start's offset: violated")
-    assert not offset.matters
 
 
 def test_circumstances_say_where_it_was_and_what_was_decided() -> None:

@@ -1,0 +1,37 @@
+"""``safety-harness campaign attribute``: whose fault the violations in a ledger are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safety_harness.campaign.attributed import ViolatedEpisodes, violated_episodes
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.session import plan_of
+from safety_harness.certification.verify_runs import programs_in
+from safety_harness.cli.attribute import AttributionSession, conclude
+from safety_harness.cli.console import say
+from safety_harness.cli.runs import bar_of
+from safety_harness.exceptions import LedgerError, Place
+
+
+def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
+    """Attribute the violations in a ledger, print, write; returns the exit code."""
+    session = AttributionSession(confirm)
+    with Ledger.open(path) as ledger, plan_of(ledger) as plan:
+        programs = programs_in(plan)
+        if programs and not execute:
+            raise LedgerError(
+                place=Place(file=path),
+                expected="--execute-avoider, since repeating an episode executes it",
+                got=f"a campaign with {', '.join(programs)}",
+            )
+        violated = ViolatedEpisodes.first(ledger, most)
+        say(violated.words)
+        episodes = violated_episodes(plan, violated, programs=execute)
+        try:
+            with bar_of("episodes") as bar:
+                for admitted, claims in bar.track(episodes, total=len(violated.claims)):
+                    session.take(admitted, claims)
+        except KeyboardInterrupt:
+            session.interrupted = True
+    return conclude(session, out)

@@ -1,0 +1,105 @@
+"""Whose fault the violations of a search are: of each one written, and of all of them together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from safety_harness.admission.admit import Admitter
+from safety_harness.attribution.attribute import Answer, Attribution, Replay, attribute, confirmed
+from safety_harness.attribution.tally import AttributionTally
+from safety_harness.avoidance.avoider import described
+from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.search.findings import Group
+from safety_harness.search.session import SearchSession
+from safety_harness.simulation.worlds import PYBULLET
+
+MOST_ATTRIBUTED = 100  # groups of violations of one search
+
+
+def confirming_line(replay: Replay, attribution: Attribution) -> str:
+    """What the reference world says of a violation, as it is or with something changed."""
+    margin = attribution.unit.margin_text(replay.margin)
+    return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
+
+
+@dataclass(frozen=True, eq=False)
+class FaultsOfSearch:
+    """``tally`` is of the worst run of ``attributed`` of ``groups`` groups of violations, as they were found.
+
+    ``interrupted``: Ctrl-C came before the others.
+    """
+
+    tally: AttributionTally
+    attributed: int
+    groups: int
+    interrupted: bool
+
+    @property
+    def words(self) -> str:
+        """In one line."""
+        _, _, groups = self.tally.words.partition(": ")
+        some = "" if self.attributed == self.groups else f"{self.attributed} of "
+        return f"whose fault, of {some}{self.groups} violations that lie apart: {groups or 'not asked'}"
+
+    def as_json(self) -> dict[str, object]:
+        """As a tally's, with how many of how many."""
+        counts = {"groups of violations": self.groups, "attributed": self.attributed}
+        return {"words": self.words} | counts | self.tally.as_json()
+
+
+@dataclass(eq=False)
+class SearchAttribution:
+    """Attributes a search's violations; what it says of counterexamples is kept by their names."""
+
+    found: dict[str, Attribution] = field(default_factory=dict)
+    _admitter: Admitter = field(default_factory=Admitter)
+
+    def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
+        """Lines for people about one counterexample; what would have helped is run in PyBullet as well."""
+        admitted = self._admitter.admit(scenario)
+        try:
+            (one,) = attribute(admitted, (claim,))
+        except Exception as error:  # what was found must not be lost for want of an explanation
+            return (f"whose fault: cannot be told: {described(error)}",)
+        self.found[scenario.name] = one
+        lines = [f"whose fault: {one.words}"]
+        if one.answer is Answer.ATTRIBUTED:
+            changed = (replay for replay in confirmed(admitted, one) if replay.changes)
+            lines += (confirming_line(replay, one) for replay in changed)
+        return tuple(lines)
+
+    def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
+        """All violations together; None where there are none, or the search was interrupted."""
+        searches = [session.findings] + ([] if session.baseline is None else [session.baseline])
+        groups = [group for one in searches for group in one.groups if group.claim is not None]
+        if not groups or session.interrupted:
+            return None
+        every = -(-len(groups) // MOST_ATTRIBUTED)
+        chosen = groups[::every]
+        found: list[Attribution] = []
+        done = 0
+        try:
+            for together in _by_run(chosen):
+                try:
+                    found += self._of_run(session, together)
+                    done += len(together)
+                except Exception as error:
+                    session.output.say(f"a violation cannot be attributed: {described(error)}")
+        except KeyboardInterrupt:
+            session.findings.interrupted = True
+        tally = AttributionTally.of(found)
+        return FaultsOfSearch(tally, done, len(groups), session.interrupted)
+
+    def _of_run(self, session: SearchSession, groups: list[Group]) -> tuple[Attribution, ...]:
+        """Groups with the same worst run, which is made again once."""
+        trials, worst = session.trials, groups[0].worst
+        claims = tuple(trials.claims[group.claim] for group in groups if group.claim is not None)
+        return attribute(self._admitter.admit(trials.scenario(worst.point, worst.number)), claims)
+
+
+def _by_run(groups: list[Group]) -> Iterator[list[Group]]:
+    runs: dict[tuple[bytes, int], list[Group]] = {}
+    for group in groups:
+        runs.setdefault((group.worst.point.tobytes(), group.worst.number), []).append(group)
+    yield from runs.values()
