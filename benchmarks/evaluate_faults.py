@@ -268,7 +268,7 @@ def table(results: dict[tuple[str, int], Result]) -> str:
         "A fault is named if a finding came that what is below it does not have; in brackets the processor "
         "time and the revision. Magnitudes rise from slight to gross; the slight ones are wrong or hazardous "
         "too. Each can be tried: `safety-harness evaluate benchmarks/faulty_avoiders.py:NAME` (`python "
-        "benchmarks/faulty_avoiders.py` lists the names and says what each does)."
+        "benchmarks/evaluate_faults.py --list` lists the names and says what each does)."
     )
     head = (
         f"Revisions: {', '.join(revisions)}. {platform.system()} {platform.machine()}, "
@@ -303,7 +303,13 @@ def main() -> None:
     parser.add_argument("--part", type=int, default=0, help="of --parts, which may run beside each other")
     parser.add_argument("--parts", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="measure nothing")
+    parser.add_argument("--list", action="store_true", help="say what every fault does")
     given = parser.parse_args()
+    if given.list:
+        for fault in FAULTS.values():
+            sizes = ", ".join(fault.told(level) for level in (1, 2, 3))
+            print(f"{fault.name}_N_on_BASE ({fault.kind}; {sizes}): {fault.harm}")
+        return
     results, revision = known(given.lines), described()
     todo = [task for task in tasks(given.what) if task not in results and given.only in task[0]]
     given.lines.parent.mkdir(parents=True, exist_ok=True)

@@ -3,7 +3,7 @@
 Try one: ``--avoider benchmarks/faulty_avoiders.py:NAME``, where NAME is ``sign_flip_1_on_network``, say:
 a fault, its magnitude (1 is slight, 3 gross) and what is below it (``network`` or ``optimum``).
 ``sound_on_network`` has no fault, and ``cached_on_optimum`` is one of the harmless changes.
-``python benchmarks/faulty_avoiders.py`` lists all of them.  In Python ``avoider_named(NAME)`` makes one.
+``python benchmarks/evaluate_faults.py --list`` lists them.  In Python ``avoider_named(NAME)`` makes one.
 
 Every fault is wrong or hazardous in its slight form too: FAULTS says why.  Faults of the spread need an
 honest spread below them: there ``optimum`` is the closed form with noise of a known deviation.
@@ -909,9 +909,3 @@ def __getattr__(name: str) -> BatchAvoider:
         return avoider_named(name)
     except (KeyError, ValueError, IndexError):
         raise AttributeError(name) from None
-
-
-if __name__ == "__main__":
-    for one in FAULTS.values():
-        print(f"{one.name}_N ({one.kind}; {', '.join(one.told(n) for n in (1, 2, 3))}): {one.harm}")
-    print(f"harmless: {', '.join(HARMLESS)}; each on {' and on '.join(BASES)}")
