@@ -58,8 +58,8 @@ def main() -> None:
     head = [
         "# What a search finds in the shipped spaces",
         "",
-        f"`make bench-found_in_spaces`, at {revision}: violations in {UNIFORM} uniform draws and in a search of "
-        f"{BUDGET} runs, seed {SEED}, kinematic, before confirmation.",
+        f"`make bench-found_in_spaces`, at {revision}: violations in {UNIFORM} uniform draws, and in "
+        f"a search of {BUDGET} runs, seed {SEED}, kinematic, before confirmation.",
         "",
         "| space | claim | the space expects | uniform | default search | found what uniform found |",
         "|---|---|---|---|---|---|",
