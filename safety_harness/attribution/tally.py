@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -42,8 +42,7 @@ class AttributionTally:
     @property
     def words(self) -> str:
         """``of 303: 171 unavoidable, 83 critical distance``."""
-        total = len(self.attributions)
-        return f"of {total}: " + ", ".join(f"{count} {group}" for group, count in self.groups.items())
+        return group_words(self.groups)
 
     def lines(self) -> Iterator[str]:
         """The groups and the changes as tables for a terminal; nothing where there is nothing to tell."""
@@ -63,6 +62,11 @@ class AttributionTally:
             "would have helped": self.would_help,
             "attributions": [as_json_of(one) for one in self.attributions],
         }
+
+
+def group_words(groups: Mapping[str, int]) -> str:
+    """How many violations each group has, of how many."""
+    return f"of {sum(groups.values())}: " + ", ".join(f"{count} {group}" for group, count in groups.items())
 
 
 def as_json_of(one: Attribution) -> dict[str, object]:

@@ -247,6 +247,19 @@ class CounterexampleEvidence:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WhoseFault:
+    """Whose fault the violations of the declared runs are.
+
+    ``about`` says how many of how many were looked at, and is empty without a violation; ``groups`` counts
+    what each is laid at, ``would_help`` the violations that each single change would have avoided.
+    """
+
+    about: str
+    groups: tuple[tuple[str, int], ...]
+    would_help: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class SearchSummary:
     """What the hunt for counterexamples did; it never enters a bound."""
 
@@ -320,6 +333,7 @@ class Evidence:
     calibration: tuple[CalibrationCheck, ...]
     coverage: CoverageOfRuns
     counterexamples: tuple[CounterexampleEvidence, ...]
+    whose_fault: WhoseFault
     search: SearchSummary | None
     credibility: Credibility
     selftest: SelfTest | None

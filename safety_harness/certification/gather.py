@@ -24,7 +24,7 @@ from safety_harness.certification.counterexamples import (
     searches_of,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record
+from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record, WhoseFault
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
@@ -40,6 +40,7 @@ from safety_harness.certification.stored import (
 from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
+from safety_harness.certification.whose_fault import whose_fault
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance
@@ -89,8 +90,9 @@ def put_together(
     declaration: str,
     origin: Origin,
     believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
+    blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last four."""
+    """All that follows from the ledger and the searches, around what does not: the last five."""
     claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
     stored, damaged = random_traces(plan, ledger)
     searches = searches_of(plan, folder)
@@ -112,6 +114,7 @@ def put_together(
         calibration=tuple(calibration_of(plan, stored)),
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
+        whose_fault=blame(plan, ledger),
         search=search_evidence(searches),
         credibility=believe(stored, trials),
         selftest=trials.selftest,

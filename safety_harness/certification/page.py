@@ -14,6 +14,7 @@ from safety_harness.certification.replay3d import replay_json, start_s
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
+from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
@@ -59,6 +60,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         bounds_figure=bounds_figure,
         margins_figure=margins_figure,
         counterexamples=views,
+        faults_picture=Markup(draw_attributions(dict(evidence.whose_fault.groups))),
         top=top,
         argument=Markup(argument_svg(top, prefix="argument-")),
         separation=Markup(separation_figure(evidence.separation)),

@@ -284,6 +284,15 @@ def coverage(evidence: Evidence) -> tuple[CellTable, ...]:
     )
 
 
+def whose_fault(evidence: Evidence) -> CellTable:
+    """Which single changes would have avoided how many violations."""
+    return _table(
+        "What would have helped, changed alone",
+        evidence.whose_fault.would_help,
+        {"Change": lambda one: words(one[0]), "Violations avoided": lambda one: count(one[1])},
+    )
+
+
 def counterexamples(evidence: Evidence) -> CellTable:
     """All of them, with where they came from."""
     return _table(
@@ -380,6 +389,7 @@ _EVERY: tuple[Callable[..., object], ...] = (
         separation,
         coverage,
         counterexamples,
+        whose_fault,
         calibration,
     ),
     *(agreement, rerun, oracles, kills, files),

@@ -33,6 +33,7 @@ from safety_harness.certification.page import render
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility, HarnessTrials
 from safety_harness.certification.verify_files import Examination, Report, few
+from safety_harness.certification.whose_fault import whose_fault
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import plain
@@ -125,6 +126,7 @@ def written(text: str) -> bytes:
 WORDS = {
     *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
+    "whose_fault",
 }
 CLOSE = 1e-9  # relative: another scipy's last digits
 
@@ -152,6 +154,7 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
         declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
         origin=_origin(recorded.provenance, ledger, same=same),
         believe=believe,
+        blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
     )
     drawn = replace(gathered.evidence.record, drawn_with=recorded.record.drawn_with)
     now = replace(gathered.evidence, files=recorded.files, record=drawn)
@@ -168,7 +171,11 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
     )
     if recorded.plan.search_runs:
         notes.append("the search was not made again: what it found is what its files say")
-    unchecked = [] if again else ["the runs by which the simulator is doubted were not made again"]
+    unchecked = (
+        []
+        if again
+        else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
+    )
     if recorded.selftest or recorded.credibility.oracles:
         unchecked.append("the trial of the harness and the table of oracles are what their files said")
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]

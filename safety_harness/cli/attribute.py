@@ -63,7 +63,7 @@ def conclude(session: AttributionSession, out: Path | None) -> int:
     result(*tally.lines())
     if out is not None:
         write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
-        write_text(out / PICTURE, standalone(draw_attributions(tally), style=asset("report.css")))
+        write_text(out / PICTURE, standalone(draw_attributions(tally.groups), style=asset("report.css")))
         say(f"picture: {out / PICTURE} (for programs: {DATA})")
     if session.interrupted:
         say("interrupted: what was attributed until then is above")

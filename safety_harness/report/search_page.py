@@ -118,7 +118,9 @@ def render(evidence: SearchEvidence) -> str:
             if one.searched is not None
         ],
         map=Markup(map_of(evidence)),
-        faults_picture=Markup("" if evidence.faults is None else draw_attributions(evidence.faults.tally)),
+        faults_picture=Markup(
+            "" if evidence.faults is None else draw_attributions(evidence.faults.tally.groups)
+        ),
         refused=findings.refused.most_common(),
         nearest_hand=Unit.LENGTH.margin_text(evidence.nearest_hand_m)
         if isfinite(evidence.nearest_hand_m)

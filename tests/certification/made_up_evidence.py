@@ -24,6 +24,7 @@ from safety_harness.certification.evidence import (
     StoredFile,
     StratumResult,
     SystemDescription,
+    WhoseFault,
 )
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.tools import (
@@ -254,6 +255,11 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
                 lines=("without the second move it does not happen", f"seen space: {HOSTILE}"),
             )
             for number in range(1, counterexamples + 1)
+        ),
+        whose_fault=WhoseFault(
+            about="20 of 31 violations, in 20 episodes",
+            groups=(("critical distance", 12), ("unavoidable", 8)),
+            would_help=((f"critical distance (x 2) {HOSTILE}", 12),),
         ),
         search=SearchSummary(runs=2000, searcher="default", lines=("2000 runs, 14 distinct violations",)),
         credibility=Credibility(

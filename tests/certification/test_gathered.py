@@ -15,6 +15,8 @@ from safety_harness.campaign.runner import Stopping
 from safety_harness.certification.folder import read_manifest, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.verify_files import check_plan
+from safety_harness.certification.whose_fault import MOST
+from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
@@ -88,3 +90,21 @@ def test_a_plan_that_may_stop_early_is_interrupted_until_it_stops(tmp_path: Path
         assert all(next(ledger.missing(stratum), None) is None for stratum in range(2))
         assert Stopping(plan, ledger).decided == {0: 50, 1: 50}
         assert not any("stopped" in fault for fault in check_plan(tmp_path, plan, ledger).faults)
+
+
+def test_violations_of_the_declared_runs_are_grouped_by_whose_fault_they_are(
+    plan: Plan, ledger: Ledger
+) -> None:
+    found = gather(plan, ledger, ledger.path.parent, command="certify").evidence.whose_fault
+    ((violated,),) = ledger.all(
+        f"SELECT count(*) FROM judgement WHERE outcome = {int(EpisodeOutcome.VIOLATED)}"
+    )
+    assert 0 < violated <= MOST
+    assert found.about.startswith(f"{violated} of {violated} violations")
+    assert sum(count for _, count in found.groups) == violated
+
+
+def test_without_a_violation_there_is_nothing_to_attribute(plan: Plan, ledger: Ledger) -> None:
+    ledger.connection.execute(f"UPDATE judgement SET outcome = {int(EpisodeOutcome.HOLDS)}")
+    found = gather(plan, ledger, ledger.path.parent, command="certify").evidence.whose_fault
+    assert (found.about, found.groups) == ("", ())

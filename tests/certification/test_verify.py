@@ -19,7 +19,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification import folder, verify_report
 from safety_harness.certification.altered import Turn, chance_to_miss
-from safety_harness.certification.evidence import ClaimStatus, as_text, read_evidence
+from safety_harness.certification.evidence import ClaimStatus, WhoseFault, as_text, read_evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.lodged import declaration_of, write_seal
@@ -254,6 +254,7 @@ def edited(report: Path, **parts: object) -> None:
         ({"counterexamples": ()}, "counterexamples: 0 of them"),
         ({"strata": ()}, "strata: 0 of them"),
         ({"overruling": ()}, "overruling: 0 of them"),
+        ({"whose_fault": WhoseFault(about="", groups=(), would_help=())}, "whose_fault.groups: 0 of them"),
         ({"interrupted": True}, "interrupted: True in the report"),
         ({"files": ()}, "lists others than the manifest"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),

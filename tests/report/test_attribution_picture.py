@@ -18,7 +18,7 @@ def of(answer: Answer) -> Attribution:
 
 def test_bars_are_as_long_as_the_shares_and_said_in_words() -> None:
     tally = AttributionTally.of([of(Answer.UNAVOIDABLE)] * 3 + [of(Answer.NOT_ATTRIBUTED)])
-    root = ElementTree.fromstring(draw_attributions(tally))
+    root = ElementTree.fromstring(draw_attributions(tally.groups))
     widths = [float(bar.get("width", "")) for bar in root.iter("rect")]
     assert widths == [0.75 * LONGEST_PX, 0.25 * LONGEST_PX]
     words = [text.text for text in root.iter("text")]
@@ -27,6 +27,6 @@ def test_bars_are_as_long_as_the_shares_and_said_in_words() -> None:
 
 
 def test_nothing_is_no_bar() -> None:
-    root = ElementTree.fromstring(draw_attributions(AttributionTally.of([])))
+    root = ElementTree.fromstring(draw_attributions({}))
     assert not list(root.iter("rect"))
     assert [text.text for text in root.iter("text")] == ["0 violations"]
