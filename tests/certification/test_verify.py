@@ -254,7 +254,6 @@ def edited(report: Path, **parts: object) -> None:
         ({"counterexamples": ()}, "counterexamples: 0 of them"),
         ({"strata": ()}, "strata: 0 of them"),
         ({"overruling": ()}, "overruling: 0 of them"),
-        ({"whose_fault": WhoseFault(about="", groups=(), would_help=())}, "whose_fault.groups: 0 of them"),
         ({"interrupted": True}, "interrupted: True in the report"),
         ({"files": ()}, "lists others than the manifest"),
         ({"assumptions": ("none",)}, "assumptions: 1 of them"),
@@ -271,6 +270,11 @@ def test_what_does_not_follow_from_the_ledger_is_noticed(
         parts = {"provenance": replace(origin, command=parts["provenance"])}
     edited(report, **parts)
     assert said in faults(report)
+
+
+def test_faults_that_do_not_come_out_again_are_noticed_where_runs_are_made_again(report: Path) -> None:
+    edited(report, whose_fault=WhoseFault(about="1 of 1", groups=(("hand", 1),), would_help=()))
+    assert "whose_fault.groups" in faults(report, runs=1)
 
 
 def test_words_that_other_software_writes_otherwise_are_no_fault(
