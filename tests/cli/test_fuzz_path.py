@@ -56,7 +56,6 @@ REPAIRED = AVOIDER.replace("40.0 * low_m", "0.0 * low_m")
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 5)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(counterexample_module, "_MOST_REMOVED", 2)
     monkeypatch.setattr(counterexample_module, "DRAWS", 2)
     (tmp_path / "mine.py").write_text(AVOIDER)
     (tmp_path / "space.yaml").write_text(SPACE.format(avoider="mine.py:Mine"))

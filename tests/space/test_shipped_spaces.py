@@ -28,14 +28,23 @@ def test_there_are_six() -> None:
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
-def test_its_draws_can_be_tried_and_no_claim_is_violated_at_once(file: Path) -> None:
+def test_its_draws_can_be_tried_and_what_is_to_hold_is_not_violated_at_once(file: Path) -> None:
     space = read_space(file)
     draws = draw_admissible(space, seed=2, count=2)
     assert draws.acceptance_rate > 0.3
     for scenario in draws.scenarios:
         for claim, evaluation in zip(scenario.claims, judge(run_trial(admit(scenario))), strict=True):
-            assert claim.expected is Verdict.HOLDS
-            assert evaluation.verdict is not Verdict.VIOLATED, evaluation
+            assert claim.expected is not Verdict.INCONCLUSIVE
+            assert claim.expected is Verdict.VIOLATED or evaluation.verdict is not Verdict.VIOLATED, (
+                evaluation
+            )
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_it_claims_the_hand_distance_and_what_the_avoider_proposes(file: Path) -> None:
+    claims = [claim.sentence for claim in read_space(file).simplest.claims]
+    for words in ("hand distance never below 50 mm", "proposals lead away", "of proposals overruled"):
+        assert any(words in sentence for sentence in claims), words
 
 
 @pytest.mark.parametrize(
