@@ -25,6 +25,7 @@ from safety_harness.report.words import milliseconds_words
 from safety_harness.settings import DEFAULTS
 
 PAGE = Path(__file__).parents[1] / "docs" / "models.md"
+EVALUATE = Path(__file__).with_name("EVALUATE.md")
 ABOUT = {
     "mc-dropout": "The default avoider: Monte Carlo dropout after each stage (DO-inter), ten passes.",
     "mc-dropout-full": "Monte Carlo dropout before every fully connected layer (DO-full), ten passes.",
@@ -132,6 +133,24 @@ def computing_time() -> Iterator[str]:
     yield ""
 
 
+def what_evaluate_finds() -> Iterator[str]:
+    """The rows of EVALUATE.md about the avoiders that ship."""
+    yield "## What evaluate finds"
+    yield ""
+    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in how many"
+    yield "of the seeds, and the range of the figures. That `opposite pose` and `nearest candidate` are far from the"
+    yield "optimum, or jump, is how they are made."
+    yield ""
+    rows = [
+        row for row in EVALUATE.read_text().splitlines() if row.startswith(("| avoider", "|---|---|---|---|"))
+    ]
+    yield from rows[-2:]
+    shipped = tuple(f"| {name} |" for name in (*SHIPPED, "opposite pose", "nearest candidate"))
+    sound = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()
+    yield from (row for row in sound if row.startswith(shipped))
+    yield ""
+
+
 def main() -> None:
     """Evaluate, and write the page."""
     with tempfile.TemporaryDirectory() as folder:
@@ -149,6 +168,7 @@ def main() -> None:
         "It is no floor for `optimum`, whose labels have none.\n"
     )
     lines.extend(computing_time())
+    lines.extend(what_evaluate_finds())
     for name, one in zip(SHIPPED, found["models"], strict=True):
         lines.extend(card(name, models[name], one))
     PAGE.write_text("\n".join(lines).rstrip() + "\n")

@@ -14,6 +14,7 @@ from safety_harness.cli.evaluate import DATA, PAGE, evaluate
 from safety_harness.cli.main import app
 from safety_harness.exceptions import NoAnswerError
 from safety_harness.report.score_document import SCHEMA
+from safety_harness.scoring import score as scoring
 from safety_harness.scoring import session as module
 from safety_harness.scoring.score import score
 
@@ -37,6 +38,7 @@ FEW = {"questions": 300, "search": 0, "regions": ["seen"]}
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(scoring, "LATER_S", 0.0)  # no avoider here drifts with the clock
     (tmp_path / "mine.py").write_text(MINE)
     monkeypatch.chdir(tmp_path)
     return tmp_path

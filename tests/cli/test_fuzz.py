@@ -13,6 +13,7 @@ from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.show import sample
 from safety_harness.exceptions import OutputError
+from safety_harness.report import search_attribution
 from safety_harness.scenario.expand import gather
 from safety_harness.search import session as search_session
 from safety_harness.search.findings import Outcomes
@@ -31,6 +32,7 @@ def space(tmp_path: Path) -> Path:
 def _little_shrinking(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 25)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 2)
 
 
 def counterexamples(folder: Path) -> list[Path]:

@@ -12,6 +12,7 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
+from safety_harness.report import search_attribution
 from safety_harness.search import counterexample as counterexample_module
 from safety_harness.search import searchers
 from safety_harness.search import session as search_session
@@ -56,6 +57,7 @@ REPAIRED = AVOIDER.replace("40.0 * low_m", "0.0 * low_m")
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 5)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 2)
     monkeypatch.setattr(counterexample_module, "DRAWS", 2)
     (tmp_path / "mine.py").write_text(AVOIDER)
     (tmp_path / "space.yaml").write_text(SPACE.format(avoider="mine.py:Mine"))

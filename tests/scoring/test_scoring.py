@@ -9,6 +9,7 @@ import pytest
 from doubted import Array, Change, subject
 
 from safety_harness.exceptions import InadmissibleError
+from safety_harness.scoring import score as scoring
 from safety_harness.scoring.findings import findings
 from safety_harness.scoring.regions import named_regions
 from safety_harness.scoring.repeats import Subject
@@ -21,14 +22,24 @@ REGIONS = named_regions(paper_seen(DEFAULTS), DEFAULTS)[:2]
 COUNTS = Counts(first=3000, other=800, far=100, segments=100, alone=40, sample=120)
 
 
+@pytest.fixture(autouse=True)
+def _later_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No fault here needs that the later questions are much later."""
+    monkeypatch.setattr(scoring, "LATER_S", 0.0)
+
+
 @pytest.fixture(scope="module")
 def beside() -> tuple[Scorecard, ...]:
     return yardsticks(REGIONS, seed=3, counts=COUNTS)
 
 
+SCORED: dict[Change, Scorecard] = {}  # several kinds of finding are looked for in one
+
+
 def kinds(change: Change, beside: tuple[Scorecard, ...]) -> set[Kind]:
-    card = score(subject(change), REGIONS, seed=3, counts=COUNTS)
-    return {one.kind for one in findings(card, beside)}
+    if change not in SCORED:
+        SCORED[change] = score(subject(change), REGIONS, seed=3, counts=COUNTS)
+    return {one.kind for one in findings(SCORED[change], beside)}
 
 
 def test_the_yardsticks_are_asked_the_same_questions(beside: tuple[Scorecard, ...]) -> None:
