@@ -137,17 +137,13 @@ def what_evaluate_finds() -> Iterator[str]:
     """The rows of EVALUATE.md about the avoiders that ship."""
     yield "## What evaluate finds"
     yield ""
-    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in how many"
-    yield "of the seeds, and the range of the figures. That `opposite pose` and `nearest candidate` are far from the"
-    yield "optimum, or jump, is how they are made."
+    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in how"
+    yield "many of the seeds, and the range of the figures. That `opposite pose` and `nearest candidate` are far"
+    yield "from the optimum, or jump, is how they are made."
     yield ""
-    rows = [
-        row for row in EVALUATE.read_text().splitlines() if row.startswith(("| avoider", "|---|---|---|---|"))
-    ]
-    yield from rows[-2:]
-    shipped = tuple(f"| {name} |" for name in (*SHIPPED, "opposite pose", "nearest candidate"))
-    sound = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()
-    yield from (row for row in sound if row.startswith(shipped))
+    shown = ("avoider", *SHIPPED, "opposite pose", "nearest candidate")
+    rows = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()
+    yield from (row for row in rows if row.startswith(("|---", *(f"| {name} |" for name in shown))))
     yield ""
 
 
