@@ -137,9 +137,9 @@ def what_evaluate_finds() -> Iterator[str]:
     """The rows of EVALUATE.md about the avoiders that ship."""
     yield "## What evaluate finds"
     yield ""
-    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in how"
-    yield "many of the seeds, and the range of the figures. That `opposite pose` and `nearest candidate` are far"
-    yield "from the optimum, or jump, is how they are made."
+    yield "Findings of [`evaluate`](evaluate.md) on the avoiders that ship, from `benchmarks/EVALUATE.md`: in"
+    yield "how many of the seeds, and the range of the figures. `opposite pose` and `nearest candidate` are"
+    yield "far from the optimum, or jump, by design."
     yield ""
     shown = ("avoider", *SHIPPED, "opposite pose", "nearest candidate")
     rows = EVALUATE.read_text().partition("## Sound avoiders")[2].splitlines()
