@@ -25,7 +25,7 @@ from foresight import best_distance_m
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.attribution.attribute import Answer, Attribution, attribute
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Claim, Verdict
@@ -81,7 +81,7 @@ def of_space(path: Path, draws: int, motions: int, seed: int) -> int:
         return 0
     print(*(f"  {line}" for line in tally.lines()), sep="\n")
     print(f"  {took_s / len(found) * 1e3:.0f} ms of processor time each, {worst_s * 1e3:.0f} ms at most")
-    unavoidable = [one for one, each in found if each.answer is Answer.UNAVOIDABLE]
+    unavoidable = [one for one, each in found if each.answer is AttributionAnswer.UNAVOIDABLE]
     best = [best_distance_m(one, motions) for one in unavoidable]
     kept = sum(distance_m >= LEAST_M for distance_m in best)
     nearest = f", the best came to {max(best) * 1e3:.1f} mm" if best else ""

@@ -40,7 +40,7 @@ Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf wher
 
 
 @dataclass(frozen=True, kw_only=True)
-class Repeated:
+class RepeatabilityResult:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
     ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
@@ -109,7 +109,7 @@ class Repeatability:
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
-    def check(self, least: int = LEAST) -> Repeated:
+    def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
         again = _Again()
@@ -118,7 +118,7 @@ class Repeatability:
                 again.ask(self._drawn(), least, allowed_s)
             except (InputError, SimulationError) as error:
                 again.problem = f"the avoider could not be asked again: {printable(str(error))}"
-        return Repeated(
+        return RepeatabilityResult(
             questions=self._questions,
             asked=again.asked,
             differing=len(again.differing),

@@ -75,7 +75,7 @@ class Replay:
         return " and ".join(map(str, self.changes))
 
 
-class Answer(Enum):
+class AttributionAnswer(Enum):
     """What can be said of a violation."""
 
     NOT_ATTRIBUTED = "not attributed"
@@ -96,7 +96,7 @@ class Attribution:
     scenario: str
     claim: Claim
     unit: Unit
-    answer: Answer
+    answer: AttributionAnswer
     margin: float | None
     why: str = ""
     replays: tuple[Replay, ...] = ()
@@ -138,7 +138,7 @@ class Runner(Protocol):
 
 
 @dataclass(frozen=True)
-class InOneWorld:
+class ReplaysInWorld:
     """A Runner that spoils nothing.  Ctrl-C raises KeyboardInterrupt."""
 
     world: WorldEntry = KINEMATIC
@@ -155,7 +155,7 @@ def attribute(
     admitted: Admitted,
     claims: Sequence[Claim] = (),
     *,
-    run: Runner = InOneWorld(),
+    run: Runner = ReplaysInWorld(),
     spoilt: Collection[Ingredient] = (),
 ) -> tuple[Attribution, ...]:
     """Whose fault each violation of ``claims`` is; they have been seen violated, in whichever world.
@@ -186,12 +186,12 @@ def attribute(
                 continue
             why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
         if seen[number]:
-            found.append(tell.made(Answer.NOT_ATTRIBUTED, margin, why))
+            found.append(tell.made(AttributionAnswer.NOT_ATTRIBUTED, margin, why))
     return _jointly(found)
 
 
 def confirmed(
-    admitted: Admitted, attribution: Attribution, *, run: Runner = InOneWorld(PYBULLET)
+    admitted: Admitted, attribution: Attribution, *, run: Runner = ReplaysInWorld(PYBULLET)
 ) -> tuple[Replay, ...]:
     """The violation in another world, and there with what is blamed changed: one replay, or two."""
     scenario = replace(admitted.scenario, claims=(attribution.claim,))
@@ -245,7 +245,7 @@ class _Told:
         """The bound, then single changes, then pairs of those ingredients that came nearest to help."""
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
-            return self.made(Answer.UNAVOIDABLE, margin, why)
+            return self.made(AttributionAnswer.UNAVOIDABLE, margin, why)
         replays = self.replays((change,) for change in changes)
         helping = _least(replays)
         if not helping:
@@ -253,7 +253,7 @@ class _Told:
             pairs = combinations(sorted(best, key=lambda one: _rank(one.ingredients)), 2)
             paired = self.replays(one.changes + other.changes for one, other in pairs)
             replays, helping = replays + paired, _least(paired)
-        answer = Answer.ATTRIBUTED if helping else Answer.NOTHING_HELPED
+        answer = AttributionAnswer.ATTRIBUTED if helping else AttributionAnswer.NOTHING_HELPED
         return self.made(answer, margin, "", replays, helping)
 
     def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
@@ -268,7 +268,7 @@ class _Told:
 
     def made(
         self,
-        answer: Answer,
+        answer: AttributionAnswer,
         margin: float | None,
         why: str,
         replays: tuple[Replay, ...] = (),

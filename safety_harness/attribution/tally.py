@@ -7,9 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from safety_harness.attribution.attribute import Answer, Attribution
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer
 
-LAST = (Answer.NOTHING_HELPED.value, Answer.NOT_ATTRIBUTED.value)
+LAST = (AttributionAnswer.NOTHING_HELPED.value, AttributionAnswer.NOT_ATTRIBUTED.value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.campaign.identity import Identity, PlanFile
 from safety_harness.campaign.opening import connect, create, explained, refuse_any_file, unusable
 from safety_harness.campaign.plan import Plan
@@ -170,7 +170,7 @@ class Ledger:
             insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
             self.connection.execute(insert, (began, workers, machine))
 
-    def note_repeated(self, found: Repeated) -> None:
+    def note_repeated(self, found: RepeatabilityResult) -> None:
         """Note down what a second avoider answered to questions of a session."""
         with self.transaction():
             self.connection.execute(
@@ -184,14 +184,14 @@ class Ledger:
         return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'")))
 
     @property
-    def repeated(self) -> Repeated:
+    def repeated(self) -> RepeatabilityResult:
         """What second avoiders answered, of all sessions; the words are of the first that differed."""
         if not self.asks_again:
-            return Repeated(questions=0)
+            return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
         questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
-        return Repeated(
+        return RepeatabilityResult(
             questions=questions,
             asked=asked,
             differing=differing,

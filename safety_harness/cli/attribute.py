@@ -10,7 +10,7 @@ from pathlib import Path
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_a_program, with_avoider
 from safety_harness.admission.trial import judge
-from safety_harness.attribution.attribute import Answer, Attribution, attribute, confirmed
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.avoidance.avoider import described
 from safety_harness.cli.console import (
@@ -68,7 +68,7 @@ def conclude(session: AttributionSession, out: Path | None) -> int:
     if session.interrupted:
         say("interrupted: what was attributed until then is above")
         return INTERRUPTED
-    missing = any(one.answer is Answer.NOT_ATTRIBUTED for one in session.found)
+    missing = any(one.answer is AttributionAnswer.NOT_ATTRIBUTED for one in session.found)
     return DIFFERS if missing or session.failed else AS_EXPECTED
 
 
@@ -93,7 +93,7 @@ class AttributionSession:
             self.found.append(one)
             margin = one.unit.margin_text(one.margin)
             result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")
-            if self.confirm and one.answer is not Answer.NOT_ATTRIBUTED:
+            if self.confirm and one.answer is not AttributionAnswer.NOT_ATTRIBUTED:
                 for again in confirmed(admitted, one):
                     result(f"    {confirming_line(again, one)}")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import command_line_reference, replay_command, told_avoider
-from safety_harness.admission.repeatability import Repeatability, Repeated
+from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.taking import NotTaken, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
@@ -116,7 +116,7 @@ class RunSession:
     interrupted: bool = False
     unwritable: OutputError | None = None
     repeatability: Repeatability = field(default_factory=Repeatability)
-    repeated: Repeated | None = None  # None: not asked again
+    repeated: RepeatabilityResult | None = None  # None: not asked again
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
         """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""

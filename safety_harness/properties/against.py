@@ -36,7 +36,7 @@ SCALES = {
 TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
 
 
-class Change(Enum):
+class VerdictChange(Enum):
     """What becomes of a claim with the avoider on trial in the reference's place."""
 
     NEW = "new violation"
@@ -47,7 +47,7 @@ class Change(Enum):
     NONE = "no difference"
 
 
-_TOLD = (Change.NEW, Change.DEEPER, Change.SILENT, Change.LOST)
+_TOLD = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT, VerdictChange.LOST)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,19 +64,19 @@ class ClaimDifference:
         return a - b if a is not None and b is not None else float("nan")
 
     @property
-    def change(self) -> Change:
+    def change(self) -> VerdictChange:
         """A violation is new as well where the reference has no verdict: nobody saw it violate."""
         mine, reference = self.mine.verdict, self.reference.verdict
         less = self.lost > TOLERANCE * SCALES[self.mine.unit]
         if mine is Verdict.VIOLATED:
             if reference is not Verdict.VIOLATED:
-                return Change.NEW
-            return Change.DEEPER if less else Change.NONE
+                return VerdictChange.NEW
+            return VerdictChange.DEEPER if less else VerdictChange.NONE
         if mine is Verdict.INCONCLUSIVE:
-            return Change.SILENT if reference is Verdict.HOLDS else Change.NONE
+            return VerdictChange.SILENT if reference is Verdict.HOLDS else VerdictChange.NONE
         if reference is Verdict.VIOLATED:
-            return Change.GONE
-        return Change.LOST if less and reference is Verdict.HOLDS else Change.NONE
+            return VerdictChange.GONE
+        return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
 
     def words(self, reference: str) -> str:
         """Margins of both, or the verdict where there is none."""
@@ -112,7 +112,7 @@ class RunDifference:
             reference=Overruling.of([reference]),
         )
 
-    def has(self, *changes: Change) -> bool:
+    def has(self, *changes: VerdictChange) -> bool:
         """Is any of them in it?"""
         return any(one.change in changes for one in self.claims)
 
@@ -149,26 +149,28 @@ class Against:
     @property
     def worse(self) -> bool:
         """Is there a violation that the reference does not have or has by less, or a verdict lost?"""
-        return any(run.has(Change.NEW, Change.DEEPER, Change.SILENT) for run in self.runs)
+        return any(
+            run.has(VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT) for run in self.runs
+        )
 
-    def count(self, change: Change) -> int:
+    def count(self, change: VerdictChange) -> int:
         """Runs in which any claim changes so."""
         return sum(run.has(change) for run in self.runs)
 
     @property
     def sentence(self) -> str:
         """Violations in pairs, with the exact test.  Where one has no verdict the pair tells nothing."""
-        new = [self._certain(run, Change.NEW) for run in self.runs]
-        gone = [self._certain(run, Change.GONE) for run in self.runs]
+        new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
+        gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
         both = sum(a and b for a, b in zip(new, gone, strict=True))
         alone = sum(new) - both, sum(gone) - both
-        unclear = sum(run.has(Change.NEW) for run in self.runs) - sum(new)
+        unclear = sum(run.has(VerdictChange.NEW) for run in self.runs) - sum(new)
         more = f"; in {unclear} more, where {self.reference} has no verdict" if unclear else ""
         words = paired_words(self.mine, self.reference, *alone, len(self.runs), both=both)
         return words + (p_words(*alone) if self.drawn else "") + more
 
     @staticmethod
-    def _certain(run: RunDifference, change: Change) -> bool:
+    def _certain(run: RunDifference, change: VerdictChange) -> bool:
         return any(
             one.change is change and Verdict.INCONCLUSIVE not in (one.mine.verdict, one.reference.verdict)
             for one in run.claims
@@ -192,7 +194,7 @@ class Against:
             found = [(run, one) for run in self.runs for one in run.claims if one.mine.sentence == sentence]
             parts = [
                 f"{change.value} in {count}"
-                for change in (*_TOLD, Change.GONE)
+                for change in (*_TOLD, VerdictChange.GONE)
                 if (count := sum(one.change is change for _, one in found))
             ]
             if not parts:

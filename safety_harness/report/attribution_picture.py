@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from safety_harness.attribution.attribute import Answer
+from safety_harness.attribution.attribute import AttributionAnswer
 from safety_harness.attribution.tally import group_words
 from safety_harness.report.svg import Ink, describe, plain
 
 WIDTH_PX, LEFT_PX, ROW_PX, HEAD_PX = 640, 230, 24, 26
 LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # room for the count
 INKS = {
-    Answer.UNAVOIDABLE.value: Ink.MUTED,
-    Answer.NOTHING_HELPED.value: Ink.LIMIT,
-    Answer.NOT_ATTRIBUTED.value: Ink.MISSING,
+    AttributionAnswer.UNAVOIDABLE.value: Ink.MUTED,
+    AttributionAnswer.NOTHING_HELPED.value: Ink.LIMIT,
+    AttributionAnswer.NOT_ATTRIBUTED.value: Ink.MISSING,
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
 from safety_harness.properties.against import Against
 from safety_harness.properties.tally import ClaimTally
@@ -61,7 +61,7 @@ def write_report(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
-    repeated: Repeated | None = None,
+    repeated: RepeatabilityResult | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
@@ -95,7 +95,7 @@ def render(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
-    repeated: Repeated | None = None,
+    repeated: RepeatabilityResult | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
     summary = _summary(runs, interrupted=interrupted)

@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
@@ -44,7 +44,7 @@ def write_json(
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
-    repeated: Repeated | None = None,
+    repeated: RepeatabilityResult | None = None,
 ) -> None:
     """Write what came out of ``runs`` to ``path``, whole or not at all.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from safety_harness.proportions import Proportion, share_words
 from safety_harness.report.words import milliseconds_words, point_words, with_minus
-from safety_harness.scoring.scorecard import Change, Figure, Jumps, RegionScore, Repeat, Scorecard
+from safety_harness.scoring.scorecard import AnswerChange, AskedAgain, Figure, Jumps, RegionScore, Scorecard
 
 NONE = "\u2013"
 COLUMNS = (
@@ -35,7 +35,7 @@ DETAILS = (
 
 
 @dataclass(frozen=True)
-class Row:
+class ScoreRow:
     """One avoider in one region; ``yardstick``: it is what others are compared to."""
 
     region: str
@@ -46,7 +46,7 @@ class Row:
 
 def rows_of(
     cards: Sequence[Scorecard], cells: Callable[[RegionScore, Sequence[Jumps]], tuple[str, ...]]
-) -> Iterator[Row]:
+) -> Iterator[ScoreRow]:
     """Region by region, the first card's regions in their order: it, then the others as yardsticks."""
     for region in cards[0].regions if cards else ():
         for number, card in enumerate(cards):
@@ -54,7 +54,7 @@ def rows_of(
                 if score.region == region.region and (number == 0 or card.avoider != cards[0].avoider):
                     jumps = [one for one in card.jumps if one.region == region.region]
                     name = score.region + ("" if score.asked_in_runs else " (no run asks)")
-                    yield Row(name, card.avoider, number > 0, cells(score, jumps))
+                    yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ def jump_words(jumps: Sequence[Jumps]) -> str:
     return mm(max(changes)) if changes else "none"
 
 
-def change_words(change: Change) -> str:
+def change_words(change: AnswerChange) -> str:
     """Where a change is, and how large."""
     hand, tcp = change.before.hand_position_in_base_m, change.before.tcp_position_in_base_m
     return (
@@ -112,7 +112,7 @@ def change_words(change: Change) -> str:
     )
 
 
-def repeat_words(repeat: Repeat) -> str:
+def repeat_words(repeat: AskedAgain) -> str:
     """Whether the answers were the same."""
     if repeat.differ == 0:
         return f"the same bits, {repeat.questions:,} questions"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from safety_harness.admission.admit import Admitter
-from safety_harness.attribution.attribute import Answer, Attribution, Replay, attribute, confirmed
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer, Replay, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.avoidance.avoider import described
 from safety_harness.scenario.model import Claim, Scenario
@@ -64,7 +64,7 @@ class SearchAttribution:
             return (f"whose fault: cannot be told: {described(error)}",)
         self.found[scenario.name] = one
         lines = [f"whose fault: {one.words}"]
-        if one.answer is Answer.ATTRIBUTED:
+        if one.answer is AttributionAnswer.ATTRIBUTED:
             changed = (replay for replay in confirmed(admitted, one) if replay.changes)
             lines += (confirming_line(replay, one) for replay in changed)
         return tuple(lines)

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.attribution.attribute import Attribution
 from safety_harness.avoidance.avoider import described
 from safety_harness.properties.against import Against
@@ -67,7 +67,7 @@ class SearchEvidence:
     findings: Findings
     fallback: str
     overruling: Overruling  # in the runs of the search
-    repeated: Repeated | None = None
+    repeated: RepeatabilityResult | None = None
     baseline: Findings | None
     coverage: Coverage
     violations: Coverage

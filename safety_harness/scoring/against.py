@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.proportions import sign_test
 from safety_harness.scoring.figures import WRONG_M
-from safety_harness.scoring.scorecard import Finding, Kind, RegionScore, Scorecard
+from safety_harness.scoring.scorecard import Kind, RegionScore, Scorecard, ScoreFinding
 from safety_harness.settings import Settings
 
 Errors = dict[Kind, NDArray[np.bool_]]
@@ -19,11 +19,11 @@ CHANCE = 0.05  # of all tests together that two avoiders alike in their errors d
 
 def findings_against(
     card: Scorecard,
-    found: Sequence[Finding],
+    found: Sequence[ScoreFinding],
     reference: Scorecard,
-    of_reference: Sequence[Finding],
+    of_reference: Sequence[ScoreFinding],
     settings: Sequence[Settings],
-) -> tuple[Finding, ...]:
+) -> tuple[ScoreFinding, ...]:
     """Findings that the reference has not, then more errors than it has, by the exact paired sign test.
 
     Both were asked the same questions, under the ``settings`` of each region; ValueError if not.
@@ -40,7 +40,7 @@ def findings_against(
     return tuple(new)
 
 
-def _paired(mine: RegionScore, own: Errors, other: Errors, name: str, most: float) -> Iterator[Finding]:
+def _paired(mine: RegionScore, own: Errors, other: Errors, name: str, most: float) -> Iterator[ScoreFinding]:
     for kind, words in ((Kind.LEADS_TOWARDS, "leads towards the hand"), (Kind.FAR_OFF, _FAR)):
         more = int(np.count_nonzero(own[kind] & ~other[kind]))
         fewer = int(np.count_nonzero(other[kind] & ~own[kind]))
@@ -52,7 +52,9 @@ def _paired(mine: RegionScore, own: Errors, other: Errors, name: str, most: floa
                 f"of two alike that has a chance of {chance:.2g}"
             )
             rows = np.flatnonzero(own[kind] & ~other[kind])[:3]
-            yield Finding(kind, mine.region, sentence, tuple(mine.questions.one(int(row)) for row in rows))
+            yield ScoreFinding(
+                kind, mine.region, sentence, tuple(mine.questions.one(int(row)) for row in rows)
+            )
 
 
 _FAR = f"is more than {1e3 * WRONG_M:g} mm off the optimum"

@@ -12,7 +12,7 @@ from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.proportions import LEVEL, Proportion
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
-from safety_harness.scoring.scorecard import Asked, Figure, RegionScore, Spreads
+from safety_harness.scoring.scorecard import Figure, RegionScore, ScoredQuestion, Spreads
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Settings, Vector3
 
@@ -199,13 +199,15 @@ def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
     return x, y, z
 
 
-def asked_row(region: str, questions: Questions, answers: Answers, row: int, settings: Settings) -> Asked:
+def asked_row(
+    region: str, questions: Questions, answers: Answers, row: int, settings: Settings
+) -> ScoredQuestion:
     """One question and its answer, with its numbers."""
     one = questions[row : row + 1]
     proposed = answers.positions_in_base_m[row : row + 1]
     optimum = optimum_in_base_m(settings, one.hands_in_base_m, one.tcps_in_base_m)
     x, y, z = proposed[0].tolist()
-    return Asked(
+    return ScoredQuestion(
         region,
         one.one(0),
         (x, y, z),
@@ -218,7 +220,7 @@ def asked_row(region: str, questions: Questions, answers: Answers, row: int, set
 
 def _worst(
     region: str, questions: Questions, answers: Answers, settings: Settings, *, by_gained: bool
-) -> tuple[Asked, ...]:
+) -> tuple[ScoredQuestion, ...]:
     """The worst ``WORST``; what has no answer is worse than any."""
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     if by_gained:

@@ -17,22 +17,22 @@ from safety_harness.proportions import Proportion
 from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.jumps import JUMP_M
 from safety_harness.scoring.scorecard import (
-    Asked,
+    AskedAgain,
     Figure,
-    Finding,
     Jumps,
     Kind,
     Moved,
     RegionScore,
-    Repeat,
     Scorecard,
+    ScoredQuestion,
+    ScoreFinding,
 )
 
 MM = 1e3  # metres and seconds in thousandths
 
 
 @dataclass(frozen=True)
-class Limits:
+class FindingLimits:
     """When a figure becomes a finding."""
 
     towards: float = 0.02  # more than the worst yardstick, beyond both intervals: shares of the questions
@@ -59,17 +59,17 @@ class Limits:
     late: int = 4  # answers after the deadline: what else this machine does may delay a few
 
 
-LIMITS = Limits()
+LIMITS = FindingLimits()
 
 
 def findings(
-    card: Scorecard, yardsticks: Sequence[Scorecard], limits: Limits = LIMITS
-) -> tuple[Finding, ...]:
+    card: Scorecard, yardsticks: Sequence[Scorecard], limits: FindingLimits = LIMITS
+) -> tuple[ScoreFinding, ...]:
     """What is wrong, region by region, then of the avoider as a whole; regions that no run asks are left out.
 
     ``yardsticks`` are of the same regions, questions and seed; ValueError if not.
     """
-    found: list[Finding] = []
+    found: list[ScoreFinding] = []
     for number, score in enumerate(card.regions):
         others = [one.regions[number] for one in yardsticks]
         if any(one.region != score.region for one in others):
@@ -89,7 +89,9 @@ def findings(
     return tuple(found)
 
 
-def _of_region(score: RegionScore, others: Sequence[RegionScore], limits: Limits) -> Iterator[Finding]:
+def _of_region(
+    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+) -> Iterator[ScoreFinding]:
     """Each rule in turn."""
     if score.answered is not None and score.answered.count < score.answered.trials:
         missing, faults = score.answered.trials - score.answered.count, score.answers.faults
@@ -98,7 +100,7 @@ def _of_region(score: RegionScore, others: Sequence[RegionScore], limits: Limits
             f"no answer to {missing} of {score.answered.trials:,} questions; "
             f"the first: {faults[int(rows[0])]}"
         )
-        yield Finding(
+        yield ScoreFinding(
             Kind.NO_ANSWER, score.region, words, tuple(score.questions.one(int(row)) for row in rows)
         )
     if score.off_m is None:
@@ -106,14 +108,16 @@ def _of_region(score: RegionScore, others: Sequence[RegionScore], limits: Limits
     yield from _shares(score, others, limits)
     if score.stuck and score.stuck.count >= limits.stuck_least and score.stuck.low > limits.stuck:
         words = f"{_percent(score.stuck)} of the answers have the very same coordinate"
-        yield Finding(Kind.STUCK, score.region, words)
+        yield ScoreFinding(Kind.STUCK, score.region, words)
     yield from _lengths(score, others, limits)
     yield from _spreads(score, others, limits)
 
 
-def _shares(score: RegionScore, others: Sequence[RegionScore], limits: Limits) -> Iterator[Finding]:
+def _shares(
+    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+) -> Iterator[ScoreFinding]:
     rules: tuple[
-        tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[Asked, ...]], ...
+        tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[ScoredQuestion, ...]], ...
     ] = (
         (Kind.LEADS_TOWARDS, _towards, limits.towards, "lead towards the hand", score.worst_gained),
         (
@@ -147,7 +151,7 @@ def _shares(score: RegionScore, others: Sequence[RegionScore], limits: Limits) -
         if kind is Kind.UNSURE and worst.share > limits.doubtful:
             continue  # who doubts where nothing was learnt is right
         if mine.low > worst.high + margin:
-            yield Finding(
+            yield ScoreFinding(
                 kind,
                 score.region,
                 f"{_percent(mine)} of the answers {words}; the yardsticks at most {_percent(worst)}",
@@ -167,7 +171,9 @@ def _other(share: Proportion) -> Proportion:
     return Proportion(share.trials - share.count, share.trials, 1.0 - share.high, 1.0 - share.low)
 
 
-def _lengths(score: RegionScore, others: Sequence[RegionScore], limits: Limits) -> Iterator[Finding]:
+def _lengths(
+    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+) -> Iterator[ScoreFinding]:
     assert score.off_m is not None
     assert score.off_most_m is not None
     shown = _questions(score.worst_off)
@@ -179,21 +185,21 @@ def _lengths(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
                 f"{name} of the answers are more than {_mm(mine)} off the optimum; "
                 f"the worst yardstick: {_mm(worst)}"
             )
-            yield Finding(Kind.FAR_OFF, score.region, words, shown)
+            yield ScoreFinding(Kind.FAR_OFF, score.region, words, shown)
             break
     most = max(one.off_most_m for one in others if one.off_most_m is not None)
     if score.off_most_m > limits.most_factor * most:
         words = (
             f"up to {score.off_most_m * MM:.0f} mm off the optimum; the yardsticks up to {most * MM:.0f} mm"
         )
-        yield Finding(Kind.WORST_CASE, score.region, words, shown)
+        yield ScoreFinding(Kind.WORST_CASE, score.region, words, shown)
     bias, least = _bias_m(score), limits.bias_factor * max(map(_bias_m, others)) + limits.bias_m
     if bias > least:
         words = (
             f"{bias * MM:.1f} mm off on average, {_vector(score)} mm along x, y, z; "
             f"the limit is {least * MM:.1f} mm"
         )
-        yield Finding(Kind.BIASED, score.region, words)
+        yield ScoreFinding(Kind.BIASED, score.region, words)
     for kind, size_of, more, of_what in (
         (Kind.HAND_PULL, _pull_off, limits.pull, "hand"),
         (Kind.SCALE, _scale_off, limits.scale, "TCP"),
@@ -204,7 +210,7 @@ def _lengths(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
                 f"the error grows by {slope * MM:.0f} mm a metre of the {of_what}'s position; "
                 f"the limit is {limit * MM:.0f}"
             )
-            yield Finding(kind, score.region, words)
+            yield ScoreFinding(kind, score.region, words)
 
 
 def _bias_m(score: RegionScore) -> float:
@@ -228,7 +234,9 @@ def _scale_off(score: RegionScore) -> float:
     return 0.0 if score.scale is None else float(np.abs(np.array(score.scale)).max())
 
 
-def _spreads(score: RegionScore, others: Sequence[RegionScore], limits: Limits) -> Iterator[Finding]:
+def _spreads(
+    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+) -> Iterator[ScoreFinding]:
     mine, theirs = score.spreads, [one.spreads for one in others if one.spreads is not None]
     if mine is None or not theirs:
         return
@@ -243,7 +251,7 @@ def _spreads(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
     ):
         if beyond:
             words = f"along {'xyz'[row]} the errors are {axes[row]:.2f} times the spreads, and may be {word}"
-            yield Finding(kind, score.region, words, _questions(score.worst_off))
+            yield ScoreFinding(kind, score.region, words, _questions(score.worst_off))
     if their.rank is not None:
         got = mine.rank or Figure(0.0, 0.0, 0.0)
         promised = mine.honest_rank if mine.rank else 1.0  # a constant spread ranks nothing
@@ -252,10 +260,10 @@ def _spreads(score: RegionScore, others: Sequence[RegionScore], limits: Limits) 
                 f"rank correlation of spread and error {got.value:.2f}; mc-dropout's is "
                 f"{their.rank.value:.2f}, and honest spreads like these would have {mine.honest_rank:.2f}"
             )
-            yield Finding(Kind.SPREAD_UNRANKED, score.region, words)
+            yield ScoreFinding(Kind.SPREAD_UNRANKED, score.region, words)
 
 
-def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: Limits) -> Iterator[Finding]:
+def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: FindingLimits) -> Iterator[ScoreFinding]:
     most = max((one.jumped.count for one in others if one.jumped), default=0)
     if jumps.largest and jumps.jumped and jumps.jumped.count >= most + limits.jumped:
         largest = jumps.largest
@@ -263,52 +271,52 @@ def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: Limits) -> Iterator
             f"jumps by up to {largest.change_m * MM:.1f} mm where {jumps.moved.value} moves by a nanometre, "
             f"on {jumps.jumped.count} of {jumps.segments:,} segments; the limit is {JUMP_M * MM:g} mm"
         )
-        yield Finding(Kind.JUMPS, jumps.region, words, (largest.before, largest.after))
+        yield ScoreFinding(Kind.JUMPS, jumps.region, words, (largest.before, largest.after))
     slope = _slope(jumps)
     limit = limits.steep * max(1.0, *(_slope(one) for one in others))
     if jumps.moved is Moved.HAND and jumps.steepest and slope > limit:
         words = (
             f"the answer moves by {slope:.1f} mm a millimetre of the hand's way; the limit is {limit:.1f} mm"
         )
-        yield Finding(Kind.STEEP, jumps.region, words, (jumps.steepest.before, jumps.steepest.after))
+        yield ScoreFinding(Kind.STEEP, jumps.region, words, (jumps.steepest.before, jumps.steepest.after))
 
 
 def _slope(jumps: Jumps) -> float:
     return jumps.steepest.change_m / jumps.steepest.apart_m if jumps.steepest else 0.0
 
 
-def _of_repeats(repeats: Iterable[Repeat], limits: Limits) -> Iterator[Finding]:
+def _of_repeats(repeats: Iterable[AskedAgain], limits: FindingLimits) -> Iterator[ScoreFinding]:
     for one in repeats:
         if one.largest_m > limits.same_m:
             words = (
                 f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
                 f"when {one.way.value}"
             )
-            yield Finding(Kind.NOT_REPEATED, "", words, () if one.first is None else (one.first,))
+            yield ScoreFinding(Kind.NOT_REPEATED, "", words, () if one.first is None else (one.first,))
 
 
-def _of_times(card: Scorecard, limits: Limits) -> Iterator[Finding]:
+def _of_times(card: Scorecard, limits: FindingLimits) -> Iterator[ScoreFinding]:
     times = card.times
     if times is None:
         return
     deadline = f"the deadline is {times.deadline_s * MM:g} ms"
     if times.declared_s > times.deadline_s:
-        yield Finding(Kind.SLOW, "", f"declares {times.declared_s * MM:g} ms for a decision; {deadline}")
+        yield ScoreFinding(Kind.SLOW, "", f"declares {times.declared_s * MM:g} ms for a decision; {deadline}")
     if times.p99_s > times.deadline_s or times.late >= limits.late:
         words = (
             f"{times.late} of {times.questions:,} answers took longer, up to {times.most_s * MM:.0f} ms; "
             f"{deadline}"
         )
-        yield Finding(Kind.SLOW, "", words)
+        yield ScoreFinding(Kind.SLOW, "", words)
     elif times.p99_s > times.declared_s > 0.0:
         words = (
             f"1 % of the answers took longer than {times.p99_s * MM:.1f} ms; "
             f"it declares {times.declared_s * MM:g} ms"
         )
-        yield Finding(Kind.SLOW, "", words)
+        yield ScoreFinding(Kind.SLOW, "", words)
 
 
-def _questions(shown: tuple[Asked, ...]) -> tuple[Question, ...]:
+def _questions(shown: tuple[ScoredQuestion, ...]) -> tuple[Question, ...]:
     return tuple(one.question for one in shown[:3])
 
 

@@ -20,7 +20,7 @@ from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.proportions import Proportion
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
-from safety_harness.scoring.scorecard import Change, Jumps, Moved
+from safety_harness.scoring.scorecard import AnswerChange, Jumps, Moved
 
 Ask = Callable[[Questions], Answers]
 Floats = NDArray[np.float64]
@@ -154,8 +154,8 @@ def _followed(
     ask: Ask, name: str, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
 ) -> Jumps:
     """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near."""
-    largest: Change | None = None
-    steepest: Change | None = None
+    largest: AnswerChange | None = None
+    steepest: AnswerChange | None = None
     count = len(segments.middles)
     jumped = np.zeros(count, dtype=np.bool_)
     while len(rows):
@@ -169,9 +169,10 @@ def _followed(
         change_m, step_m = np.nan_to_num(_size_m(steps[every, best])), step_m / PARTS
         start_m = points_m[every, best]
 
-        def change(k: int) -> Change:
+        def change(k: int) -> AnswerChange:
             ends = points[np.array([k * (PARTS + 1) + best[k], k * (PARTS + 1) + best[k] + 1])]  # noqa: B023
-            return Change(segments.moved, ends.one(0), ends.one(1), float(change_m[k]), float(step_m[k]))  # noqa: B023
+            sizes_m = float(change_m[k]), float(step_m[k])  # noqa: B023
+            return AnswerChange(segments.moved, ends.one(0), ends.one(1), *sizes_m)
 
         slopes = np.where((step_m >= STEEP_M[0]) & (step_m < STEEP_M[1]), change_m / step_m, 0.0)
         k = int(np.argmax(slopes))

@@ -19,7 +19,7 @@ from safety_harness.avoidance.isolation.host import processes_apart
 from safety_harness.exceptions import Place
 from safety_harness.scoring.asking import asked_alone, asked_together
 from safety_harness.scoring.questions import Answers, Questions
-from safety_harness.scoring.scorecard import Repeat, Way
+from safety_harness.scoring.scorecard import AskedAgain, WayOfAsking
 
 NEAR_M = 0.002  # a question that is nearly the same
 INTERLEAVED = 200  # questions at most: both instances are asked alone
@@ -59,21 +59,21 @@ class Subject:
         return cls(reference, make(), make, make)
 
 
-def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> Iterator[Repeat]:
+def repeats(subject: Subject, sample: Questions, first: Answers, alone: int) -> Iterator[AskedAgain]:
     """Every way but ``ALONE`` and ``LATER``; ``first`` has the answers of when nothing else had been asked.
 
     At most ``alone`` questions are asked one at a time.
     """
     avoider, apart = subject.avoider, not subject.in_process
-    yield compared(Way.AGAIN, sample, first, asked_together(avoider, sample))
+    yield compared(WayOfAsking.AGAIN, sample, first, asked_together(avoider, sample))
     order = np.random.default_rng(len(sample)).permutation(len(sample))
-    yield compared(Way.ORDER, sample[order], first[order], asked_together(avoider, sample[order]))
-    yield compared(Way.FRESH, sample, first, asked_together(subject.apart(), sample), apart=apart)
+    yield compared(WayOfAsking.ORDER, sample[order], first[order], asked_together(avoider, sample[order]))
+    yield compared(WayOfAsking.FRESH, sample, first, asked_together(subject.apart(), sample), apart=apart)
     mixed, own = after_others(sample)
     told = asked_together(subject.apart(), mixed)[own]
-    yield compared(Way.AFTER_OTHERS, sample, first, told, apart=apart)
+    yield compared(WayOfAsking.AFTER_OTHERS, sample, first, told, apart=apart)
     few = min(len(sample), alone, INTERLEAVED)
-    yield compared(Way.INTERLEAVED, sample[:few], first[:few], _in_turn(subject, sample[:few]))
+    yield compared(WayOfAsking.INTERLEAVED, sample[:few], first[:few], _in_turn(subject, sample[:few]))
 
 
 def _in_turn(subject: Subject, sample: Questions) -> Answers:
@@ -86,7 +86,9 @@ def _in_turn(subject: Subject, sample: Questions) -> Answers:
     return Answers.joined(answers)
 
 
-def compared(way: Way, sample: Questions, first: Answers, second: Answers, *, apart: bool = False) -> Repeat:
+def compared(
+    way: WayOfAsking, sample: Questions, first: Answers, second: Answers, *, apart: bool = False
+) -> AskedAgain:
     """Two times the answers to the same questions, by their bits."""
     one, other = _numbers(first), _numbers(second)
     differs = (one.view(np.uint64) != other.view(np.uint64)).any(axis=1)
@@ -94,8 +96,9 @@ def compared(way: Way, sample: Questions, first: Answers, second: Answers, *, ap
     faults = [first.faults.get(row) != second.faults.get(row) for row in range(len(sample))]
     differs |= np.array(faults, dtype=np.bool_)
     rows = np.flatnonzero(differs)
-    apart_m = np.abs(one[rows, :6] - other[rows, :6]).max(axis=1, initial=0.0)
-    return Repeat(
+    apart_m = np.abs(one[rows] - other[rows])
+    apart_m[np.isnan(one[rows, 6]) & np.isnan(other[rows, 6]), 6] = 0.0  # no threshold, both times
+    return AskedAgain(
         way=way,
         questions=len(sample),
         differ=len(rows),

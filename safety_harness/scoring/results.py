@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from safety_harness.scoring.question_file import QuestionFile
-from safety_harness.scoring.scorecard import Finding, Scorecard
-from safety_harness.scoring.worst import Objective, Searched, Tried
+from safety_harness.scoring.scorecard import Scorecard, ScoreFinding
+from safety_harness.scoring.worst import Objective, QuestionSearch, Tried
 from safety_harness.settings import Settings
 
 
@@ -35,8 +35,8 @@ class ScoredAvoider:
     settings: tuple[Settings, ...]
     card: Scorecard
     yardsticks: tuple[Scorecard, ...]
-    findings: tuple[Finding, ...] = ()
-    searches: list[Searched] = field(default_factory=list)
+    findings: tuple[ScoreFinding, ...] = ()
+    searches: list[QuestionSearch] = field(default_factory=list)
     worst: list[ShownQuestion] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
 

@@ -25,7 +25,15 @@ from safety_harness.scoring.jumps import jumps_of
 from safety_harness.scoring.questions import Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.scoring.repeats import Subject, compared, repeats
-from safety_harness.scoring.scorecard import AnswerTimes, Jumps, Moved, RegionScore, Repeat, Scorecard, Way
+from safety_harness.scoring.scorecard import (
+    AnswerTimes,
+    AskedAgain,
+    Jumps,
+    Moved,
+    RegionScore,
+    Scorecard,
+    WayOfAsking,
+)
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import DEFAULTS, Settings
 
@@ -122,7 +130,7 @@ def score(
     first = asked_together(avoider, sample)
     few = sample[: counts.alone]
     alone, times_s = asked_alone(avoider, few)
-    again: list[Repeat] = [compared(Way.ALONE, few, first[: len(few)], alone)]
+    again: list[AskedAgain] = [compared(WayOfAsking.ALONE, few, first[: len(few)], alone)]
     on_step("the same questions again")
     if len(sample):
         again += repeats(subject, sample, first, counts.alone)
@@ -140,7 +148,7 @@ def score(
         card = replace(card, regions=(*card.regions, region), jumps=(*card.jumps, *jumps))
         on_region(card)
     time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
-    later = compared(Way.LATER, sample, first, asked_together(avoider, sample))
+    later = compared(WayOfAsking.LATER, sample, first, asked_together(avoider, sample))
     return replace(card, repeats=(*card.repeats, later))
 
 

@@ -28,7 +28,7 @@ class Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class ScoredQuestion:
     """One question and what came: for lists of the worst.
 
     ``off_m``: from the closed-form optimum; ``gained_m``: away from the hand (negative: towards it);
@@ -97,8 +97,8 @@ class RegionScore:
     spreads: Spreads | None
     wrong_and_sure: Proportion | None
     above_threshold: Proportion | None  # None: the avoider has no threshold
-    worst_off: tuple[Asked, ...]  # ten at most, the worst first
-    worst_gained: tuple[Asked, ...]
+    worst_off: tuple[ScoredQuestion, ...]  # ten at most, the worst first
+    worst_gained: tuple[ScoredQuestion, ...]
     stuck: Proportion | None = None
 
 
@@ -110,7 +110,7 @@ class Moved(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class AnswerChange:
     """Two near questions, alike but for one position, and how far apart their answers are."""
 
     moved: Moved
@@ -133,11 +133,11 @@ class Jumps:
     moved: Moved
     segments: int
     jumped: Proportion | None  # None without a segment
-    largest: Change | None
-    steepest: Change | None
+    largest: AnswerChange | None
+    steepest: AnswerChange | None
 
 
-class Way(Enum):
+class WayOfAsking(Enum):
     """How the same questions are asked a second time."""
 
     AGAIN = "asked again"
@@ -150,14 +150,14 @@ class Way(Enum):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Repeat:
+class AskedAgain:
     """Whether the answers have the same bits: ``differ`` counts the questions of which they do not.
 
     ``largest_m``: of the position or the spread; infinite where one of the two is no answer.  ``apart``: was
     the second time in another process?  Only files that are executed are asked there.
     """
 
-    way: Way
+    way: WayOfAsking
     questions: int
     differ: int
     largest_m: float
@@ -188,7 +188,7 @@ class Scorecard:
     seen: str  # whose seen space the regions are about
     regions: tuple[RegionScore, ...]
     jumps: tuple[Jumps, ...]
-    repeats: tuple[Repeat, ...] = ()
+    repeats: tuple[AskedAgain, ...] = ()
     times: AnswerTimes | None = None
 
 
@@ -216,7 +216,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class ScoreFinding:
     """One thing that is wrong with an avoider: ``words`` has figure, unit and limit.
 
     ``region`` is empty where none is concerned; ``questions`` show it, the clearest first.

@@ -86,7 +86,7 @@ class Tried:
 
 
 @dataclass(eq=False)
-class Searched:
+class QuestionSearch:
     """The ledger of one region's search: ``tried`` has the questions with an answer, ``asked`` counts all."""
 
     region: str
@@ -105,7 +105,7 @@ class _Searching:
     region: QuestionRegion
     drawn: Questions
     scenario_seeds: tuple[int, ...]
-    ledger: Searched
+    ledger: QuestionSearch
 
     def __post_init__(self) -> None:
         self.which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1).tolist()), flat=True)
@@ -171,9 +171,9 @@ def search_region(
     seed: int,
     number: int,
     on_progress: Callable[[Findings], None] | None = None,
-) -> Searched:
+) -> QuestionSearch:
     """Search region ``number`` with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
-    ledger = Searched(region.name, budget)
+    ledger = QuestionSearch(region.name, budget)
     drawn = region.draw(generator(seed, Branch.SEARCH, 5, number), DRAWS)
     if len(drawn) < 2 or budget < 1:
         return ledger
@@ -193,7 +193,7 @@ def search_region(
     return ledger
 
 
-def worst_questions(searches: Sequence[Searched], most: int) -> list[tuple[Objective, Tried]]:
+def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple[Objective, Tried]]:
     """The worst of all regions: each objective's worst in turn, no two of them near to each other."""
     queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
     found: list[tuple[Objective, Tried]] = []
@@ -207,7 +207,9 @@ def worst_questions(searches: Sequence[Searched], most: int) -> list[tuple[Objec
     return found
 
 
-def _by_badness(searches: Sequence[Searched], objective: Objective) -> Iterator[tuple[Objective, Tried]]:
+def _by_badness(
+    searches: Sequence[QuestionSearch], objective: Objective
+) -> Iterator[tuple[Objective, Tried]]:
     tried = (one for ledger in searches for one in ledger.tried)
     every = [one for one in tried if one.badness_m(objective) > objective.limit_m]
     for one in sorted(every, key=lambda one: -one.badness_m(objective)):

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
@@ -113,7 +113,7 @@ class SearchSession:
     confirmed: int = 0
     unwritable: OutputError | None = None
     unconfirmed: list[Disagreement] = field(default_factory=list)
-    repeated: Repeated | None = None
+    repeated: RepeatabilityResult | None = None
 
     @property
     def interrupted(self) -> bool:

@@ -15,7 +15,7 @@ from examples import VISIT, scenario
 from safety_harness.admission import repeatability
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import NAMES
-from safety_harness.admission.repeatability import LEAST, Repeatability, Repeated
+from safety_harness.admission.repeatability import LEAST, Repeatability, RepeatabilityResult
 from safety_harness.admission.trial import run_many
 from safety_harness.avoidance.flaky import asked_in
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN
@@ -43,7 +43,7 @@ def runs(avoider: str, admitter: Admitter, seeds: Sequence[int] = range(4)) -> l
     return list(run_many(admitter.admit(one) for one in drawn))
 
 
-def asked_again(traces: Sequence[Trace]) -> Repeated:
+def asked_again(traces: Sequence[Trace]) -> RepeatabilityResult:
     sampler = Repeatability()
     for trace in traces:
         sampler.add(trace)

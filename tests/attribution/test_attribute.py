@@ -10,7 +10,7 @@ import pytest
 from examples import VISIT, TowardsTheHand, hand, scenario
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.attribution.attribute import Answer, Attribution, Outcome, attribute, confirmed
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer, Outcome, attribute, confirmed
 from safety_harness.attribution.ingredients import CHANGES, Altered, ExactOptimum, Ingredient
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.avoidance.measures import optimum_in_base_m
@@ -118,11 +118,11 @@ def test_two_causes_are_named_together() -> None:
 
 def test_what_the_replay_does_not_show_is_not_attributed() -> None:
     found = only(admit(slow()))
-    assert found.answer is Answer.NOT_ATTRIBUTED
+    assert found.answer is AttributionAnswer.NOT_ATTRIBUTED
     assert found.words == "not attributed: the kinematic replay does not reproduce it: holds"
     assert not found.replays
     expected = replace(slow(), claims=(Claim(sentence=DISTANCE, expected=Verdict.VIOLATED),))
-    assert [one.answer for one in attribute(admit(expected))] == [Answer.NOT_ATTRIBUTED]
+    assert [one.answer for one in attribute(admit(expected))] == [AttributionAnswer.NOT_ATTRIBUTED]
 
 
 def test_a_run_that_fails_is_not_attributed() -> None:
@@ -130,7 +130,7 @@ def test_a_run_that_fails_is_not_attributed() -> None:
         return [ValueError("no such run") for _ in systems]
 
     (found,) = attribute(admit(slow(SMALL)), [claim(DISTANCE)], run=fails)
-    assert found.answer is Answer.NOT_ATTRIBUTED
+    assert found.answer is AttributionAnswer.NOT_ATTRIBUTED
     assert "no such run" in found.why
     with pytest.raises(ValueError, match="no such run"):
         attribute(admit(replace(slow(SMALL), claims=(claim(DISTANCE),))), run=fails)

@@ -11,7 +11,7 @@ from foresight import best_distance_m
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_many
-from safety_harness.attribution.attribute import Answer, attribute
+from safety_harness.attribution.attribute import AttributionAnswer, attribute
 from safety_harness.attribution.ingredients import CHANGES, Altered, Ingredient
 from safety_harness.attribution.unavoidable import Chase, FreeArm, why_unavoidable
 from safety_harness.scenario.model import Claim, MovingHand, Verdict
@@ -39,7 +39,7 @@ def why(*hands: MovingHand, duration_s: float = 4.0) -> str:
 
 def test_nothing_gets_out_of_the_way_of_a_hand_at_the_base() -> None:
     (found,) = attribute(admitted(TO_THE_BASE))
-    assert found.answer is Answer.UNAVOIDABLE
+    assert found.answer is AttributionAnswer.UNAVOIDABLE
     assert "shoulder" in found.why
     assert "no joint moves" in found.why
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.admission.repeatability import Repeated
+from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.campaign import opening
 from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.identity import Identity
@@ -122,13 +122,13 @@ def test_what_was_asked_again_is_kept_of_all_sessions_and_one_difference_is_not_
     with ledger_in(tmp_path, plan) as ledger:
         ledger.record(row(k) for k in range(30))
         claim = plan.claims[0].sentence
-        ledger.note_repeated(Repeated(questions=20, asked=9, apart=True))
-        assert ledger.repeated == Repeated(questions=20, asked=9, apart=True)
+        ledger.note_repeated(RepeatabilityResult(questions=20, asked=9, apart=True))
+        assert ledger.repeated == RepeatabilityResult(questions=20, asked=9, apart=True)
         assert ledger.sample("near", claim).trials == 30
-        ledger.note_repeated(Repeated(questions=5, asked=5, words="it could not be asked"))
+        ledger.note_repeated(RepeatabilityResult(questions=5, asked=5, words="it could not be asked"))
         assert (ledger.repeated.line, ledger.dependent) == ("it could not be asked", "")
-        ledger.note_repeated(Repeated(questions=5, asked=5, differing=2, words="it remembers"))
-        ledger.note_repeated(Repeated(questions=70, asked=61))
+        ledger.note_repeated(RepeatabilityResult(questions=5, asked=5, differing=2, words="it remembers"))
+        ledger.note_repeated(RepeatabilityResult(questions=70, asked=61))
         assert ledger.repeated.line == "it remembers; 2 of 80 answers differ"
         with pytest.raises(StatisticsError, match=r"no bound is stated .it remembers; 2 of 80"):
             ledger.sample("near", claim)
@@ -139,7 +139,7 @@ def test_the_ledger_of_a_program_that_never_asked_again_is_still_read(tmp_path: 
         ledger.record([row(0)])
         ledger.connection.execute("DROP TABLE repeated")
     with Ledger.open(ledger.path, alone=True) as old:
-        assert old.repeated == Repeated(questions=0)
+        assert old.repeated == RepeatabilityResult(questions=0)
         assert not old.dependent
 
 

@@ -10,9 +10,9 @@ from safety_harness.properties.against import (
     SCALES,
     TOLERANCE,
     Against,
-    Change,
     ClaimDifference,
     RunDifference,
+    VerdictChange,
 )
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
@@ -48,21 +48,21 @@ def against(*runs: RunDifference, drawn: bool = True) -> Against:
 @pytest.mark.parametrize(
     ("mine", "reference", "change"),
     [
-        (-0.001, 0.001, Change.NEW),
-        (-0.001, None, Change.NEW),
-        (-0.030, -0.010, Change.DEEPER),
-        (-0.0199, -0.010, Change.NONE),
-        (0.001, -0.001, Change.GONE),
-        (0.100, 0.120, Change.LOST),
-        (0.100, 0.109, Change.NONE),
-        (0.120, 0.100, Change.NONE),
-        (None, 0.100, Change.SILENT),
-        (None, -0.100, Change.NONE),
-        (None, None, Change.NONE),
+        (-0.001, 0.001, VerdictChange.NEW),
+        (-0.001, None, VerdictChange.NEW),
+        (-0.030, -0.010, VerdictChange.DEEPER),
+        (-0.0199, -0.010, VerdictChange.NONE),
+        (0.001, -0.001, VerdictChange.GONE),
+        (0.100, 0.120, VerdictChange.LOST),
+        (0.100, 0.109, VerdictChange.NONE),
+        (0.120, 0.100, VerdictChange.NONE),
+        (None, 0.100, VerdictChange.SILENT),
+        (None, -0.100, VerdictChange.NONE),
+        (None, None, VerdictChange.NONE),
     ],
 )
 def test_a_claim_changes_as_its_two_verdicts_and_margins_say(
-    mine: float | None, reference: float | None, change: Change
+    mine: float | None, reference: float | None, change: VerdictChange
 ) -> None:
     assert one(mine, reference).change is change
 

@@ -14,20 +14,20 @@ from safety_harness.scoring.question_file import QuestionFile
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.scorecard import (
+    AnswerChange,
     AnswerTimes,
-    Change,
+    AskedAgain,
     Figure,
-    Finding,
     Jumps,
     Kind,
     Moved,
     RegionScore,
-    Repeat,
     Scorecard,
+    ScoreFinding,
     Spreads,
-    Way,
+    WayOfAsking,
 )
-from safety_harness.scoring.worst import Objective, Searched, Tried
+from safety_harness.scoring.worst import Objective, QuestionSearch, Tried
 from safety_harness.settings import DEFAULTS
 
 
@@ -84,7 +84,7 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
     """Two regions, the second of which no run can ask about."""
     regions = (region_score(shift_m=shift_m), region_score("far", shift_m=shift_m))
     question = regions[0].questions.one(0)
-    change = Change(Moved.HAND, question, regions[0].questions.one(1), 0.081, 1e-5)
+    change = AnswerChange(Moved.HAND, question, regions[0].questions.one(1), 0.081, 1e-5)
     share = Proportion.of(np.array([True, False]))
     return Scorecard(
         avoider=avoider,
@@ -95,7 +95,8 @@ def scorecard(avoider: str = "mc-dropout", *, shift_m: float = 0.0, measured: bo
         jumps=(
             Jumps(region="seen", moved=Moved.HAND, segments=2, jumped=share, largest=change, steepest=None),
         ),
-        repeats=(Repeat(way=Way.ORDER, questions=50, differ=2, largest_m=0.01, first=question),) * measured,
+        repeats=(AskedAgain(way=WayOfAsking.ORDER, questions=50, differ=2, largest_m=0.01, first=question),)
+        * measured,
         times=AnswerTimes(100, 0.0008, 0.0021, 0.0105, 0, 0.0, 0.1) if measured else None,
     )
 
@@ -116,8 +117,8 @@ def scored(avoider: str = "mc-dropout", *, file: str = "worst-1.yaml", **others:
     )
     claim = Claim(sentence="proposals lead away to within 10 mm", expected=Verdict.VIOLATED)
     found = (
-        Finding(Kind.FAR_OFF, "seen", "1 % of the answers are more than 70.1 mm off the optimum"),
-        Finding(Kind.NOT_REPEATED, "", "2 of 50 answers differ"),
+        ScoreFinding(Kind.FAR_OFF, "seen", "1 % of the answers are more than 70.1 mm off the optimum"),
+        ScoreFinding(Kind.NOT_REPEATED, "", "2 of 50 answers differ"),
     )
     one = ScoredAvoider(
         reference=avoider,
@@ -126,7 +127,7 @@ def scored(avoider: str = "mc-dropout", *, file: str = "worst-1.yaml", **others:
         card=scorecard(avoider, shift_m=0.07),
         yardsticks=(scorecard("closed-form optimum", measured=False),),
         findings=found,
-        searches=[Searched("seen", 500, asked=500)],
+        searches=[QuestionSearch("seen", 500, asked=500)],
         worst=[ShownQuestion(Objective.TOWARDS, tried, QuestionFile(Path(file), "", (claim,), "text"))],
         left_out=["a hand within the robot"],
     )

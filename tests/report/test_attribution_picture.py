@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from safety_harness.attribution.attribute import Answer, Attribution
+from safety_harness.attribution.attribute import Attribution, AttributionAnswer
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.properties.base import Unit
 from safety_harness.report.attribution_picture import LONGEST_PX, draw_attributions
 from safety_harness.scenario.model import Claim, Verdict
 
 
-def of(answer: Answer) -> Attribution:
+def of(answer: AttributionAnswer) -> Attribution:
     claim = Claim(sentence="hand distance never below 50 mm", expected=Verdict.HOLDS)
     return Attribution(scenario="one", claim=claim, unit=Unit.LENGTH, answer=answer, margin=-0.01)
 
 
 def test_bars_are_as_long_as_the_shares_and_said_in_words() -> None:
-    tally = AttributionTally.of([of(Answer.UNAVOIDABLE)] * 3 + [of(Answer.NOT_ATTRIBUTED)])
+    tally = AttributionTally.of(
+        [of(AttributionAnswer.UNAVOIDABLE)] * 3 + [of(AttributionAnswer.NOT_ATTRIBUTED)]
+    )
     root = ElementTree.fromstring(draw_attributions(tally.groups))
     widths = [float(bar.get("width", "")) for bar in root.iter("rect")]
     assert widths == [0.75 * LONGEST_PX, 0.25 * LONGEST_PX]

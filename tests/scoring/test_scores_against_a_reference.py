@@ -9,11 +9,11 @@ import pytest
 import score_cards
 
 from safety_harness.scoring.against import findings_against
-from safety_harness.scoring.scorecard import Finding, Kind
+from safety_harness.scoring.scorecard import Kind, ScoreFinding
 from safety_harness.settings import DEFAULTS
 
-OFF = Finding(Kind.FAR_OFF, "seen", "far")
-JUMPS = Finding(Kind.JUMPS, "seen", "jumps")
+OFF = ScoreFinding(Kind.FAR_OFF, "seen", "far")
+JUMPS = ScoreFinding(Kind.JUMPS, "seen", "jumps")
 SETTINGS = (DEFAULTS, DEFAULTS)
 SOUND, WRONG = score_cards.scorecard(), score_cards.scorecard("wrong", shift_m=0.07)
 

@@ -15,7 +15,7 @@ from safety_harness.scoring.asking import asked_together
 from safety_harness.scoring.question_file import begins_clear, seed_of
 from safety_harness.scoring.questions import Questions
 from safety_harness.scoring.regions import QuestionRegion, named_regions
-from safety_harness.scoring.worst import Objective, Searched, search_region, worst_questions
+from safety_harness.scoring.worst import Objective, QuestionSearch, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.regions import paper_seen
 
@@ -43,7 +43,7 @@ class WrongNear:
         return Proposal(optimum + wrong * (hand - optimum))
 
 
-def searched(avoider: WrongNear, region: QuestionRegion = SEEN, **options: int) -> Searched:
+def searched(avoider: WrongNear, region: QuestionRegion = SEEN, **options: int) -> QuestionSearch:
     wanted = {"budget": 600, "seed": 1} | options
     return search_region(avoider, region, budget=wanted["budget"], seed=wanted["seed"], number=0)
 

@@ -12,7 +12,7 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
-from safety_harness.properties.against import Change
+from safety_harness.properties.against import VerdictChange
 from safety_harness.search import session as search_session
 from safety_harness.search.against import Reference, difference
 from safety_harness.search.confirm import Complaint, Confirm
@@ -95,7 +95,7 @@ def test_shrinking_keeps_to_what_the_reference_does_not_violate(folder: Path) ->
     )
     points = np.array([[0.67, 0.71, 0.17], [0.67, 0.71, 0.9]])  # slow; too fast for both
     found = trials(points, 0)
-    assert [run.claims[0].change for run in trials.differences] == [Change.NEW, Change.NONE]
+    assert [run.claims[0].change for run in trials.differences] == [VerdictChange.NEW, VerdictChange.NONE]
     assert (found.margins[:, 0] < 0.0).tolist() == [True, False]
     of_mine, of_both = Complaint(trials.claims[0]), Complaint(trials.claims[0], reference=reference)
     for number, (point, new) in enumerate(zip(points, (True, False), strict=True)):
