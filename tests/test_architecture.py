@@ -115,6 +115,17 @@ def test_no_two_files_of_tests_have_one_name() -> None:
     assert [name for name, count in names.items() if count > 1] == []
 
 
+def test_no_two_public_classes_have_one_name() -> None:
+    classes = Counter(
+        node.name
+        for file in FILES
+        for node in ast.parse(file.read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert len(classes) > 300
+    assert [name for name, count in classes.items() if count > 1] == []
+
+
 def test_only_the_command_line_imports_learning() -> None:
     importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
     assert importers <= {"learning", "cli"}
