@@ -114,7 +114,14 @@ def evaluate(
 def _lines(one: ScoredAvoider) -> Iterator[str]:
     """What the terminal shows of one avoider."""
     from safety_harness.cli.evaluation_tables import table
-    from safety_harness.report.score_tables import COLUMNS, figures, repeat_words, rows_of, times_words
+    from safety_harness.report.score_tables import (
+        COLUMNS,
+        figures,
+        repeat_words,
+        rows_of,
+        times_words,
+        towards_words,
+    )
 
     cards = (one.card, *one.yardsticks)
     yield from table(
@@ -130,6 +137,7 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
     yield f"time: {times_words(one.card)}"
     for search in one.searches:
         yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
+    yield towards_words(one.card)
     yield f"{len(one.findings)} findings on {one.reference}" + (":" if one.findings else "")
     for finding in one.findings:
         yield f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"

@@ -29,6 +29,7 @@ from safety_harness.report.score_tables import (
     repeat_words,
     rows_of,
     times_words,
+    towards_words,
 )
 from safety_harness.report.words import point_words
 from safety_harness.scenario.files import told
@@ -79,6 +80,7 @@ def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[s
     return {
         "id": f"avoider-{number}",
         "one": one,
+        "towards": towards_words(one.card),
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [

@@ -57,6 +57,17 @@ def rows_of(
                     yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
+def towards_words(card: Scorecard) -> str:
+    """Where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
+    known = [
+        (1.0 - one.leads_away.share, one) for one in card.regions if one.asked_in_runs and one.leads_away
+    ]
+    if not known:
+        return "No region with a proposal was asked about."
+    share, worst = max(known, key=lambda each: each[0])
+    return f"Towards the hand, most: {100 * share:.3g} % of its proposals in {worst.region}."
+
+
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
     """The cells of COLUMNS."""
     return (

@@ -63,7 +63,14 @@ def test_a_shipped_network_has_no_finding_and_all_its_files(
     assert document["times"]["mc-dropout"]["median_s"] > 0.0
     assert "0 findings on mc-dropout" in printed.out
     assert "closed-form optimum" in printed.out
-    assert "no finding" in (folder / "out" / PAGE).read_text()
+    page = (folder / "out" / PAGE).read_text()
+    assert "no finding" in page
+    shares = one["regions"][0]["leads_away"]
+    away = shares["count"] / shares["trials"]
+    towards = f"Towards the hand, most: {100 * (1.0 - away):.3g} % of its proposals in seen."
+    assert 0.0 < away < 1.0
+    assert towards in page
+    assert towards in printed.out
 
 
 def test_an_avoider_that_leads_towards_the_hand_is_a_finding(
