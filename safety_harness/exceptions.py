@@ -80,8 +80,11 @@ class InputError(SafetyHarnessError):
 
 
 def explanation(error: BaseException) -> str:
-    """The error for people: where, what was expected, what came and the hint, each on a line of its own."""
-    if not isinstance(error, InputError):
+    """The error for people: where, what was expected, what came and the hint, each on a line of its own.
+
+    That a package is missing is one line.
+    """
+    if not isinstance(error, InputError) or isinstance(error, MissingPackageError):
         return str(error)
     lines = [str(error.place), f"  expected {error.expected}", f"  got      {error.got}"]
     return "\n".join([*lines, f"  hint     {error.hint}"] if error.hint else lines)
@@ -142,6 +145,14 @@ class RegionError(InputError):
 
 class InstallationError(InputError):
     """What is installed does not tell which software runs: two packages own one module."""
+
+
+class MissingPackageError(InstallationError):
+    """A package that is an extra is not installed: ``place`` says what needs it, ``hint`` how to get it."""
+
+    def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
+        super().__init__(place=place, expected=expected, got=got, hint=hint)
+        self.args = (f"{place} needs {self.expected}, which is not installed: {self.hint}",)
 
 
 class AvoiderError(SafetyHarnessError):

@@ -245,13 +245,10 @@ class DaskCrew:
 def connected(where: str, timeout_s: float) -> Any:
     """A ``distributed.Client`` of the scheduler at an address (tcp://...) or in a file.
 
-    InputError if none answers within ``timeout_s``.
+    InputError if none answers within ``timeout_s``, MissingPackageError without the library.
     """
-    try:
+    with CLUSTER.needed("--cluster"):
         from distributed import Client
-    except ImportError:
-        hint = "pip install 'safety-harness[cluster]'"
-        raise ScenarioError.of_option("--cluster", "the library distributed", "none", hint) from None
     make: Any = Client  # of whose methods some have no types
     try:
         address = where if "://" in where else _address_in(Path(where))

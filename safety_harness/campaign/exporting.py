@@ -81,12 +81,9 @@ def _csv(ledger: Ledger, path: Path) -> int:
 
 
 def _parquet(ledger: Ledger, path: Path) -> int:
-    try:
+    with EXPORT.needed("a table in Parquet"):
         import pyarrow
         from pyarrow.parquet import ParquetWriter
-    except ImportError:
-        hint = "pip install 'safety-harness[export]', or write a .csv"
-        raise ScenarioError.of_option("export", "the library pyarrow", "none", hint) from None
     schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in _COLUMNS])
     count, lines = 0, ledger.all(_QUESTION)
     with ParquetWriter(path, schema, compression="zstd") as writer:

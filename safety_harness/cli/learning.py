@@ -13,6 +13,7 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, result, say
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError, Place
+from safety_harness.extras import LEARNING, ONNX
 
 if TYPE_CHECKING:
     from safety_harness.learning.checkpoint import Epoch
@@ -114,15 +115,8 @@ def train(
         chosen = recipe_named(recipe)
         dataset = load_dataset(data) if data else generate(DEFAULTS, seen(DEFAULTS), seed=seed)
         split = split_for(chosen, dataset)
-        try:
+        with LEARNING.needed("train"):
             from safety_harness.learning.training import train as train_networks  # brings PyTorch
-        except ModuleNotFoundError as error:
-            raise ModelError(
-                place=Place(field="train"),
-                expected="PyTorch, which only training needs",
-                got=str(error),
-                hint="pip install 'safety-harness[learning]'",
-            ) from error
         trained = train_networks(
             chosen,
             samples_for(chosen, dataset),
@@ -264,17 +258,10 @@ def export(
     if seed < 0:
         raise ModelError(place=Place(field="--seed"), expected="a seed of at least 0", got=str(seed))
     loaded = load_model(path)
-    try:
+    with LEARNING.needed("export"), ONNX.needed("export"):  # onnxscript is asked for by PyTorch, and late
         from safety_harness.learning.export import write_export  # brings PyTorch
 
         difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)
-    except ModuleNotFoundError as error:  # onnxscript is asked for by PyTorch, and late
-        raise ModelError(
-            place=Place(field="export"),
-            expected="PyTorch with its ONNX exporter, which only export needs",
-            got=str(error),
-            hint="pip install 'safety-harness[learning]'",
-        ) from error
     result(f"onnx: {out}")
     result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
     return AS_EXPECTED

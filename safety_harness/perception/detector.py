@@ -29,13 +29,13 @@ distinguished.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
+from safety_harness.extras import IMAGES
 from safety_harness.perception.hand_boxes import BOX_LENGTH
 from safety_harness.perception.tracking import MAX_DETECTIONS
 
@@ -79,6 +79,13 @@ class BoundingBoxDetector(Protocol):
         ...
 
 
+def opencv() -> Any:
+    """The module cv2, which only rendered images need; MissingPackageError where it is not installed."""
+    with IMAGES.needed("rendered images"):
+        import cv2
+    return cv2
+
+
 class SkinColourDetector:
     """Finds connected skin-coloured areas.
 
@@ -96,6 +103,7 @@ class SkinColourDetector:
         the nine pixels of the area with a known depth that are nearest to the box's centre: the
         3 x 3 window around it, unless part of that is hidden or without a depth.
         """
+        cv2 = opencv()
         hsv = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)
         skin = cv2.inRange(hsv, SKIN_HSV_LEAST, SKIN_HSV_GREATEST)
         count, labels, statistics, _ = cv2.connectedComponentsWithStats(skin, connectivity=8)
@@ -154,6 +162,7 @@ def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) ->
     that does may be cropped, and a cropped triangle can have the features of a whole one.  A hand
     in front of the object is not noticed as such: it cuts the region or changes its shape.
     """
+    cv2 = opencv()
     black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(black, connectivity=8)
     height_px, width_px = black.shape
