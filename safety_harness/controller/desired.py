@@ -27,13 +27,11 @@ def reachable(positions_in_base_m: ArrayNx3, settings: Settings) -> NDArray[np.b
 
     ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
     """
-    kinematics = InverseKinematics(load_arm())
-    pose = desired_transform_tcp_to_base(settings)
-    reference = np.array(settings.cell.preferred_joint_position_rad)
-    has = np.empty(len(positions_in_base_m), dtype=np.bool_)
-    for k, position in enumerate(positions_in_base_m):
-        pose[:3, 3] = position
-        has[k] = kinematics.nearest(pose, reference) is not None
+    poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
+    poses[:, :3, 3] = positions_in_base_m
+    preferred = np.array(settings.cell.preferred_joint_position_rad)
+    solutions = InverseKinematics(load_arm()).nearest_of_each(poses, preferred)
+    has: NDArray[np.bool_] = ~np.isnan(solutions[:, 0])
     return has
 
 

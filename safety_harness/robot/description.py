@@ -1,7 +1,6 @@
 """The arm as numbers: joint frames, axes and limits, read from its URDF.
 
-The robot descriptions come with the package ``example-robot-data``, which installs data files
-only; they are found through its installed-files record.
+The robot descriptions lie in ``data`` beside this file, which says where they come from.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
@@ -20,7 +18,8 @@ from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.rotations import rotation_about
 from safety_harness.geometry.transforms import transform_from
 
-DATA_PACKAGE = "example-robot-data"
+DATA = Path(__file__).with_name("data")
+ORIGIN = "package://example-robot-data/robots/"  # what the URDFs call that folder
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
 JOINTS = 6
@@ -98,29 +97,13 @@ class LinkMeshes:
     visual: MeshFile
 
 
-@lru_cache
-def data_folder() -> Path:
-    """The folder ``example-robot-data`` that ``package://example-robot-data`` stands for."""
-    try:
-        files = metadata.distribution(DATA_PACKAGE).files or []
-    except metadata.PackageNotFoundError as error:
-        raise ArmModelError(
-            f"the package {DATA_PACKAGE}, which holds the robots, is not installed"
-        ) from error
-    for file in files:
-        if file.name == "ur10_robot.urdf":
-            return Path(str(file.locate())).parents[3]
-    raise ArmModelError(f"the package {DATA_PACKAGE} is installed without its robot descriptions")
-
-
 def urdf_file(name: str) -> Path:
     """The URDF of the arm ``name`` ("ur3", "ur5", "ur10")."""
-    folder = data_folder() / "robots" / "ur_description" / "urdf"
+    folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
     if not file.is_file():
-        known = sorted(path.name.removesuffix("_robot.urdf") for path in folder.glob("ur*_robot.urdf"))
-        arms = ", ".join(arm for arm in known if "_" not in arm)
-        raise ArmModelError(f"there is no arm named {name!r}; there are {arms}")
+        known = sorted(path.name.removesuffix("_robot.urdf") for path in folder.glob("*_robot.urdf"))
+        raise ArmModelError(f"there is no arm named {name!r}; there are {', '.join(known)}")
     return file
 
 
@@ -205,9 +188,8 @@ def _mesh_of(link: ElementTree.Element, kind: str) -> MeshFile:
 
 def _mesh_file(mesh: ElementTree.Element) -> Path:
     uri = mesh.get("filename", "")
-    prefix = f"package://{DATA_PACKAGE}/"
-    file = data_folder() / uri.removeprefix(prefix)
-    if not (uri.startswith(prefix) and file.is_file()):
+    file = DATA / uri.removeprefix(ORIGIN)
+    if not (uri.startswith(ORIGIN) and file.is_file()):
         raise ArmModelError(f"there is no mesh file for {uri!r}")
     return file
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from math import ceil, pi, sqrt
 
 import numpy as np
-from eaik.IK_HP import HPRobot
 from numpy.typing import ArrayLike, NDArray
 
-from safety_harness.compiled import compiled
-from safety_harness.exceptions import ArmModelError
+from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, Array8x4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
+from safety_harness.robot.closed_form import AT_ONCE, ClosedForms, candidate_branches, closed_form_of
 from safety_harness.robot.description import ArmModel, ChainRecords
 from safety_harness.robot.kinematics import (
     FRAMES,
@@ -21,58 +20,35 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     is_well_conditioned,
 )
-from safety_harness.robot.wrist_singularity import AT_ONCE, wrist_branches
 
 EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
+MENDED_POSE = 1e-6  # by which a branch may miss its pose to be polished
+MOST_POLISHING = 4  # steps
+POLISH_DAMPING = 1e-6  # where the arm is singular, directions below this are left alone
 REACH_RESOLUTION_M = 1e-4
 SAME_RAD = 1e-6  # of two ways to compute one branch near a singularity
 MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
-    """All closed-form solutions of one arm.
-
-    The library eaik takes the joint axes H (6, 3) at q = 0 and the steps P (7, 3) between points
-    on them, both in the base frame, as the URDF gives them; it answers for a tool frame that is
-    parallel to the base at q = 0, so poses are turned by the tool's own zero rotation first.
-    """
+    """All closed-form solutions of one arm; ``ArmModelError`` unless its wrist is that of the UR family."""
 
     def __init__(self, arm: ArmModel) -> None:
         self.arm = arm
-        zero = np.empty((FRAMES, 4, 4))
-        forward_kinematics(arm.chain[0], np.zeros(6), zero)
-        axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
-        points = zero[:, :3, 3]
-        self._zero_rotation_inverse = zero[TCP, :3, :3].T.copy()
-        self._axes, self._steps = axes, np.diff(points, axis=0)
-        self._solver = HPRobot(self._axes, self._steps)
-        if not self._solver.hasKnownDecomposition():
-            raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form")
+        self._form = closed_form_of(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
         """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
 
-        Each is checked with our own forward kinematics to 1e-9 (metres, and entries of the rotation), which
-        also drops the library's least-squares answers to unreachable poses.  Position limits are not
-        considered.  At a wrist singularity (|sin theta_5| below 5e-10) joints can move while the TCP stays,
-        and what is returned are some of those positions.  Up to 1e-4 the branches of ``wrist_branches`` stand
-        before the library's, which loses some below 1e-5.  Where shoulder and elbow are singular at once, to
-        some 1e-8 of the reach, and the wrist is not, a few per cent of the poses have no branch here.
+        Each is checked with forward kinematics to 1e-9 (metres, and entries of the rotation).  Two shoulders,
+        two wrists and two elbows, in the order of ``candidate_branches``; those that are less than 1e-6
+        apart, as at a singularity, are one.  Position limits are not considered.  At a wrist singularity
+        (|sin theta_5| below 5e-10) joints can move while the TCP stays, and what is returned are some of
+        those positions.
 
         ``transform_tcp_to_base`` (4, 4).
         """
-        pose = np.array(transform_tcp_to_base, dtype=np.float64)
-        if not np.isfinite(pose).all():
-            return np.empty((0, 6))
-        turned = pose.copy()
-        turned[:3, :3] = pose[:3, :3] @ self._zero_rotation_inverse
-        theirs = np.array(self._solver.IK(turned).Q, dtype=np.float64).reshape(-1, 6)
-        answers = _exact(self.arm.chain, pose, theirs)
-        own = np.empty((AT_ONCE, 6))
-        count = wrist_branches(self._axes, self._steps, turned[:3, :3].copy(), pose[:3, 3].copy(), own)
-        if count == 0:
-            return answers
-        return _distinct(np.concatenate([_exact(self.arm.chain, pose, own[:count]), answers]))
+        return _branches(self.arm.chain, self._form, np.array(transform_tcp_to_base, dtype=np.float64))
 
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
@@ -84,12 +60,21 @@ class InverseKinematics:
 
         ``transform_tcp_to_base`` (4, 4), ``reference_joint_position`` (6,).
         """
-        branches = self.branches(transform_tcp_to_base)
+        (solution,) = self.nearest_of_each(np.array([transform_tcp_to_base]), reference_joint_position)
+        return None if np.isnan(solution[0]) else solution
+
+    def nearest_of_each(
+        self,
+        transforms_tcp_to_base: NDArray[np.float64],  # (n, 4, 4)
+        reference_joint_position: Array6,
+    ) -> NDArray[np.float64]:
+        """``nearest`` of many poses (n, 4, 4): (n, 6), NaN where no solution is within the limits.
+
+        ``reference_joint_position`` (6,).
+        """
+        poses = np.array(transforms_tcp_to_base, dtype=np.float64)
         reference = np.array(reference_joint_position, dtype=np.float64)
-        solution = np.empty(6)
-        arm = self.arm
-        found = _nearest(branches, reference, arm.position_lower_rad, arm.position_upper_rad, solution)
-        return solution if found else None
+        return _nearest_of_each(self.arm.chain, self._form, poses, reference)
 
     def reach_along(
         self,
@@ -121,57 +106,125 @@ class InverseKinematics:
 
 
 @compiled
-def _exact(chains: ChainRecords, pose: Array4x4, answers: ArrayNx6) -> ArrayNx6:
-    """Those of ``answers``, which are overwritten, that give ``pose``, wrapped into (-pi, pi].
-
-    Those with max |T_7(q) - pose| <= EXACT_POSE over all entries.
-    """
-    transforms = np.empty((FRAMES, 4, 4))
+def _branches(chains: ChainRecords, forms: ClosedForms, pose: Array4x4) -> ArrayNx6:
+    """The candidates that give ``pose``, those that are the same but for rounding once."""
+    found, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
     kept = 0
-    for k in range(answers.shape[0]):
-        for i in range(6):
-            answers[kept, i] = pi - np.mod(pi - answers[k, i], 2.0 * pi)
-        forward_kinematics(chains[0], answers[kept], transforms)
-        exact = True
-        for i in range(4):
-            for j in range(4):
-                exact = exact and abs(transforms[TCP, i, j] - pose[i, j]) <= EXACT_POSE
-        kept += exact
-    return answers[:kept]
-
-
-def _distinct(answers: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The first of those (k, 6) that are the same but for rounding, whole turns aside."""
-    apart = np.abs((answers[:, None] - answers + pi) % (2.0 * pi) - pi).max(axis=2)
-    kept: NDArray[np.float64] = answers[~np.any(np.tril(apart < SAME_RAD, -1), axis=1)]
-    return kept
+    for k in range(candidate_branches(forms[0], pose, found)):
+        copy_vector(found[k], found[kept])
+        if _gives(chains, pose, found[kept], transforms):
+            kept += not _is_among(found[kept], found[:kept])
+    return found[:kept].copy()
 
 
 @compiled
-def _nearest(
-    branches: ArrayNx6, reference: Array6, lower_rad: Array6, upper_rad: Array6, solution_out: Array6
-) -> bool:
-    """Fill the nearest of the branches and their full turns within the limits; False if there is none.
+def _is_among(joints: Array6, others: ArrayNx6) -> bool:
+    """Is (6,) less than SAME_RAD in every joint from one of (k, 6), whole turns aside?"""
+    for k in range(others.shape[0]):
+        same = True
+        for i in range(6):
+            same = same and abs(_wrapped(joints[i] - others[k, i])) < SAME_RAD
+        if same:
+            return True
+    return False
+
+
+@inlined
+def _wrapped(angle: float) -> float:
+    """The angle [rad] in (-pi, pi]."""
+    wrapped = pi - np.mod(pi - angle, 2.0 * pi)
+    return float(wrapped if wrapped > -pi else pi)  # a remainder may be rounded to the whole
+
+
+@compiled
+def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Array8x4x4) -> bool:
+    """Whether ``joints`` (6,), wrapped and if need be polished, give ``pose`` to EXACT_POSE in every entry.
+
+    Near a singularity rounding of the pose moves joints by its root: the steps of ``_polish`` mend that.
+    ``transforms`` are written.
+    """
+    for _ in range(MOST_POLISHING):
+        exact = nearly = True
+        for i in range(6):
+            joints[i] = _wrapped(joints[i])
+        forward_kinematics(chains[0], joints, transforms)
+        for i in range(4):
+            for j in range(4):
+                off = abs(transforms[TCP, i, j] - pose[i, j])
+                exact, nearly = exact and off <= EXACT_POSE, nearly and off <= MENDED_POSE
+        if exact or not nearly or not _polish(chains, pose, joints, transforms):
+            return exact
+    return False
+
+
+@compiled
+def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Array8x4x4) -> bool:
+    """A damped Newton step of ``joints`` towards ``pose``: (J^T J + d^2 I) dq = J^T e.
+
+    e = (p* - p, log(R* R^T)) as in ``follow_pose``; ``transforms`` are those of ``joints``.
+    """
+    jacobian, matrix = np.empty((6, 6)), np.empty((6, 6))
+    error, step = np.empty(6), np.empty(6)
+    geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
+    pose_error(pose, transforms[TCP], error)
+    for i in range(6):
+        step[i] = 0.0
+        for k in range(6):
+            step[i] += jacobian[k, i] * error[k]
+        for j in range(6):
+            matrix[i, j] = POLISH_DAMPING * POLISH_DAMPING if i == j else 0.0
+            for k in range(6):
+                matrix[i, j] += jacobian[k, i] * jacobian[k, j]
+    if not solve_in_place(matrix, step):
+        return False
+    for i in range(6):
+        joints[i] += step[i]
+    return True
+
+
+@compiled
+def _nearest_of_each(
+    chains: ChainRecords,
+    forms: ClosedForms,
+    poses: NDArray[np.float64],  # (n, 4, 4)
+    reference: Array6,
+) -> ArrayNx6:
+    """(n, 6): of the branches of each pose and their full turns within the limits the nearest, or NaN.
 
     argmin over branches q and turns k of |q + 2 pi k - reference|, joint by joint in [lower, upper].
     """
-    candidate = np.empty(6)
-    best = np.inf
-    for k in range(branches.shape[0]):
-        total = 0.0
-        for i in range(6):
-            least = np.inf
-            for turn in range(-2, 3):
-                angle = branches[k, i] + turn * (2.0 * pi)
-                away = abs(angle - reference[i])
-                if lower_rad[i] <= angle <= upper_rad[i] and away < least:
-                    candidate[i], least = angle, away
-            total += least * least
-        distance = np.sqrt(total)
-        if distance < best:
-            best = distance
-            copy_vector(candidate, solution_out)
-    return bool(best < np.inf)
+    solutions = np.full((poses.shape[0], 6), np.nan)
+    found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
+    for n in range(poses.shape[0]):
+        best = np.inf
+        for k in range(candidate_branches(forms[0], poses[n], found)):
+            # first how near it is, then, which takes longer, whether it gives the pose
+            if not _turned_towards(forms, reference, found[k], turned) < best:
+                continue
+            if _gives(chains, poses[n], found[k], transforms):
+                distance = _turned_towards(forms, reference, found[k], turned)
+                if distance < best:
+                    best = distance
+                    copy_vector(turned, solutions[n])
+    return solutions
+
+
+@compiled
+def _turned_towards(forms: ClosedForms, reference: Array6, joints: Array6, turned_out: Array6) -> float:
+    """Fill ``joints`` (6,) with the full turns that are nearest to ``reference`` within the limits.
+
+    Returns how far that is [rad], infinity if a joint has none.
+    """
+    total = 0.0
+    for i in range(6):
+        least, wrapped = np.inf, _wrapped(joints[i])
+        for turn in range(-2, 3):
+            angle = wrapped + turn * (2.0 * pi)
+            away = abs(angle - reference[i])
+            if forms[0].lower_rad[i] <= angle <= forms[0].upper_rad[i] and away < least:
+                turned_out[i], least = angle, away
+        total += least * least
+    return sqrt(total)
 
 
 @compiled
@@ -242,21 +295,13 @@ def follow_pose(
     ``jacobian`` are written; on success they are those of the solution.
     """
     step = np.empty(6)
-    error_rotation = np.empty((3, 3))
     matrix = np.empty((6, 6))
     predicted = 0.0
     corrected = 0.0
     for iteration in range(8):
         forward_kinematics(chains[0], joints, transforms)
         geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
-        reached = transforms[7]
-        for i in range(3):
-            step[i] = target[i, 3] - reached[i, 3]
-            for j in range(3):
-                error_rotation[i, j] = (
-                    target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
-                )
-        copy_vector(vector_from_rotation(error_rotation), step[3:])
+        pose_error(target, transforms[7], step)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))
@@ -276,6 +321,19 @@ def follow_pose(
             if not corrected <= 0.5 * predicted:
                 return False
     return False
+
+
+@compiled
+def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
+    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4), p* and R* the ``target``'s."""
+    error_rotation = np.empty((3, 3))
+    for i in range(3):
+        error_out[i] = target[i, 3] - reached[i, 3]
+        for j in range(3):
+            error_rotation[i, j] = (
+                target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
+            )
+    copy_vector(vector_from_rotation(error_rotation), error_out[3:])
 
 
 def straight_way(

@@ -18,7 +18,7 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-from safety_harness.compiled import cache_root, source_hash
+from safety_harness.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
 from safety_harness.whole_file import write_whole
@@ -28,10 +28,9 @@ LIBRARIES = {
     "numpy": "numpy._core._multiarray_umath",
     "numba": "numba._dispatcher",
     "pybullet": "pybullet",
-    "eaik": "eaik.pybindings.EAIK",
     "cv2": "cv2",
 }
-DATA = "example-robot-data"  # files only, found by the metadata: no module says which version it is
+DATA, ROBOTS = "robot data", PACKAGE / "robot" / "data" / "ur_description"  # by a hash over the files
 ONE_OWNER = (*LIBRARIES, "onnxruntime", "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
 NOT_LOADED = "not loaded"
@@ -41,7 +40,7 @@ NOT_LOADED = "not loaded"
 def provenance(world: str, avoider: str) -> Provenance:
     """Provenance of a run in this process."""
     found = [_loaded(library, sys.modules.get(core)) for library, core in LIBRARIES.items()]
-    data = DATA, f"{metadata.version(DATA)} by its metadata"
+    data = DATA, hashlib.sha256("".join(map(_sha256, sorted(ROBOTS.rglob("*.*")))).encode()).hexdigest()
     return Provenance(
         package_version=metadata.version("safety-harness"),
         source_hash=source_hash(),
