@@ -144,7 +144,7 @@ class RegionError(InputError):
 
 
 class InstallationError(InputError):
-    """What is installed does not tell which software runs: two packages own one module."""
+    """What is installed does not do: two packages own one module, or the engine of a world is missing."""
 
 
 class MissingPackageError(InstallationError):

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from safety_harness.exceptions import MissingPackageError, Place
 
@@ -49,11 +50,17 @@ class Extra:
                 place=Place(field=by), expected=module, got="no such package", hint=self.hint
             ) from error
 
+    def require(self, by: str) -> None:
+        """Look for its first package without importing it; MissingPackageError as of ``needed``."""
+        with self.needed(by):
+            if find_spec(self.modules[0]) is None:
+                raise ModuleNotFoundError(name=self.modules[0])
+
 
 PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
-    instead="the kinematic world needs none (--world kinematic; in a plan: world: kinematic)",
+    instead="the kinematic world needs none (run and pytest: --world, --safety-world kinematic; a plan: world: kinematic)",
     newest_wheel=(3, 11),
 )
 IMAGES = Extra("images", ("cv2",), instead="exact and raster images need none")

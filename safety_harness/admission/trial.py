@@ -13,7 +13,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.controller.controller import Controller
-from safety_harness.exceptions import InadmissibleError
+from safety_harness.exceptions import InadmissibleError, InstallationError
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.true_motion import refuse_contradictions
@@ -87,7 +87,8 @@ def run_many(
 def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
     """One for each, in their order; an Exception stands for a run that could not be carried on.
 
-    All together where the world takes many, and one by one if any of them breaks.
+    All together where the world takes many, and one by one if any of them breaks.  InstallationError for a
+    world that is not installed, which is no run's failure.
     """
     if world.batch and len(admitted) > 1:
         try:
@@ -98,6 +99,8 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
     for one in admitted:
         try:
             yield next(run_many([one], world=world)) if world.batch else run_trial(one, world=world)
+        except InstallationError:
+            raise
         except Exception as error:  # one run's failure is a finding
             yield error
 

@@ -40,7 +40,6 @@ from safety_harness.avoidance.model_file import (
     refuse,
 )
 from safety_harness.exceptions import ModelError, Place, on_one_line
-from safety_harness.extras import ONNX
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
 
@@ -142,12 +141,9 @@ def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]
 
 
 def open_session(path: Path, data: bytes) -> Any:
-    """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it.
+    """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
+    import onnxruntime  # an extra: who asks for one has looked
 
-    MissingPackageError without onnxruntime.
-    """
-    with ONNX.needed(f"the avoider {path.name}"):
-        import onnxruntime
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL

@@ -34,6 +34,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import LIMITS, Arrived, Chunk, Event, Limits, Lost, bench_of_file
 from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import CampaignError, InputError, ScenarioError
+from safety_harness.extras import CLUSTER
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network
 _ANSWER_S = 30.0

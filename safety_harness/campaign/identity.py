@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
@@ -18,7 +19,7 @@ from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
-from safety_harness.simulation.worlds import load_engines
+from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
 from safety_harness.whole_file import writing
@@ -67,13 +68,19 @@ def identity_of(
     named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
-    load_engines()  # the same libraries are loaded, whoever asks
-    made_by = provenance(world, "")
+    made_by = provenance(world, "", _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
     return Identity(tuple(parts.items()))
+
+
+def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
+    """What the runs use, each once; an engine that is missing is named as not loaded."""
+    entry = worlds_by_label()[world]
+    used = (libraries_of(entry.name, space.simplest) for space in spaces)
+    return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
 
 
 MOST_BYTES = 200_000_000  # of all files together

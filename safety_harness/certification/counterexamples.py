@@ -133,6 +133,7 @@ class Found(Struct, frozen=True, kw_only=True):
     searcher: str
     interrupted: bool
     distinct: list[Any]
+    confirmed: int = field(name="confirmed in PyBullet")
     unconfirmed: list[Any] = field(name="not confirmed in PyBullet")
     counterexamples: tuple[str, ...]
     attribution: FaultsFound | None = None
@@ -195,7 +196,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
     lines = [
         f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
         f"{count_words(len(found.distinct), 'group of violations', 'groups of violations')}; "
-        f"{len(found.counterexamples)} were shrunk and confirmed in PyBullet, "
+        f"{len(found.counterexamples)} were shrunk{' and confirmed in PyBullet' * bool(found.confirmed)}, "
         f"{len(found.unconfirmed)} were not confirmed"
         for stratum, found in known
     ]

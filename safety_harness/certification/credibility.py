@@ -36,6 +36,9 @@ def credibility_of(
     except OSError:
         agreement = None
         absent.append("No measured agreement of the two worlds comes with this version.")
+    absent += [
+        f"{one} is not installed: no run was made again in it." for one in WORLDS if not one.is_installed
+    ]
     if not trials.oracles:
         absent.append(
             "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
@@ -82,7 +85,7 @@ def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
         how = f"with {2 * substeps} physics steps a control tick in place of {substeps}"
         found.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))
     for other in WORLDS:
-        if other is not own:
+        if other is not own and other.is_installed:
             title, how = f"These runs in {other}", f"in {other} in place of {own}"
             found.append(_rerun(chosen, other, "other-world", title, how))
     return tuple(found)

@@ -82,6 +82,10 @@ def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFindin
             continue
         if one.found.interrupted:
             texts.append(f"{one.stratum}: the search was interrupted")
+        if one.found.counterexamples and not one.found.confirmed:
+            texts.append(
+                f"{one.stratum}: no counterexample was confirmed in PyBullet, which was not installed"
+            )
         if many := len(one.found.unconfirmed):
             texts.append(f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet")
     yield from (OpenFinding(text, "counterexamples") for text in texts)

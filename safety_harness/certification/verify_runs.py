@@ -248,9 +248,10 @@ def check_runs(
     """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
     count = drawing.number(len(made), turns)
-    if count < 1:
+    if count < 1 or not plan.world.is_installed:
+        why = "" if plan.world.is_installed else f": {plan.world} is not installed"
         return Examination(
-            "runs", "no run was made again", unchecked=("whether runs give their outcomes again",)
+            "runs", "no run was made again", unchecked=(f"whether runs give their outcomes again{why}",)
         )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
     bench, compared = EpisodeRunner(plan, programs=drawing.programs), Compared(plan, ledger, same=same)

@@ -31,6 +31,7 @@ from safety_harness.report.search_attribution import confirming_line
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.store import load_trace
 from safety_harness.whole_file import write_text
 
@@ -40,6 +41,8 @@ TRACE = ".trace"
 
 def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None, confirm: bool) -> int:
     """Attribute, print, write; returns the exit code."""
+    if confirm:
+        PYBULLET.opener()
     scenarios, errors = _scenarios(paths, avoider)
     admitted, refused = usable(scenarios, Admitter().admit)
     if errors or refused:

@@ -32,6 +32,12 @@ OfReference = Annotated[
         metavar="AVOIDER",
     ),
 ]
+OfWorld = Annotated[
+    str,
+    Option(
+        "--world", help="PyBullet, the reference, or kinematic, which needs no PyBullet.", metavar="WORLD"
+    ),
+]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _Asked = ParamSpec("_Asked")
 

@@ -43,6 +43,7 @@ from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Verdict
+from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
 
@@ -67,14 +68,25 @@ def read_all(
     )
 
 
-def run(paths: Sequence[Path], out: Path, avoider: str | None = None, against: str | None = None) -> int:
-    """Run, judge, print, save and report; returns the exit code."""
+def run(
+    paths: Sequence[Path],
+    out: Path,
+    avoider: str | None = None,
+    against: str | None = None,
+    world: WorldEntry = REFERENCE,
+) -> int:
+    """Run in ``world``, judge, print, save and report; returns the exit code.
+
+    InstallationError for a world that is not installed.
+    """
+    world.opener()
     if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
         say("compiling the control stack; this takes a minute or two, once")
         forget_old_machine_code()
     say_shared_modules()
     try:
         admitted, skipped, errors = read_all(paths, avoider, against)
+        errors += usable(admitted, lambda each: world.refuse(each[0].scenario))[1]
     except KeyboardInterrupt:
         say("interrupted: nothing was run")
         return INTERRUPTED
@@ -89,7 +101,8 @@ def run(paths: Sequence[Path], out: Path, avoider: str | None = None, against: s
     again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
     named = {"--avoider": avoider, "--against": against}
     again += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
-    session = RunSession(out, shlex.join(again), len(admitted), skipped)
+    again += [] if world is REFERENCE else ["--world", world.label]
+    session = RunSession(out, shlex.join(again), len(admitted), skipped, world)
     if against is not None:
         mine = "each file's own avoider" if avoider is None else told_avoider(avoider)
         session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
@@ -109,6 +122,7 @@ class RunSession:
     command: str
     planned: int
     skipped: Sequence[NotTaken] = ()
+    world: WorldEntry = REFERENCE
     against: Against | None = None
     differences: list[RunDifference] = field(default_factory=list)
     runs: list[JudgedRun] = field(default_factory=list)
@@ -125,10 +139,10 @@ class RunSession:
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
                 try:
-                    self._take(_run_one(one, self.out / TRACES, progress))
+                    self._take(_run_one(one, self.world, self.out / TRACES, progress))
                     for other in others[: not self.interrupted]:
                         progress.begin(2 * number + 1)
-                        self._compare(_run_one(other, self.out / OF_REFERENCE, progress))
+                        self._compare(_run_one(other, self.world, self.out / OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self.interrupted = True
                 except OutputError as error:
@@ -272,9 +286,9 @@ class RunSession:
         return True
 
 
-def _run_one(admitted: Admitted, traces: Path, progress: ScenarioProgress) -> JudgedRun:
+def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: ScenarioProgress) -> JudgedRun:
     """Simulate, save, judge."""
-    trace = run_trial(admitted, on_tick=progress.tick)
+    trace = run_trial(admitted, world=world, on_tick=progress.tick)
     file = traces / f"{admitted.scenario.name}.trace"
     with writing(file):
         save_trace(trace, file)

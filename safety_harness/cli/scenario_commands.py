@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, result, say
-from safety_harness.cli.options import Files, OfAvoider, OfReference, Out, Seed, command
+from safety_harness.cli.options import Files, OfAvoider, OfReference, OfWorld, Out, Seed, command
 from safety_harness.exceptions import OutputError, Place
 
 commands = Typer()
@@ -63,9 +63,13 @@ claims:
 
 @command(commands)
 def run(
-    files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None, against: OfReference = None
+    files: Files,
+    out: Out = Path("reports/run"),
+    avoider: OfAvoider = None,
+    against: OfReference = None,
+    world: OfWorld = "PyBullet",
 ) -> int:
-    """Run scenario files in PyBullet, judge their claims and write a report.
+    """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
     A Python or ONNX file that they name as an avoider is executed, which is said on standard error.
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
@@ -79,8 +83,9 @@ def run(
     is kept.
     """
     from safety_harness.cli.run import run as run_files
+    from safety_harness.simulation.worlds import world_named
 
-    return run_files(files, out, avoider, against)
+    return run_files(files, out, avoider, against, world_named(world, "--world"))
 
 
 @command(commands)

@@ -50,12 +50,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="AVOIDER",
         help="A reference: tests fail only for what it does not do in the same scenario.",
     )
+    group.addoption(
+        "--safety-world",
+        metavar="WORLD",
+        help="PyBullet, the reference, or kinematic, which needs no PyBullet; in place of safety_world.",
+    )
     group.addoption("--safety-profile", choices=names, help=f"Scenarios that a test draws: {sizes}.")
     group.addoption(
         "--safety-derandomize", action="store_true", help="Draw the same scenarios in every session."
     )
     group.addoption("--safety-report", metavar="FILE", help="Write an HTML report, and JSON beside it.")
     parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
+    parser.addini("safety_world", "PyBullet or kinematic", default="PyBullet")
     parser.addini(
         "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
     )
@@ -84,9 +90,12 @@ def pytest_configure(config: pytest.Config) -> None:
         seed=_seed(config),
         avoider=config.getoption("avoider"),
         against=config.getoption("safety_against"),
+        world=config.getoption("safety_world") or config.getini("safety_world"),
         failures=config.rootpath / config.getini("safety_failures"),
         report=None if report is None else config.invocation_params.dir / report,
     )
+    if config.getoption("safety_world"):
+        _refuse_unknown_world(new.world)
     config.add_cleanup(partial(_end, begin(new)))
     if not _is_worker(config):
         from safety_harness.pytest_plugin.ending import Ending
@@ -214,6 +223,15 @@ def _refuse_unusable_avoiders(*, make: bool) -> None:
     for reference, option in ((now.avoider, "--avoider"), (now.against, "--safety-against")):
         if reference is not None:
             refuse_unusable_avoider(reference, option, make=make)
+
+
+def _refuse_unknown_world(label: str) -> None:
+    from safety_harness.simulation.worlds import world_named
+
+    try:
+        world_named(label, "--safety-world")
+    except InputError as error:
+        raise pytest.UsageError(explained(error)) from None
 
 
 def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:

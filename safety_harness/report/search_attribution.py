@@ -56,7 +56,7 @@ class SearchAttribution:
     _admitter: Admitter = field(default_factory=Admitter)
 
     def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
-        """Lines for people about one counterexample; what would have helped is run in PyBullet as well."""
+        """Lines for people about one counterexample; what would have helped is run in PyBullet too, if it is there."""
         admitted = self._admitter.admit(scenario)
         try:
             (one,) = attribute(admitted, (claim,))
@@ -65,7 +65,8 @@ class SearchAttribution:
         self.found[scenario.name] = one
         lines = [f"whose fault: {one.words}"]
         if one.answer is AttributionAnswer.ATTRIBUTED:
-            changed = (replay for replay in confirmed(admitted, one) if replay.changes)
+            there = confirmed(admitted, one) if PYBULLET.is_installed else ()
+            changed = (replay for replay in there if replay.changes)
             lines += (confirming_line(replay, one) for replay in changed)
         return tuple(lines)
 

@@ -22,7 +22,7 @@ from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
 from safety_harness.search.findings import Findings, Goal, Group
-from safety_harness.search.session import FINDINGS, SearchSession, complaint_of
+from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, complaint_of
 from safety_harness.search.trials import Trials
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.provenance import provenance
@@ -87,7 +87,12 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         },
         nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),
-        provenance=provenance(f"{KINEMATIC.name}, confirmed in {PYBULLET.name}", avoider),
+        provenance=provenance(
+            KINEMATIC.name + (f", confirmed in {PYBULLET.name}" if session.reference else ""),
+            avoider,
+            PYBULLET.libraries if session.reference else (),
+        ),
+        unconfirmable="" if session.reference else NO_REFERENCE,
     )
 
 

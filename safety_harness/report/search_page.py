@@ -53,7 +53,8 @@ class SearchEvidence:
     avoider answered; None if it was not asked.  ``baseline`` is uniform
     sampling with the same budget, if it was asked for; ``unconfirmed`` are findings
     that PyBullet does not show, ``confirmed`` counts those that it does.  ``not_found`` are the claims that
-    the space expects to be violated and that no counterexample violates.
+    the space expects to be violated and that no counterexample violates.  ``unconfirmable`` says why nothing
+    was confirmed, if PyBullet was not there.
     """
 
     title: str
@@ -78,9 +79,15 @@ class SearchEvidence:
     nearest_hand_m: float
     agreement: Agreement
     provenance: Provenance
+    unconfirmable: str = ""
     faults: FaultsOfSearch | None = None  # whose fault all violations are
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     against: Against | None = None  # how the runs differ from those with a reference
+
+    @property
+    def shrunk(self) -> int:
+        """How many groups of violations were."""
+        return sum(len(one.groups) for one in self.shown)
 
 
 def render(evidence: SearchEvidence) -> str:

@@ -38,8 +38,8 @@ from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoi
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
-from safety_harness.search.trials import ScenarioRunner, Trials, in_pybullet
-from safety_harness.simulation.worlds import PYBULLET
+from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import write_text, writing
@@ -47,6 +47,7 @@ from safety_harness.whole_file import write_text, writing
 FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"
 NOT_CONFIRMED = f"not confirmed in {PYBULLET.label}"
+NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installed: this is {KINEMATIC} alone"
 MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 SHRINKING_RUNS = 200  # for each
 MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
@@ -96,7 +97,7 @@ class SearchSession:
     """One search and what becomes of its findings.  What cannot be written is printed instead.
 
     ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
-    ``confirming`` shows as well, and ``unwritable`` is why no more is written.  ``explain`` says of each why
+    ``confirming`` shows as well: none without a ``reference``, where that is the world that was searched, and ``unwritable`` is why no more is written.  ``explain`` says of each why
     it violates.  ``repeated`` is what a second avoider answered to questions of the search; None if it was
     not asked.
     """
@@ -106,6 +107,7 @@ class SearchSession:
     budget: int
     output: SearchOutput
     confirming: ScenarioRunner = in_pybullet
+    reference: bool = True
     explain: Explain = unexplained
     findings: Findings = field(init=False)
     baseline: Findings | None = None
@@ -176,6 +178,8 @@ class SearchSession:
             say(line)
         for sentence in self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
+        if self.written and not self.reference:
+            say(NO_REFERENCE)
         if self.unconfirmed:
             say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
         if self.unwritable is None:
@@ -184,6 +188,7 @@ class SearchSession:
             again = ["safety-harness", "run", *(str(one.path) for one in self.written)]
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
+            again += [] if self.reference else ["--world", KINEMATIC.label]
             say("again: " + shlex.join(again))
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
@@ -201,6 +206,7 @@ class SearchSession:
     def _origin(self, group: Group, findings: Findings) -> list[str]:
         """Where the counterexample of a group comes from, and that its avoider does not answer alike."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
+        doubt += [] if self.reference else [NO_REFERENCE]
         return [*doubt, *origin_of(self.trials, group.worst, findings.searcher)]
 
     def _shrink_groups(self, claim: int | None) -> None:
@@ -253,7 +259,7 @@ class SearchSession:
             )
             self.output.say(f"{NOT_CONFIRMED}: {complaint.sentence}, point {group.worst.number}")
             return None
-        self.confirmed += 1
+        self.confirmed += self.reference
         self.findings.interrupted |= one.shrunk.interrupted
         return one
 
@@ -320,9 +326,14 @@ def search_space(
     """Search, shrink, confirm, explain, write to ``out``.
 
     ``baseline`` samples the space uniformly as well, with the same budget, to compare with.  Raises
-    InadmissibleError for a space of which next to no point can be tried.
+    InadmissibleError for a space of which next to no point can be tried.  Where PyBullet is not installed,
+    findings are shrunk in the kinematic world, and all that is written says that nothing was confirmed.
     """
-    session = SearchSession(trials, out, budget, output, explain=explain)
+    there = PYBULLET.is_installed
+    confirming = in_pybullet if there else in_kinematic
+    session = SearchSession(trials, out, budget, output, confirming, there, explain)
+    if not there:
+        output.say(NO_REFERENCE)
     session.findings = session.search(make, trials)
     if baseline and not session.findings.interrupted and session.unwritable is None:
         output.say("the baseline: uniform sampling with the same budget")

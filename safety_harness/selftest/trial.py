@@ -152,8 +152,10 @@ class FaultTrials:
             geometry=geometry,
         )
 
-    def confirmed(self, fault: SeededFault, rung: Rung) -> bool:
-        """Is one of the claims that caught it violated in the reference world as well?"""
+    def confirmed(self, fault: SeededFault, rung: Rung) -> bool | None:
+        """Is one of the claims that caught it violated in the reference world as well?  None: not installed."""
+        if not REFERENCE.is_installed:
+            return None
         there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)
         return bool({alarm.claim for alarm in there} & {alarm.claim for alarm in rung.alarms})
 

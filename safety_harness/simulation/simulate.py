@@ -15,6 +15,7 @@ from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.world import BatchWorld, World
+from safety_harness.simulation.worlds import libraries_of
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import TICK, Limit
 from safety_harness.trace.trace import Trace
@@ -63,7 +64,7 @@ def _trace(
         ticks=ticks,
         decisions=decisions,
         decision_latency_s=controller.decision_latencies_s[: len(decisions)],
-        provenance=provenance(world.name, controller.name),
+        provenance=provenance(world.name, controller.name, libraries_of(world.name, scenario)),
         ended=ended,
     )
 

@@ -8,13 +8,17 @@ files are looked up.  Importing this loads no engine.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import lru_cache
 from typing import TYPE_CHECKING, Protocol
 
-from safety_harness.exceptions import InstallationError, Place, TraceError
+from safety_harness.exceptions import InstallationError, Place, ScenarioError, TraceError
+from safety_harness.extras import IMAGES
+from safety_harness.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.geometry.arrays import Array6
+from safety_harness.scenario.references import ONNX_SUFFIX
+from safety_harness.scenario.units import near_miss
+from safety_harness.settings import DetectorKind, ImageSource
 
 if TYPE_CHECKING:
     from safety_harness.perception.detector import BoundingBoxDetector
@@ -41,7 +45,8 @@ class OpensWorld(Protocol):
 class WorldEntry:
     """One world.  ``name`` is its own in traces, ``label`` that in plans and on pages.
 
-    ``load`` imports its class, and its engine with it.  ``renders``: has it a camera's pictures, pixel by
+    ``load`` imports its class, and its engine with it: of the ``libraries``, named in traces beside those of
+    every run.  ``renders``: has it a camera's pictures, pixel by
     pixel?  ``substeps``: does it divide a control period by ``physics_substeps``?  ``batch``: is it a
     ``BatchWorld``, of which a great many run together?  What it shows is of the model only, bounds too,
     until ``confirmed_by`` shows it; None for a reference.
@@ -53,6 +58,7 @@ class WorldEntry:
     renders: bool = False
     substeps: bool = False
     batch: bool = False
+    libraries: tuple[str, ...] = ()
     confirmed_by: WorldEntry | None = None
 
     def __str__(self) -> str:
@@ -62,6 +68,15 @@ class WorldEntry:
     def model_only(self) -> bool:
         """Whether it says something of the model only, and nothing of the reference."""
         return self.confirmed_by is not None
+
+    @property
+    def is_installed(self) -> bool:
+        """Whether its engine can be loaded, which this does."""
+        try:
+            self.opener()
+        except InstallationError:
+            return False
+        return True
 
     def opener(self) -> OpensWorld:
         """Its class; InstallationError if its engine is not installed."""
@@ -81,19 +96,24 @@ class WorldEntry:
     ) -> AbstractContextManager[World]:
         """As ``OpensWorld``; InadmissibleError as of ``refuse``, InstallationError as of ``opener``."""
         self.refuse(scenario)
-        load_engines()
         return self.opener()(scenario, arm, joint_position_rad, detector=detector)
 
     def refuse(self, scenario: Scenario) -> None:
-        """InadmissibleError for rendered images in a world that has no renderer."""
+        """InadmissibleError for rendered images in a world that has no renderer.
+
+        MissingPackageError for them where OpenCV is missing.
+        """
         if not self.renders:
             from safety_harness.simulation.world import refuse_rendered
 
             refuse_rendered(scenario, self.label)
+        if has_rendered_images(scenario):
+            IMAGES.require("rendered images")
 
 
 def _pybullet() -> OpensWorld:
-    from safety_harness.simulation.pybullet_world import PyBulletWorld
+    with PYBULLET_EXTRA.needed("the world PyBullet"):
+        from safety_harness.simulation.pybullet_world import PyBulletWorld
 
     return PyBulletWorld
 
@@ -104,7 +124,9 @@ def _kinematic() -> OpensWorld:
     return KinematicWorld
 
 
-PYBULLET = WorldEntry(name="pybullet", label="PyBullet", load=_pybullet, renders=True, substeps=True)
+PYBULLET = WorldEntry(
+    name="pybullet", label="PyBullet", load=_pybullet, renders=True, substeps=True, libraries=("pybullet",)
+)
 """The reference world: rigid bodies, motors with torque limits, a renderer."""
 KINEMATIC = WorldEntry(
     name="kinematic", label="kinematic", load=_kinematic, batch=True, confirmed_by=PYBULLET
@@ -115,17 +137,32 @@ WORLDS = [PYBULLET, KINEMATIC]
 """Every world; another is a class and an entry here."""
 
 
-@lru_cache(maxsize=1)
-def load_engines() -> None:
-    """All that are installed: which libraries a trace names must not depend on what ran before it."""
-    for world in WORLDS:
-        with suppress(InstallationError):
-            world.opener()
+def has_rendered_images(scenario: Scenario) -> bool:
+    """Whether any of its images are a renderer's."""
+    settings = scenario.settings
+    source, detector = settings.camera.source, settings.hand_sensor.detector
+    return source is ImageSource.RENDERED or detector is DetectorKind.RENDERED
+
+
+def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
+    """What a run of ``scenario`` uses beside the libraries of every run, in the world of this ``name``."""
+    engines = next((one.libraries for one in WORLDS if one.name == world), ())
+    images = ("cv2",) if has_rendered_images(scenario) else ()
+    return (*engines, *images, *(("onnxruntime",) if scenario.avoider.endswith(ONNX_SUFFIX) else ()))
 
 
 def worlds_by_label() -> dict[str, WorldEntry]:
     """As plans and ledgers name them."""
     return {world.label: world for world in WORLDS}
+
+
+def world_named(label: str, option: str) -> WorldEntry:
+    """The world that an option of a command names; ScenarioError for one that is not there."""
+    worlds = worlds_by_label()
+    for known, world in worlds.items():
+        if known.casefold() == label.casefold():
+            return world
+    raise ScenarioError.of_option(option, " or ".join(worlds), label, near_miss(label, worlds))
 
 
 def world_of_trace(name: str) -> WorldEntry:

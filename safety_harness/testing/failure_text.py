@@ -102,14 +102,21 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     """The commands that show the failure again."""
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
+    chosen = [] if session().world == "PyBullet" else [session().world]
     lines = []
     file = scenario.file if in_store(scenario) or _is_what_its_file_holds(scenario) else None
     file = file or (test.kept if test is not None else None)
     if test is not None:
-        lines.append("  " + shlex.join(["pytest", test.id, *own]))
+        lines.append("  " + shlex.join(["pytest", test.id, *own, *_with("--safety-world", chosen)]))
     if file is not None:
-        lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
+        lines.append(
+            "  " + shlex.join(["safety-harness", "run", str(near(file)), *own, *_with("--world", chosen)])
+        )
     return ["to see it again:", *lines] if lines else []
+
+
+def _with(option: str, values: list[str]) -> list[str]:
+    return [option, *values] if values else []
 
 
 def _is_what_its_file_holds(scenario: Scenario) -> bool:

@@ -129,6 +129,7 @@ class Session:
     seed: int = 0
     avoider: str | None = None
     against: str | None = None
+    world: str = "PyBullet"
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report

@@ -18,6 +18,7 @@ from safety_harness.report.decisions import ComputingTime
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
+from safety_harness.simulation.worlds import world_named
 from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
@@ -58,7 +59,9 @@ admitter = Admitter()  # one for all: an avoider that keeps something of a run i
 
 
 class Simulate:
-    """``simulate(scenario)``: the trace of a run in PyBullet, the same for the same scenario.
+    """``simulate(scenario)``: the trace of a run, the same for the same scenario.
+
+    It runs in PyBullet, or in the world of ``--safety-world``.
 
     The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``.
     InputError for a scenario that cannot be tried; FlakyAvoiderError for an avoider that, asked the
@@ -124,7 +127,7 @@ simulate = Simulate()  # one for all: claims of the same scenario are judged on 
 
 def _run(admitted: Admitted) -> Trace:
     """One run, looked at for Ctrl-C, which a trace only notes, and for an avoider that cannot be repeated."""
-    trace = run_trial(admitted)
+    trace = run_trial(admitted, world=world_named(session().world, "--safety-world"))
     if trace.ended == INTERRUPTED:
         raise KeyboardInterrupt
     refuse_flaky(admitted.avoider, trace)

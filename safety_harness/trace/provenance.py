@@ -14,7 +14,7 @@ import sys
 from base64 import urlsafe_b64encode
 from contextlib import suppress
 from functools import lru_cache
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -30,16 +30,23 @@ LIBRARIES = {
     "pybullet": "pybullet",
     "cv2": "cv2",
 }
+OF_EVERY_RUN = ("numpy", "numba")
 DATA, ROBOTS = "robot data", PACKAGE / "robot" / "data" / "ur_description"  # by a hash over the files
-ONE_OWNER = (*LIBRARIES, "onnxruntime", "scipy", "safetensors")
+ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
+ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
 NOT_LOADED = "not loaded"
 
 
 @lru_cache
-def provenance(world: str, avoider: str) -> Provenance:
-    """Provenance of a run in this process."""
-    found = [_loaded(library, sys.modules.get(core)) for library, core in LIBRARIES.items()]
+def provenance(world: str, avoider: str, used: tuple[str, ...] = ()) -> Provenance:
+    """Provenance of a run in this process, with the libraries of every run and those that this one ``used``.
+
+    What is loaded besides, by others, is not named: it would depend on what ran before.
+    """
+    named = (library for library in LIBRARIES if library in (*OF_EVERY_RUN, *used))
+    found = [_loaded(library, _imported(LIBRARIES[library])) for library in named]
+    found += [(_by_metadata(library), None) for library in used if library == ELSEWHERE]
     data = DATA, hashlib.sha256("".join(map(_sha256, sorted(ROBOTS.rglob("*.*")))).encode()).hexdigest()
     return Provenance(
         package_version=metadata.version("safety-harness"),
@@ -72,6 +79,19 @@ def refuse_shared_modules() -> None:
             got=" and ".join(packages),
             hint="uninstall all of them, then install the one that is needed: they overwrite each other",
         )
+
+
+def _imported(core: str) -> ModuleType | None:
+    try:
+        return import_module(core)
+    except ImportError:
+        return None
+
+
+def _by_metadata(library: str) -> tuple[str, str]:
+    for package, found in _owners(library).items():
+        return package, f"{found.version} by its metadata"
+    return library, NOT_LOADED
 
 
 def _loaded(library: str, core: ModuleType | None) -> tuple[tuple[str, str], tuple[str, str] | None]:

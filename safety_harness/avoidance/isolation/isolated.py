@@ -32,6 +32,7 @@ from safety_harness.exceptions import (
     Place,
     SimulationError,
 )
+from safety_harness.extras import ONNX
 from safety_harness.settings import Settings
 
 ATTEMPTS = 3  # to make it anew, one after another
@@ -157,8 +158,9 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
     """The avoider of an ONNX file, which may loop or fill the memory; ModelError says what is wrong.
 
-    It is tried with the cell's own desired TCP and nominal hand.
+    MissingPackageError without onnxruntime.  It is tried with the cell's own desired TCP and nominal hand.
     """
+    ONNX.require(f"the avoider {path.name}")
     question = {
         "hand": settings.avoidance.nominal_hand_position_in_base_m,
         "tcp": settings.cell.desired_tcp_position_in_base_m,
