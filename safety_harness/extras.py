@@ -60,7 +60,7 @@ class Extra:
 PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
-    instead="the kinematic world needs none (run and pytest: --world, --safety-world kinematic; a plan: world: kinematic)",
+    instead="the kinematic world does without: --world kinematic (pytest: --safety-world; a plan: world:)",
     newest_wheel=(3, 11),
 )
 IMAGES = Extra("images", ("cv2",), instead="exact and raster images need none")

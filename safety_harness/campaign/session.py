@@ -41,9 +41,9 @@ def carry_on(
     """Run what is missing in the ledger at ``path``, which is made if it is not there; is it complete now?
 
     A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
-    is one for an avoider that cannot be made, or a world that is not installed.  LedgerError if it is another plan's, or if another runner is
-    at work on it; otherwise as ``CampaignRunner.run``.  At the end a second avoider is asked some of the
-    questions again; what it answers stands in the ledger.
+    is one for an avoider that cannot be made, or a world that is not installed.  LedgerError if it is another
+    plan's, or if another runner is at work on it; otherwise as ``CampaignRunner.run``.  At the end a second
+    avoider is asked some of the questions again; what it answers stands in the ledger.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))

@@ -36,9 +36,8 @@ def credibility_of(
     except OSError:
         agreement = None
         absent.append("No measured agreement of the two worlds comes with this version.")
-    absent += [
-        f"{one} is not installed: no run was made again in it." for one in WORLDS if not one.is_installed
-    ]
+    missing = (one for one in WORLDS if not one.is_installed)
+    absent += [f"{one} is not installed: no run was made again in it." for one in missing]
     if not trials.oracles:
         absent.append(
             "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "

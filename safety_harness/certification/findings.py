@@ -83,9 +83,7 @@ def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFindin
         if one.found.interrupted:
             texts.append(f"{one.stratum}: the search was interrupted")
         if one.found.counterexamples and not one.found.confirmed:
-            texts.append(
-                f"{one.stratum}: no counterexample was confirmed in PyBullet, which was not installed"
-            )
+            texts.append(f"{one.stratum}: without PyBullet, no counterexample was confirmed")
         if many := len(one.found.unconfirmed):
             texts.append(f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet")
     yield from (OpenFinding(text, "counterexamples") for text in texts)

@@ -56,7 +56,7 @@ class SearchAttribution:
     _admitter: Admitter = field(default_factory=Admitter)
 
     def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
-        """Lines for people about one counterexample; what would have helped is run in PyBullet too, if it is there."""
+        """Lines for people about one counterexample; what would have helped is run in PyBullet too."""
         admitted = self._admitter.admit(scenario)
         try:
             (one,) = attribute(admitted, (claim,))

@@ -97,9 +97,9 @@ class SearchSession:
     """One search and what becomes of its findings.  What cannot be written is printed instead.
 
     ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
-    ``confirming`` shows as well: none without a ``reference``, where that is the world that was searched, and ``unwritable`` is why no more is written.  ``explain`` says of each why
-    it violates.  ``repeated`` is what a second avoider answered to questions of the search; None if it was
-    not asked.
+    ``confirming`` shows as well.  Without a ``reference`` that is the world that was searched, and they are
+    none.  ``unwritable`` is why no more is written.  ``explain`` says of each why it violates.  ``repeated``
+    is what a second avoider answered to questions of the search; None if it was not asked.
     """
 
     trials: Trials

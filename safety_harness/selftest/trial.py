@@ -153,7 +153,7 @@ class FaultTrials:
         )
 
     def confirmed(self, fault: SeededFault, rung: Rung) -> bool | None:
-        """Is one of the claims that caught it violated in the reference world as well?  None: not installed."""
+        """Is one of the claims that caught it violated in the reference as well?  None: not installed."""
         if not REFERENCE.is_installed:
             return None
         there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)

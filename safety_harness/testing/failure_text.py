@@ -109,9 +109,8 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     if test is not None:
         lines.append("  " + shlex.join(["pytest", test.id, *own, *_with("--safety-world", chosen)]))
     if file is not None:
-        lines.append(
-            "  " + shlex.join(["safety-harness", "run", str(near(file)), *own, *_with("--world", chosen)])
-        )
+        own += _with("--world", chosen)
+        lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
     return ["to see it again:", *lines] if lines else []
 
 
