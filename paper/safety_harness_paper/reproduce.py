@@ -23,7 +23,7 @@ from safety_harness_paper.scale import Scale, scale_named
 from safety_harness_paper.work import Done, Task, Workshop, in_order
 
 PAGE, DATA, WORK = "reproduction.html", "reproduction.json", "work"
-LIBRARIES = ("numpy", "numba", "torch", "pybullet", "eaik")
+LIBRARIES = ("numpy", "numba", "torch", "pybullet")
 
 
 def reproduce(

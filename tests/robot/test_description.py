@@ -1,6 +1,6 @@
+import hashlib
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,8 @@ from safety_harness.robot.description import load_arm, mesh_paths, resolved_urdf
 
 @pytest.fixture
 def fresh_cache() -> Iterator[None]:
-    description.data_folder.cache_clear()
     load_arm.cache_clear()
     yield
-    description.data_folder.cache_clear()
     load_arm.cache_clear()
 
 
@@ -98,14 +96,18 @@ def test_an_unknown_arm_is_refused_with_the_list_of_known_ones() -> None:
         load_arm("ur11")
 
 
-@pytest.mark.usefixtures("fresh_cache")
-def test_a_missing_package_is_reported_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> metadata.Distribution:
-        raise metadata.PackageNotFoundError(name)
+def test_the_files_are_those_of_example_robot_data_byte_for_byte() -> None:
+    """As its version 6.0.0 installs them: names and contents, in alphabetical order."""
+    digest = hashlib.sha256()
+    for file in sorted((description.DATA / "ur_description").rglob("*.*")):
+        digest.update(file.relative_to(description.DATA).as_posix().encode())
+        digest.update(file.read_bytes())
+    assert digest.hexdigest() == "7e0b66fca1b56c22aeb6d34e87e05d3aa0ed32b08cf12e7cd320359ad781efbc"
 
-    monkeypatch.setattr(description.metadata, "distribution", missing)
-    with pytest.raises(ArmModelError, match="example-robot-data"):
-        load_arm("ur10")
+
+def test_the_licence_of_the_files_lies_beside_them() -> None:
+    assert "Redistribution and use in source and binary forms" in (description.DATA / "LICENSE").read_text()
+    assert "ros-industrial/universal_robot" in (description.DATA / "README.md").read_text()
 
 
 @pytest.mark.usefixtures("fresh_cache")
