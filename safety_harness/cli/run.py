@@ -27,7 +27,6 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.runs import ScenarioProgress, say_results
-from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
@@ -69,9 +68,6 @@ def read_all(
 
 def run(paths: Sequence[Path], out: Path, avoider: str | None = None, against: str | None = None) -> int:
     """Run, judge, print, save and report; returns the exit code."""
-    if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
-        say("compiling the control stack; this takes a minute or two, once")
-        forget_old_machine_code()
     say_shared_modules()
     try:
         admitted, skipped, errors = read_all(paths, avoider, against)

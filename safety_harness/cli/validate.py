@@ -19,6 +19,7 @@ from safety_harness.cli.console import (
     say,
     usable,
 )
+from safety_harness.compiled import without_compiling
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import gather
 from safety_harness.space.read import space_of
@@ -32,9 +33,13 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         looker = Looker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
-            lambda one: looker.look(one if avoider is None else with_avoider(one, avoider)),
+            lambda one: without_compiling(
+                lambda: looker.look(one if avoider is None else with_avoider(one, avoider))
+            ),
         )
-        spaces, errors_of_spaces = usable(gathered.spaces, _tried_space)
+        spaces, errors_of_spaces = usable(
+            gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
+        )
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
