@@ -22,10 +22,8 @@ _Cluster = Annotated[
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-commands = Typer(
-    no_args_is_help=True,
-    help="Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing.",
-)
+_ABOUT = "Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing."
+commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 _command = partial(
     command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
 )

@@ -26,7 +26,8 @@ class _PlanOrCommand(TyperGroup):
 
 
 commands = Typer()
-of_certify = Typer(cls=_PlanOrCommand, help="Run a declared plan and write its evidence; declare, seal.")
+_ABOUT = "Run a declared plan and write its evidence; declare, seal."
+of_certify = Typer(cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
 
 
 @command(
