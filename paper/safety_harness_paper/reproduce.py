@@ -11,11 +11,21 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from safety_harness.campaign.pool import one_thread_each
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    document,
+    explain,
+    result,
+    say,
+)
 from safety_harness.compiled import source_hash_of
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.words import count_words
 from safety_harness_paper.document import About, write_document
+from safety_harness_paper.document import document as document_of
 from safety_harness_paper.part import Part
 from safety_harness_paper.plan import measuring_order, parts_named
 from safety_harness_paper.result import Result
@@ -78,6 +88,7 @@ def reproduce(
     except OSError as error:
         explain(OutputError.of(out, error))
         return BAD_INPUT
+    document(**document_of(results, about))
     for one in results:
         result(f"{one.word.value:<24} {one.name:<12} {one.why}")
     for name, why in missing:

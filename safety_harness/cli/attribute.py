@@ -18,6 +18,7 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    document,
     explain_each,
     result,
     say,
@@ -61,6 +62,7 @@ def conclude(session: AttributionSession, out: Path | None) -> int:
     """Print the groups, write the files."""
     tally = AttributionTally.of(session.found)
     result(*tally.lines())
+    document(**tally.as_json())
     if out is not None:
         write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
         write_text(out / PICTURE, standalone(draw_attributions(tally.groups), style=asset("report.css")))

@@ -57,8 +57,13 @@ def result(*lines: str) -> None:
         answer.lines += lines
 
 
+def asked_for_json() -> bool:
+    """Is what ``result`` is told printed by nobody?"""
+    return _as_json.get() is not None
+
+
 def document(**fields: object) -> None:
-    """The same results for programs, which ``--json`` prints: names with their units, the values as they are."""
+    """The same results for programs, which ``--json`` prints: names with their units, values as they are."""
     if (answer := _as_json.get()) is not None:
         answer.result |= fields
 
@@ -66,7 +71,7 @@ def document(**fields: object) -> None:
 def verbatim(text: str) -> None:
     """A text for programs on standard output, its lines as they are."""
     if _as_json.get() is None:
-        _write(text + "\n", "stdout")
+        _write(strip_control_chars(text) + "\n", "stdout")
 
 
 def answered_as_json(command: Callable[[], int]) -> int:
@@ -87,7 +92,7 @@ def answered_as_json(command: Callable[[], int]) -> int:
         "package_version": version("safety-harness"),
         "exit_code": code,
         "errors": answer.errors,
-        "result": answer.result or {"lines": answer.lines},
+        "result": answer.result or ({"lines": answer.lines} if answer.lines else None),
     }
     _write(json.dumps(_plain(whole), indent=1, allow_nan=False) + "\n", "stdout")
     return code

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError, Place
 
@@ -38,7 +38,7 @@ def dataset(
     """
     from safety_harness.cli.runs import bar_of
     from safety_harness.learning.dataset import generate, space_named
-    from safety_harness.learning.manifest import data_hash, save_dataset
+    from safety_harness.learning.manifest import data_hash, manifest_of, save_dataset
     from safety_harness.settings import DEFAULTS
 
     where = space_named(space, DEFAULTS)
@@ -67,6 +67,7 @@ def dataset(
         f"seed        {made.seed}",
         f"sha256      {data_hash(made)}",
     )
+    document(**manifest_of(made), folder=out)
     say(f"data set: {out}")
     return AS_EXPECTED
 
@@ -147,6 +148,7 @@ def train(
     result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
     result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
     result(f"model: {out / MODEL}")
+    document(model=out / MODEL, interval_multiplier=multiplier, spread_threshold_m=threshold_m)
     return AS_EXPECTED
 
 
@@ -185,12 +187,19 @@ def metrics(
     """
     from safety_harness.avoidance.learned import LearnedAvoider
     from safety_harness.cli.evaluation_tables import tables
-    from safety_harness.learning.evaluation_file import figures_of, load_models, write_evaluation
+    from safety_harness.learning.evaluation_file import (
+        evaluation_data,
+        figures_of,
+        load_models,
+        write_evaluation,
+    )
 
     loaded = load_models(models)
     figures, remarks = figures_of(loaded, samples, seed, say)
+    found = evaluation_data(loaded, figures, remarks, samples, seed)
+    document(**found)
     if out is not None:
-        write_evaluation(out, loaded, figures, remarks, samples, seed)
+        write_evaluation(out, found)
     for one in loaded:
         result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
@@ -233,7 +242,16 @@ def time_avoider(
         return BAD_INPUT
     if out is not None:
         write_text(out, profile_text(found.profile))
-    p50, p99, most = map(milliseconds_words, found.quantiles_s(0.5, 0.99, 1.0))
+    quantiles_s = found.quantiles_s(0.5, 0.99, 1.0)
+    p50, p99, most = map(milliseconds_words, quantiles_s)
+    document(
+        avoider=found.measured.avoider,
+        **dict(zip(("p50_s", "p99_s", "max_s"), quantiles_s, strict=True)),
+        questions=questions,
+        faults=found.faults,
+        machine=found.measured.machine,
+        profile=out,
+    )
     who = f"{found.measured.avoider} ({found.avoider_name})"
     result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
     result(f"on {found.measured.machine}")
@@ -275,6 +293,7 @@ def export(
             got=str(error),
             hint="pip install 'safety-harness[learning]'",
         ) from error
+    document(onnx=out, model=path, max_difference_m=difference_m)
     result(f"onnx: {out}")
     result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
     return AS_EXPECTED

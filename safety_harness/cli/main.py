@@ -69,7 +69,9 @@ def _say_version(asked: bool) -> None:
 def of_all(
     version: Annotated[
         bool,
-        typer.Option("--version", "-V", callback=_say_version, is_eager=True, help="Say which version this is."),
+        typer.Option(
+            "--version", "-V", callback=_say_version, is_eager=True, help="Say which version this is."
+        ),
     ] = False,
 ) -> None:
     """Nothing is common to all commands."""

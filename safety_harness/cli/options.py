@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial, update_wrapper, wraps
 from inspect import Parameter, cleandoc, signature
 from pathlib import Path
-from typing import Annotated, Any, ParamSpec
+from typing import Annotated, ParamSpec
 
 from typer import Argument, Exit, Option, Typer
 
@@ -70,8 +70,9 @@ def command(
                 say(interrupted)
                 return INTERRUPTED
 
-        def ended(*, as_json: bool = False, **options: Any) -> None:
-            answered = partial(answer, **options)
+        def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
+            as_json = options.pop("as_json", False)
+            answered = partial(answer, *args, **options)
             raise Exit(answered_as_json(answered) if as_json else answered())
 
         update_wrapper(ended, work)

@@ -19,6 +19,7 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    document,
     explain,
     explain_each,
     result,
@@ -235,7 +236,7 @@ class RunSession:
     def _report(self) -> bool:
         """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""
         from safety_harness.report.html import write_report  # matplotlib is slow to import
-        from safety_harness.report.machine import write_json
+        from safety_harness.report.machine import report_data, write_json
 
         path = self.out / REPORT
         interrupted = len(self.runs) < self.planned or self.interrupted
@@ -253,14 +254,15 @@ class RunSession:
                     against=self.against,
                     repeated=self.repeated,
                 )
-                write_json(
-                    self.out / DATA,
+                found = report_data(
                     self.runs,
                     interrupted=interrupted,
                     skipped=self.skipped,
                     against=self.against,
                     repeated=self.repeated,
                 )
+                document(**found, failed=self.failed)
+                write_json(self.out / DATA, found)
         except OutputError as error:
             explain(error)
             return False

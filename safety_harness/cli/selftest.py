@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
 from safety_harness.cli.options import OfAvoider, command
 from safety_harness.exceptions import Place, SettingsError
 
@@ -86,6 +86,7 @@ def selftest(
         for head, rows in tables:
             result(*lines(head, rows), "")
         result(summary(tally_of(session.tried)))
+        document(**session.document)
         session.write()
         session.write_page()
     say(f"page: {out / PAGE} (for programs: {DATA})")
