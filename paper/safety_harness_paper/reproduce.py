@@ -21,6 +21,7 @@ from safety_harness.cli.console import (
     result,
     say,
 )
+from safety_harness.cli.progress import paced_lines
 from safety_harness.compiled import source_hash_of
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.words import count_words
@@ -57,11 +58,13 @@ def reproduce(
         explain(error)
         return BAD_INPUT
     tasks = {part.name: part.tasks(chosen, seed) for part in parts}
+    say(f"{len(tasks)} parts of the paper, {sum(map(len, tasks.values()))} measurements")
     workshop = Workshop(out / WORK, jobs, say)
     wanted = [task for part in measuring_order(parts) for task in tasks[part.name].values()]
     interrupted = False
     try:
-        done = workshop.run(wanted)
+        with paced_lines() as workshop.tell:
+            done = workshop.run(wanted)
     except OutputError as error:
         explain(error)
         return BAD_INPUT

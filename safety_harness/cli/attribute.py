@@ -24,7 +24,7 @@ from safety_harness.cli.console import (
     say,
     usable,
 )
-from safety_harness.cli.runs import bar_of
+from safety_harness.cli.progress import counting
 from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
@@ -48,9 +48,10 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         return BAD_INPUT
     session = AttributionSession(confirm)
     try:
-        with bar_of("runs") as bar:
-            for one in bar.track(admitted):
+        with counting(len(admitted), "runs") as show:
+            for number, one in enumerate(admitted, start=1):
                 session.take(one)
+                show(number)
     except KeyboardInterrupt:
         session.interrupted = True
     if not session.found:

@@ -223,23 +223,25 @@ def verify(
     from dataclasses import asdict
 
     from safety_harness.certification.verify import verify as verify_report
+    from safety_harness.cli.progress import paced_lines
 
     checks = []
-    for check in verify_report(
-        report,
-        runs=runs,
-        miss=_chance(miss),  # the default is as it is shown
-        seed=secrets.randbelow(2**31) if seed is None else seed,
-        execute_avoider=execute_avoider,
-        seal=seal,
-        declared=declared,
-        on_progress=say,
-    ):
-        checks.append(asdict(check) | {"stands": check.stands})
-        mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
-        result(f"{mark} {check.looked_at}")
-        lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
-        result(*(f"     {line}" for line in lines))
+    with paced_lines() as tell:
+        for check in verify_report(
+            report,
+            runs=runs,
+            miss=_chance(miss),  # the default is as it is shown
+            seed=secrets.randbelow(2**31) if seed is None else seed,
+            execute_avoider=execute_avoider,
+            seal=seal,
+            declared=declared,
+            on_progress=tell,
+        ):
+            checks.append(asdict(check) | {"stands": check.stands})
+            mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
+            result(f"{mark} {check.looked_at}")
+            lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
+            result(*(f"     {line}" for line in lines))
     stands, whole = all(one["stands"] for one in checks), not any(one["unchecked"] for one in checks)
     document(stands=stands, checks=checks)
     open_ones = "" if whole else ", but for what was not checked"

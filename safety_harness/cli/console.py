@@ -183,12 +183,12 @@ def _parts(line: str, columns: int) -> list[str]:
 
 
 def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], *, left: Sequence[int] = (0, 1), to: str = "stdout"
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, named_by: int = 2, to: str = "stdout"
 ) -> list[str]:
-    """Columns as wide as they need be: those numbered ``left`` to the left, the others to the right.
+    """Columns as wide as they need be, numbers to the right; no lines without rows.
 
-    Where that is wider than what it goes ``to``, each row is its first two cells and a list of the others.
-    No lines without rows.
+    Where they are wider than what they go ``to``, each row is what it is ``named_by``, its first cells, and
+    below it a list of the others.
     """
     cells = [tuple(head), *map(tuple, rows)]
     if len(cells) == 1:
@@ -196,19 +196,21 @@ def table(
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     columns = columns_of(getattr(sys, to))
     if columns is not None and sum(widths) + 2 * len(widths) - 2 > columns:
-        return [line for row in cells[1:] for line in _block(head, row)]
-    return [
-        "  ".join(
-            cell.ljust(width) if column in left else cell.rjust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
+        return [line for row in cells[1:] for line in _block(head, row, named_by)]
+    numbers = [
+        column >= named_by and all(cell[:1] in "+-0123456789[" for cell in below)
+        for column, below in enumerate(zip(*cells[1:], strict=True))
     ]
+    return ["  ".join(map(_aligned, row, widths, numbers)).rstrip() for row in cells]
 
 
-def _block(head: Sequence[str], row: Sequence[str]) -> tuple[str, str]:
-    named = (f"{name} {cell}".strip() for name, cell in zip(head[2:], row[2:], strict=True))
-    return ", ".join(row[:2]), f"  {'; '.join(named)}"
+def _aligned(cell: str, width: int, number: bool) -> str:
+    return cell.rjust(width) if number else cell.ljust(width)
+
+
+def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:
+    others = zip(head[named_by:], row[named_by:], strict=True)
+    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in others)}"
 
 
 def explain(error: Exception) -> None:

@@ -123,7 +123,7 @@ def evaluate(
 
 def _lines(one: ScoredAvoider) -> Iterator[str]:
     """What the terminal shows of one avoider."""
-    from safety_harness.cli.evaluation_tables import table
+    from safety_harness.cli.evaluation_tables import titled
     from safety_harness.report.score_tables import (
         COLUMNS,
         figures,
@@ -134,7 +134,7 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
     )
 
     cards = (one.card, *one.yardsticks)
-    yield from table(
+    yield from titled(
         f"{one.reference}: {one.card.name}; below it the yardsticks, which are no duty",
         ("region", "avoider", *COLUMNS),
         [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],

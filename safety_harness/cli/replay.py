@@ -11,7 +11,8 @@ from safety_harness.admission.avoiders import is_a_program, replay_command, with
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
-from safety_harness.cli.runs import ScenarioProgress, say_results
+from safety_harness.cli.progress import watching_runs
+from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InadmissibleError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
@@ -34,8 +35,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     stored = load_trace(path)
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
-    progress = ScenarioProgress([stored.scenario])
-    with progress.bar:
+    with watching_runs([stored.scenario]) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
