@@ -13,6 +13,7 @@ import hashlib
 import os
 import re
 import shutil
+import tempfile
 import time
 from collections.abc import Callable, Iterable
 from functools import lru_cache
@@ -20,12 +21,19 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import config
+import numpy as np
+from numba.core import config, event
+from numba.core.caching import FunctionCache
+from numba.core.registry import CPUDispatcher
+
+from safety_harness.compiling import Compilation, watchers
 
 F = TypeVar("F", bound=Callable[..., Any])
+_Made = TypeVar("_Made")
 
 njit: Any = numba.njit  # one of its options is not in its stubs
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
+numba_event: Any = event
 
 PACKAGE = Path(__file__).parent
 # A test holds the package to this one form of import, so that none is overlooked.
@@ -92,7 +100,28 @@ def source_hash_of(*files: Path) -> str:
 def cache_root() -> Path:
     """Where machine code is kept: below ``$SAFETY_HARNESS_CACHE``, else the user's cache folder."""
     root = os.environ.get("SAFETY_HARNESS_CACHE") or os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
+    try:
+        return (Path(root) if root else Path.home() / ".cache") / "safety_harness"
+    except RuntimeError:  # a user without a home
+        return Path(os.devnull) / "safety_harness"  # no folder, which ``cache_problem`` says
+
+
+@lru_cache
+def cache_problem(root: Path) -> str:
+    """Why machine code cannot be kept in ``root``; empty if it can, and then the folder is there."""
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=root).close()
+    except OSError as error:
+        return _cannot_keep(root, error)
+    return ""
+
+
+def _cannot_keep(root: Path, error: OSError) -> str:
+    return (
+        f"machine code cannot be kept in {root} ({error.strerror or error}), and is made again by every "
+        "process, which takes minutes; SAFETY_HARNESS_CACHE names another folder"
+    )
 
 
 @lru_cache
@@ -104,12 +133,18 @@ def cache_folder(file: Path) -> Path:
     return folder
 
 
-def forget_old_machine_code(days: float = 30.0) -> None:
-    """Remove the machine code that no process has used for ``days``."""
+def forget_old_machine_code(days: float = 30.0) -> int:
+    """Remove the machine code that no process has used for ``days``; returns how many folders that were."""
     oldest = time.time() - days * 86400.0
-    for folder in cache_root().glob("*"):
-        if folder.is_dir() and folder.stat().st_mtime < oldest:
-            shutil.rmtree(folder, ignore_errors=True)
+    old = [folder for folder in machine_code() if folder.stat().st_mtime < oldest]
+    for folder in old:
+        shutil.rmtree(folder, ignore_errors=True)
+    return len(old)
+
+
+def machine_code() -> list[Path]:
+    """The folders of machine code that are there, of these and of other sources."""
+    return [folder for folder in cache_root().glob("*") if folder.is_dir()]
 
 
 def compiled(function: F) -> F:
@@ -137,7 +172,95 @@ def inlined(function: F) -> F:
 def _compiled(function: F, **options: bool) -> F:
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
+    kept = not cache_problem(cache_root())  # else numba would look for a place of its own
     try:
-        return cast(F, njit(cache=True, error_model="numpy", **options)(function))
+        made = njit(cache=kept, error_model="numpy", **options)(function)
     finally:
         numba_config.CACHE_DIR = before
+    if kept:
+        made._cache.__class__ = _Cache
+    made.__class__ = _kind
+    _functions.append(made)
+    return cast(F, made)
+
+
+_functions: list[Any] = []  # all that are compiled here
+_kind: Any = CPUDispatcher  # theirs
+
+
+class _Cache(FunctionCache):
+    """Numba's own; a disk that is full costs no more than that the next process compiles again."""
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        except OSError as error:
+            _progress.unwritable = _cannot_keep(cache_root(), error)
+
+
+class _Progress(event.Listener):
+    """Tells the ``watchers`` after each function that numba compiles, and of none that it only loads."""
+
+    depth, began_s, seconds, unwritable = 0, 0.0, 0.0, ""
+
+    def on_start(self, event: Any) -> None:
+        if not self.seconds:
+            forget_old_machine_code()  # of which there is more from now on
+        if not self.depth:
+            self.began_s = time.monotonic()
+        self.depth += 1
+
+    def on_end(self, event: Any) -> None:
+        self.depth -= 1
+        now_s = time.monotonic()
+        self.seconds, self.began_s = self.seconds + now_s - self.began_s, now_s
+        self.unwritable = self.unwritable or cache_problem(cache_root())
+        ready = sum(bool(function.signatures) for function in _functions)
+        for watcher in watchers:
+            watcher(Compilation(ready, len(_functions), self.seconds, self.depth > 0, self.unwritable))
+
+
+_progress = _Progress()
+numba_event.register("numba:compile", _progress)
+
+
+class _Interpreted(CPUDispatcher):
+    """Runs the Python function that it would compile."""
+
+    def __call__(self, *args: Any) -> Any:
+        return self.py_func(*map(_with_attributes, args))
+
+
+def _with_attributes(value: Any) -> Any:
+    """A view of records that has their fields as attributes, as it is for compiled functions."""
+    if isinstance(value, np.ndarray) and value.dtype.names:
+        return value.view(np.recarray)
+    if isinstance(value, np.void) and value.dtype.names:
+        return np.frombuffer(value.data, value.dtype).view(np.recarray)[0]
+    return value
+
+
+def without_compiling(work: Callable[[], _Made]) -> _Made:
+    """What ``work`` returns, every compiled function in it run as the Python that it is written in.
+
+    For what calls each a few times: 5 ms for the admission of a scenario, where compiling takes 12 s and
+    loading 0.3 s.  Numbers may differ from machine code's by rounding where numpy has a sine of its own, so
+    who decides this way does so whether the machine code is there or not.  Where Python refuses what is NaN
+    or infinity for machine code, a division by zero, ``work`` is done again, compiled.
+    """
+    try:
+        _call_as(_Interpreted)
+        with np.errstate(all="ignore"):
+            return work()
+    except (ArithmeticError, ValueError):
+        pass
+    finally:
+        _call_as(CPUDispatcher)
+    return work()
+
+
+def _call_as(kind: type) -> None:
+    global _kind
+    _kind = kind
+    for function in _functions:
+        function.__class__ = kind

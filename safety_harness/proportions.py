@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # whose special functions take half a second to load, and are loaded when they are used
 from numpy.typing import NDArray
-from scipy.special import bdtr, betainccinv, betaincinv
 
 LEVEL = 0.95
 
@@ -59,12 +59,12 @@ def upper_bound(count: int, trials: int, chance: float) -> float:
 
     Clopper and Pearson's upper end: whatever the true share is, it is above with this chance at most.
     """
-    return 1.0 if count >= trials else float(betainccinv(count + 1.0, trials - count, chance))
+    return 1.0 if count >= trials else float(scipy.special.betainccinv(count + 1.0, trials - count, chance))
 
 
 def lower_bound(count: int, trials: int, chance: float) -> float:
     """The share under which at least ``count`` of ``trials`` successes have this chance; 0 if none are."""
-    return 0.0 if count <= 0 else float(betaincinv(count, trials - count + 1.0, chance))
+    return 0.0 if count <= 0 else float(scipy.special.betaincinv(count, trials - count + 1.0, chance))
 
 
 def sign_test(more: int, fewer: int) -> float:
@@ -72,7 +72,7 @@ def sign_test(more: int, fewer: int) -> float:
 
     Of episodes that only one of two systems violates it is McNemar's.
     """
-    return min(1.0, 2.0 * float(bdtr(min(more, fewer), more + fewer, 0.5)))
+    return min(1.0, 2.0 * float(scipy.special.bdtr(min(more, fewer), more + fewer, 0.5)))
 
 
 def median_rank(n: int, chance: float) -> int:
@@ -80,4 +80,4 @@ def median_rank(n: int, chance: float) -> int:
 
     That is P(Bin(n, 1/2) < r) <= chance, whatever the distribution.
     """
-    return int(np.count_nonzero(bdtr(np.arange(0, n // 2), n, 0.5) <= chance))
+    return int(np.count_nonzero(scipy.special.bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -11,11 +11,22 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from safety_harness.campaign.pool import one_thread_each
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    document,
+    explain,
+    result,
+    say,
+)
+from safety_harness.cli.progress import paced_lines
 from safety_harness.compiled import source_hash_of
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.words import count_words
 from safety_harness_paper.document import About, write_document
+from safety_harness_paper.document import document as document_of
 from safety_harness_paper.part import Part
 from safety_harness_paper.plan import measuring_order, parts_named
 from safety_harness_paper.result import Result
@@ -47,11 +58,13 @@ def reproduce(
         explain(error)
         return BAD_INPUT
     tasks = {part.name: part.tasks(chosen, seed) for part in parts}
+    say(f"{len(tasks)} parts of the paper, {sum(map(len, tasks.values()))} measurements")
     workshop = Workshop(out / WORK, jobs, say)
     wanted = [task for part in measuring_order(parts) for task in tasks[part.name].values()]
     interrupted = False
     try:
-        done = workshop.run(wanted)
+        with paced_lines() as workshop.tell:
+            done = workshop.run(wanted)
     except OutputError as error:
         explain(error)
         return BAD_INPUT
@@ -78,6 +91,7 @@ def reproduce(
     except OSError as error:
         explain(OutputError.of(out, error))
         return BAD_INPUT
+    document(**document_of(results, about))
     for one in results:
         result(f"{one.word.value:<24} {one.name:<12} {one.why}")
     for name, why in missing:

@@ -107,6 +107,7 @@ class Workshop:
     folder: Path
     jobs: int
     say: Callable[[str], None]
+    tell: Callable[[str], None] | None = None  # where it is, which a log needs few of; None: as ``say``
     failed: dict[Task, str] = field(default_factory=dict)
     _begun_s: float = field(default_factory=time.monotonic)
     _measured_s: float = 0.0  # of the tasks done in this session, by their own estimates
@@ -169,7 +170,11 @@ class Workshop:
         rest_s = sum(one.seconds for one in left if one not in done and one not in self.failed)
         minutes = rest_s * (time.monotonic() - self._begun_s) / max(self._measured_s, 1e-9) / 60.0
         finished = sum(one in done for one in left)
-        self.say(f"[{finished}/{len(left)}] {task.label}; some {minutes:.0f} min left")
+        share = 1.0 - rest_s / max(sum(one.seconds for one in left), 1e-9)
+        self._tell(f"[{finished}/{len(left)}] {task.label}; {100 * share:.0f} %, some {minutes:.0f} min left")
+
+    def _tell(self, words: str) -> None:
+        (self.tell or self.say)(words)
 
     def _in_processes(
         self, tasks: Sequence[Task], done: dict[Task, Done], left: Sequence[Task], at_once: int | None = None
@@ -196,7 +201,7 @@ class Workshop:
                         continue
                     finished = wait(running, timeout=HEARTBEAT_S, return_when=FIRST_COMPLETED).done
                     if not finished:
-                        self.say("under way: " + ", ".join(task.label for task in running.values()))
+                        self._tell("under way: " + ", ".join(task.label for task in running.values()))
                     for future in finished:
                         self._finish(running[future], future.result, done, left)
                         del running[future]

@@ -18,12 +18,13 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    document,
     explain_each,
     result,
     say,
     usable,
 )
-from safety_harness.cli.runs import bar_of
+from safety_harness.cli.progress import counting
 from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
@@ -50,9 +51,10 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
         return BAD_INPUT
     session = AttributionSession(confirm)
     try:
-        with bar_of("runs") as bar:
-            for one in bar.track(admitted):
+        with counting(len(admitted), "runs") as show:
+            for number, one in enumerate(admitted, start=1):
                 session.take(one)
+                show(number)
     except KeyboardInterrupt:
         session.interrupted = True
     if not session.found:
@@ -64,6 +66,7 @@ def conclude(session: AttributionSession, out: Path | None) -> int:
     """Print the groups, write the files."""
     tally = AttributionTally.of(session.found)
     result(*tally.lines())
+    document(**tally.as_json())
     if out is not None:
         write_text(out / DATA, json.dumps(tally.as_json(), indent=1) + "\n")
         write_text(out / PICTURE, standalone(draw_attributions(tally.groups), style=asset("report.css")))

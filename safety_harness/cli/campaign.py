@@ -8,11 +8,22 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say, say_shared_modules
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    DIFFERS,
+    INTERRUPTED,
+    asked_for_json,
+    document,
+    result,
+    say,
+    say_shared_modules,
+    verbatim,
+)
 from safety_harness.cli.options import OfReference, command
 from safety_harness.exceptions import LedgerError, Place, ScenarioError
 
 if TYPE_CHECKING:
+    from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.plan import Plan
 
 _LedgerFile = Annotated[Path, Argument(help="The ledger of a campaign.", metavar="LEDGER")]
@@ -22,10 +33,8 @@ _Cluster = Annotated[
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
-commands = Typer(
-    no_args_is_help=True,
-    help="Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing.",
-)
+_ABOUT = "Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing."
+commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 _command = partial(
     command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
 )
@@ -74,7 +83,6 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.session import carry_on, processes
     from safety_harness.campaign.summary import fallback_of, tally_of
-    from safety_harness.cli.campaign_lines import ledger_lines
     from safety_harness.cli.progress import watching_campaign
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.properties.answered import is_claimed
@@ -92,13 +100,23 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
-        result(*ledger_lines(ledger))
+        _say_ledger(ledger)
         unlike = bool(ledger.repeated.words)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
     return DIFFERS if tally.failed or unanswered or unlike else AS_EXPECTED
+
+
+def _say_ledger(ledger: Ledger) -> None:
+    """How it stands, once: its bounds and its fingerprint take their time."""
+    from safety_harness.cli.campaign_lines import ledger_data, ledger_lines
+
+    if asked_for_json():
+        document(**ledger_data(ledger))
+    else:
+        result(*ledger_lines(ledger))
 
 
 def _numbers(part: str, plan: Plan) -> tuple[int, int]:
@@ -121,10 +139,9 @@ def status(ledger: _LedgerFile) -> int:
     Exit code 0; 2: no ledger that can be read.
     """
     from safety_harness.campaign.ledger import Ledger
-    from safety_harness.cli.campaign_lines import ledger_lines
 
     with Ledger.open(ledger, check=False) as opened:
-        result(*ledger_lines(opened))
+        _say_ledger(opened)
     return AS_EXPECTED
 
 
@@ -161,9 +178,11 @@ def query(
             rows = opened.connection.execute(question, values)
             if rows.description is None:
                 raise sqlite3.ProgrammingError("no question")
-            result(csv_line([column for column, *_ in rows.description]))
+            columns = [column for column, *_ in rows.description]
+            document(columns=columns, rows=rows.fetchall() if asked_for_json() else None)
+            verbatim(csv_line(columns))
             for row in rows:
-                result(csv_line(row))
+                verbatim(csv_line(row))
         except (sqlite3.Error, sqlite3.Warning) as error:
             got = f"{question!r}: {error}"
             raise LedgerError(place=Place(file=ledger), expected="a question in SQL", got=got) from error
@@ -190,9 +209,13 @@ def export(
         raise ScenarioError(place=Place(field="export"), expected="OUT, --traces FOLDER or both", got="none")
     with Ledger.open(ledger) as opened:
         if out is not None:
-            result(f"{out}: {export_table(opened, out)} lines")
+            lines = export_table(opened, out)
+            result(f"{out}: {lines} lines")
+            document(out=out, lines=lines)
         if traces is not None:
-            result(f"{traces}: {len(export_traces(opened, traces))} traces")
+            files = export_traces(opened, traces)
+            result(f"{traces}: {len(files)} traces")
+            document(traces=files)
     return AS_EXPECTED
 
 
@@ -221,6 +244,7 @@ def compare(
     from safety_harness.campaign.session import LEDGER
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
+    from safety_harness.report.machine import SI_UNITS
 
     if (second is None) is (against is None):
         expected = "either B or --against"
@@ -237,13 +261,40 @@ def compare(
         for one_of in (before, after):
             if words := fallback_of(one_of).words:
                 result(f"{one_of.path}: {words}")
-        compared = compare_ledgers(before, after)
+        compared, overruled = compare_ledgers(before, after), compare_overruling(before, after)
+        worse, lost = worse_episodes(before, after), list(against_lines(before, after))
+        document(
+            before=before.path,
+            after=after.path,
+            differences=compared,
+            overruling=[
+                {
+                    "stratum": one.stratum,
+                    "before": one.before.named,
+                    "after": one.after.named,
+                    "episodes": one.episodes,
+                }
+                for one in overruled
+            ],
+            worse_episodes=[
+                {
+                    "stratum": one.stratum,
+                    "episode": one.episode,
+                    "claim": one.claim,
+                    "before_margin_si": one.before,
+                    "after_margin_si": one.after,
+                    "unit": SI_UNITS[one.unit],
+                }
+                for one in worse
+            ],
+            remarks=lost,
+        )
         result(*difference_lines(compared, before.declared.confidence))
-        result(*(one.words for one in compare_overruling(before, after)))
-        for found in worse_episodes(before, after):
+        result(*(one.words for one in overruled))
+        for found in worse:
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
-        result(*against_lines(before, after))
+        result(*lost)
     return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
 
 
@@ -283,9 +334,8 @@ def merge(
     """
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import merge as merge_ledgers
-    from safety_harness.cli.campaign_lines import ledger_lines
 
     result(f"{into}: {merge_ledgers(into, ledgers)} episodes")
     with Ledger.open(into, check=False) as whole:
-        result(*ledger_lines(whole))
+        _say_ledger(whole)
     return AS_EXPECTED

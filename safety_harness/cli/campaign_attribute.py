@@ -10,7 +10,7 @@ from safety_harness.campaign.session import plan_of
 from safety_harness.certification.verify_runs import programs_in
 from safety_harness.cli.attribute import AttributionSession, conclude
 from safety_harness.cli.console import say
-from safety_harness.cli.runs import bar_of
+from safety_harness.cli.progress import counting
 from safety_harness.exceptions import LedgerError, Place
 
 
@@ -29,9 +29,10 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         say(violated.words)
         episodes = violated_episodes(plan, violated, programs=execute)
         try:
-            with bar_of("episodes") as bar:
-                for admitted, claims in bar.track(episodes, total=len(violated.claims)):
+            with counting(len(violated.claims), "episodes") as show:
+                for number, (admitted, claims) in enumerate(episodes, start=1):
                     session.take(admitted, claims)
+                    show(number)
         except KeyboardInterrupt:
             session.interrupted = True
     return conclude(session, out)

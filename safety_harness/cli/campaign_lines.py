@@ -8,12 +8,13 @@ from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
-from safety_harness.campaign.summary import CampaignTally, fallback_of, fingerprint_of, tally_of
+from safety_harness.campaign.summary import CampaignTally, ClaimCounts, fallback_of, fingerprint_of, tally_of
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
+from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
-from safety_harness.statistics.binomial import Sides, bounds_of
+from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -31,6 +32,58 @@ def ledger_lines(ledger: Ledger) -> Iterator[str]:
     if tally.complete:
         yield from _bound_lines(ledger)
         yield f"fingerprint of the results: {fingerprint_of(ledger)}"
+
+
+def ledger_data(ledger: Ledger) -> dict[str, object]:
+    """The same for programs: margins in SI; null where there is none."""
+    declared, tally = ledger.declared, tally_of(ledger)
+    whole = tally.complete
+    strata = zip(declared.strata, tally.strata, strict=True)
+    return {
+        "ledger": ledger.path,
+        "title": declared.title,
+        "world": declared.world.label,
+        "confidence": declared.confidence,
+        "complete": whole,
+        "planned": tally.planned,
+        "done": tally.done,
+        "failed": tally.failed,
+        "strata": [
+            {"stratum": name}
+            | {key: getattr(one, key) for key in ("planned", "done", "failed", "stopped_after")}
+            | {"claims": _claims_data(declared, one.claims)}
+            for name, one in strata
+        ],
+        "claims": _claims_data(declared, [*map(tally.of_claim, range(len(declared.claims)))]),
+        "fallback": fallback_of(ledger),
+        "overruling": overruling_in(ledger).named,
+        "repeatability": ledger.repeated,
+        "dependent": ledger.dependent or None,
+        "bounds": _bounds(ledger) if whole and not ledger.dependent else None,
+        "fingerprint": fingerprint_of(ledger) if whole else None,
+    }
+
+
+def _claims_data(declared: Declared, claims: Sequence[ClaimCounts]) -> list[dict[str, object]]:
+    return [
+        {
+            "claim": sentence,
+            "target": target,
+            **{outcome.name.lower(): count for outcome, count in one.counts.items()},
+            "worst_margin_si": one.worst,
+            "unit": SI_UNITS[unit],
+            "worst_episode": one.worst_episode if one.worst_episode >= 0 else None,
+        }
+        for sentence, unit, target, one in zip(
+            declared.claims, declared.units, declared.targets, claims, strict=True
+        )
+    ]
+
+
+def _bounds(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
+    declared = ledger.declared
+    pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
+    return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def _summary(declared: Declared, tally: CampaignTally) -> str:
@@ -99,9 +152,7 @@ def _bound_lines(ledger: Ledger) -> list[str]:
     """The chance of a violation between its bounds, as a report has them: all hold together."""
     if ledger.dependent:
         return [ledger.dependent]
-    declared = ledger.declared
-    pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
-    bounds = bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
+    declared, bounds = ledger.declared, _bounds(ledger)
     targets = dict(zip(declared.claims, declared.targets, strict=True))
     each = confidence_words(bounds[0].confidence)
     fallback = fallback_of(ledger).words

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
 from safety_harness.cli.options import command
 
 
@@ -16,8 +16,13 @@ class _PlanOrCommand(TyperGroup):
     """``certify PLAN`` beside ``certify declare PLAN``: what is no command's name is a plan or an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As if the command that needs no name had been named."""
-        return super().parse_args(ctx, args if args and args[0] in self.commands else ["plan", *args])
+        """As if the command that needs no name had been named; not while a shell completes that name."""
+        named = args[0] in self.commands if args else ctx.resilient_parsing
+        return super().parse_args(ctx, args if named else ["plan", *args])
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Those that have to be named."""
+        return [name for name in super().list_commands(ctx) if name != "plan"]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """Without its name in what a user reads."""
@@ -26,7 +31,8 @@ class _PlanOrCommand(TyperGroup):
 
 
 commands = Typer()
-of_certify = Typer(cls=_PlanOrCommand, help="Run a declared plan and write its evidence; declare, seal.")
+_ABOUT = "Run a declared plan and write its evidence; declare, seal."
+of_certify = Typer(cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
 
 
 @command(
@@ -74,6 +80,7 @@ def certify(
     from safety_harness.certification.verdicts import overruling_line, percent
     from safety_harness.cli.progress import watching_campaign, watching_search
     from safety_harness.scenario.files import told
+    from safety_harness.scenario.typed_json import plain
     from safety_harness.search.session import SearchOutput
 
     words = ["safety-harness", "certify", str(told(plan))]
@@ -84,6 +91,7 @@ def certify(
     job = Certification.of(plan, out, again, selftest=selftest, oracles=oracles, declared=declared, pdf=pdf)
     # Standard output is kept for the verdicts.
     evidence, complete = job.run(workers, watching_campaign, SearchOutput(say, say, watching_search))
+    document(**plain(evidence), page=job.folder / PAGE)
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
@@ -118,7 +126,9 @@ def declare(
     read = read_plan(plan)
     refuse_hopeless(read)
     path = out or declaration_file(plan)
-    result(write_declaration(read, path).sha256)
+    made = write_declaration(read, path)
+    result(made.sha256)
+    document(sha256=made.sha256, declaration=path)
     say(
         f"{path}: plan, seed {read.seed}, avoider, targets and software. Lodge the hash where its day cannot "
         "be changed, before you run the plan: a signed git tag, a timestamping service, an e-mail to whoever "
@@ -143,10 +153,12 @@ def seal_report(
 
     check = check_files(report, read_manifest(report))
     result(*(f"DIFF {line}" for line in check.faults))
+    document(faults=check.faults)
     if not check.stands:
         return DIFFERS
     made = write_seal(report)
     result(made.sha256)
+    document(sha256=made.sha256, rows_sha256=made.rows, seal=seal_file(report))
     say(
         f"{seal_file(report)}: the root over all rows, {made.rows[:16]}, the declaration and the hash of "
         "every file. Lodge the hash elsewhere (a signed git tag, a timestamping service, e-mail): verify "
@@ -208,25 +220,30 @@ def verify(
     executed; 130: interrupted.
     """
     import secrets
+    from dataclasses import asdict
 
     from safety_harness.certification.verify import verify as verify_report
+    from safety_harness.cli.progress import paced_lines
 
-    stands, whole = True, True
-    for check in verify_report(
-        report,
-        runs=runs,
-        miss=_chance(miss),  # the default is as it is shown
-        seed=secrets.randbelow(2**31) if seed is None else seed,
-        execute_avoider=execute_avoider,
-        seal=seal,
-        declared=declared,
-        on_progress=say,
-    ):
-        stands, whole = stands and check.stands, whole and not check.unchecked
-        mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
-        result(f"{mark} {check.looked_at}")
-        lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
-        result(*(f"     {line}" for line in lines))
+    checks = []
+    with paced_lines() as tell:
+        for check in verify_report(
+            report,
+            runs=runs,
+            miss=_chance(miss),  # the default is as it is shown
+            seed=secrets.randbelow(2**31) if seed is None else seed,
+            execute_avoider=execute_avoider,
+            seal=seal,
+            declared=declared,
+            on_progress=tell,
+        ):
+            checks.append(asdict(check) | {"stands": check.stands})
+            mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
+            result(f"{mark} {check.looked_at}")
+            lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
+            result(*(f"     {line}" for line in lines))
+    stands, whole = all(one["stands"] for one in checks), not any(one["unchecked"] for one in checks)
+    document(stands=stands, checks=checks)
     open_ones = "" if whole else ", but for what was not checked"
     result(f"the report stands{open_ones}" if stands else "the report does not stand")
     return AS_EXPECTED if stands else DIFFERS

@@ -1,16 +1,42 @@
-"""What the command line prints: results on standard output, everything else on standard error."""
+"""What the command line prints: results on standard output, everything else on standard error.
+
+With ``--json`` the results are one document, and no lines.
+"""
 
 from __future__ import annotations
 
+import errno
+import json
+import os
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Sequence
-from typing import TextIO, TypeVar
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from math import isfinite
+from typing import Any, TextIO, TypeVar
 
-from safety_harness.exceptions import InputError, explanation
+from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError, explanation
 
 _Item = TypeVar("_Item")
 _Made = TypeVar("_Made")
 AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+JSON_FORMAT = "safety-harness answer 1"
+NARROW = 70  # columns; below, columns of blanks are closed, and help has no boxes
+_NARROWEST = 20
+
+
+@dataclass
+class _Answer:
+    """What a command says that was asked for JSON."""
+
+    result: dict[str, object] = field(default_factory=dict)
+    lines: list[str] = field(default_factory=list)
+    errors: list[dict[str, object]] = field(default_factory=list)
+
+
+_as_json: ContextVar[_Answer | None] = ContextVar("as_json", default=None)
 
 
 def strip_control_chars(text: str) -> str:
@@ -20,23 +46,187 @@ def strip_control_chars(text: str) -> str:
 
 def say(*lines: str) -> None:
     """Remarks on standard error."""
-    _print(lines, sys.stderr)
+    _print(lines, "stderr")
 
 
 def result(*lines: str) -> None:
-    """Lines of results on standard output."""
-    _print(lines, sys.stdout)
+    """Lines of results on standard output; none with ``--json``."""
+    if (answer := _as_json.get()) is None:
+        _print(lines, "stdout")
+    else:
+        answer.lines += lines
 
 
-def _print(lines: Sequence[str], stream: TextIO) -> None:
+def asked_for_json() -> bool:
+    """Is what ``result`` is told printed by nobody?"""
+    return _as_json.get() is not None
+
+
+def document(**fields: object) -> None:
+    """The same results for programs, which ``--json`` prints: names with their units, values as they are."""
+    if (answer := _as_json.get()) is not None:
+        answer.result |= fields
+
+
+def verbatim(text: str) -> None:
+    """A text for programs on standard output, its lines as they are."""
+    if _as_json.get() is None:
+        _write(strip_control_chars(text) + "\n", "stdout")
+
+
+def answered_as_json(command: Callable[[], int]) -> int:
+    """The exit code of ``command``; what it says is printed as one document, however it ends."""
+    answer = _Answer()
+    token = _as_json.set(answer)
+    try:
+        code = command()
+    except SafetyHarnessError as error:
+        explain(error)
+        code = BAD_INPUT
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    finally:
+        _as_json.reset(token)
+    whole = {
+        "format": JSON_FORMAT,
+        "package_version": version("safety-harness"),
+        "exit_code": code,
+        "errors": answer.errors,
+        "result": answer.result or ({"lines": answer.lines} if answer.lines else None),
+    }
+    _write(json.dumps(_plain(whole), indent=1, allow_nan=False) + "\n", "stdout")
+    return code
+
+
+def _plain(value: object) -> Any:
+    """A value as JSON has it; a number that is not finite is null."""
+    from msgspec import to_builtins
+
+    own = to_builtins(value, enc_hook=_of_another_type, str_keys=True)
+    return _finite(own)
+
+
+def _of_another_type(value: Any) -> object:
+    """Arrays and numbers of NumPy as Python's, anything else in its own words."""
+    return value.tolist() if hasattr(value, "tolist") else str(value)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _print(lines: Sequence[str], name: str) -> None:
     for line in lines:
-        stream.write(strip_control_chars(line) + "\n")
+        _write(folded(strip_control_chars(line), columns_of(getattr(sys, name))) + "\n", name)
+
+
+def _write(text: str, name: str) -> None:
+    """To a stream of ``sys``.  One that is closed, or that nobody reads to its end, takes no more, silently.
+
+    The command goes on all the same: its files are what counts.  OutputError for a disk that is full.
+    """
+    stream: TextIO | None = getattr(sys, name)
+    if stream is None:
+        return
+    try:
+        stream.write(text)
         stream.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # what is buffered has to go somewhere
+        if error.errno not in (errno.EPIPE, errno.EBADF):
+            place = "standard output" if name == "stdout" else "standard error"
+            raise OutputError.of_option(place, "room for what is printed", str(error)) from error
+
+
+def no_escapes() -> bool:
+    """Is nothing to be printed that commands a terminal?  NO_COLOR, or one that knows no commands."""
+    return bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM", "").lower() in ("dumb", "unknown")
+
+
+def columns_of(stream: TextIO | None) -> int | None:
+    """Where lines are folded: at COLUMNS or a terminal's width; None for pipes and files, where they stay."""
+    asked = os.environ.get("COLUMNS", "")
+    if asked.isdecimal() and 0 < int(asked) < 100_000:
+        return max(int(asked), _NARROWEST)
+    try:
+        return None if stream is None else os.get_terminal_size(stream.fileno()).columns or None
+    except (OSError, ValueError):  # no terminal, or not even a file
+        return None
+
+
+def folded(text: str, columns: int | None) -> str:
+    """Text whose lines have at most so many columns, but for words that are longer (names of files)."""
+    if columns is None or all(len(line) <= columns for line in text.split("\n")):
+        return text
+    return "\n".join(part for line in text.split("\n") for part in _parts(line, columns))
+
+
+def _parts(line: str, columns: int) -> list[str]:
+    if len(line) <= columns:
+        return [line]
+    words = line.strip()
+    indent = " " * min(len(line) - len(line.lstrip()), columns // 4)
+    if columns < NARROW:
+        words = " ".join(words.split())
+    return textwrap.wrap(
+        words,
+        columns,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], *, named_by: int = 2, to: str = "stdout"
+) -> list[str]:
+    """Columns as wide as they need be, numbers to the right; no lines without rows.
+
+    Where they are wider than what they go ``to``, each row is what it is ``named_by``, its first cells, and
+    below it a list of the others.
+    """
+    cells = [tuple(head), *map(tuple, rows)]
+    if len(cells) == 1:
+        return []
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    columns = columns_of(getattr(sys, to))
+    if columns is not None and sum(widths) + 2 * len(widths) - 2 > columns:
+        return [line for row in cells[1:] for line in _block(head, row, named_by)]
+    numbers = [
+        column >= named_by and all(cell[:1] in "+-0123456789[" for cell in below)
+        for column, below in enumerate(zip(*cells[1:], strict=True))
+    ]
+    return ["  ".join(map(_aligned, row, widths, numbers)).rstrip() for row in cells]
+
+
+def _aligned(cell: str, width: int, number: bool) -> str:
+    return cell.rjust(width) if number else cell.ljust(width)
+
+
+def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:
+    others = zip(head[named_by:], row[named_by:], strict=True)
+    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in others)}"
 
 
 def explain(error: Exception) -> None:
     """A user's mistake: where, what was expected, what came, and the hint on a line of its own."""
+    if (answer := _as_json.get()) is not None:
+        answer.errors.append(_told(error))
     say(f"error: {explanation(error)}")
+
+
+def _told(error: Exception) -> dict[str, object]:
+    """An error as data."""
+    told: dict[str, object] = {"kind": type(error).__name__, "message": str(error)}
+    if isinstance(error, InputError):
+        place = {name: getattr(error.place, name) for name in ("file", "line", "field")}
+        told |= place | {"expected": error.expected, "got": error.got, "hint": error.hint or None}
+    return told
 
 
 def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:

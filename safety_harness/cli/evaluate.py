@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -10,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    document,
+    explain,
+    result,
+    say,
+)
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import OutputError
 
@@ -113,7 +123,7 @@ def evaluate(
 
 def _lines(one: ScoredAvoider) -> Iterator[str]:
     """What the terminal shows of one avoider."""
-    from safety_harness.cli.evaluation_tables import table
+    from safety_harness.cli.evaluation_tables import titled
     from safety_harness.report.score_tables import (
         COLUMNS,
         figures,
@@ -124,7 +134,7 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
     )
 
     cards = (one.card, *one.yardsticks)
-    yield from table(
+    yield from titled(
         f"{one.reference}: {one.card.name}; below it the yardsticks, which are no duty",
         ("region", "avoider", *COLUMNS),
         [(row.region, row.avoider, *row.cells) for row in rows_of(cards, figures)],
@@ -144,11 +154,13 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
 
 
 def _write(scored: Scored, out: Path, again: str) -> None:
-    from safety_harness.report.score_document import document
+    from safety_harness.report.score_document import document as scores
     from safety_harness.report.score_page import ScoreEvidence, render
     from safety_harness.whole_file import write_text
 
-    write_text(out / DATA, document(scored))
+    text = scores(scored)
+    document(**json.loads(text))
+    write_text(out / DATA, text)
     evidence = ScoreEvidence(scored=scored, command=again, generated_at=datetime.now(UTC))
     write_text(out / PAGE, render(evidence))
     files = [shown.file.path for one in scored.avoiders for shown in one.worst if shown.file.path]

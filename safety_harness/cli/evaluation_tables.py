@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from safety_harness.cli.console import table
 from safety_harness.learning.dataset import LabelFloor
 from safety_harness.learning.evaluation import LEVELS, Figures
 from safety_harness.learning.metrics import RESIDUALS, Errors, IntervalCoverage
@@ -25,24 +26,24 @@ def tables(figures: Sequence[Figures]) -> Iterator[str]:
     """The lines of four tables: errors, 95 % intervals, doubt, calibration curve."""
     order = list(dict.fromkeys(one.set.name for one in figures))
     by_set = sorted(figures, key=lambda one: order.index(one.set.name))
-    yield from table(
+    yield from titled(
         "Errors [mm]; noise-free: RMSE against the continuous optimum; floor: what the labels' noise leaves",
         ("set", "model", "RMSE x", "y", "z", "all", "MAE x", "y", "z", "all", "noise-free", "unreachable"),
         _error_rows(by_set),
     )
-    yield from table(
+    yield from titled(
         "95 % intervals: labels within the calibrated ones on all axes at once, [exact 95 % limits], "
         "mean whole width [mm]; PICP (mean of axes) of +- 1.96 times ...",
         ("set", "model", "covered", "", "width x", "y", "z", *VARIANTS.values()),
         (_interval_row(one) for one in by_set),
     )
-    yield from table(
+    yield from titled(
         "Doubt: a decision's largest spread [mm], as a detector of the unseen (AUROC), and above the "
         "threshold: false fallbacks if seen, detections if not",
         ("set", "model", "median spread", "AUROC", "above threshold", ""),
         (_doubt_row(one) for one in by_set),
     )
-    yield from table(
+    yield from titled(
         "Calibration curve: share of labels (mean of axes) in the central interval of each level",
         ("set", "model", "scale", *(f"{level:.0%}" for level in LEVELS)),
         (row for one in by_set for row in _curve_rows(one)),
@@ -116,15 +117,6 @@ def _mm(length_m: float) -> str:
     return f"{1e3 * length_m:.2f}"
 
 
-def table(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
-    """A title, and columns as wide as they need be: texts to the left, numbers to the right."""
-    lines = [header, *rows]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
-    yield ""
-    yield title
-    for line in lines:
-        cells = (
-            text.ljust(width) if column < 2 else text.rjust(width)
-            for column, (text, width) in enumerate(zip(line, widths, strict=True))
-        )
-        yield "  ".join(cells).rstrip()
+def titled(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
+    """A table below its title."""
+    yield from ("", title, *table(header, rows))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, NARROW, columns_of, document, result, say
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
@@ -24,9 +25,11 @@ def explain_key(words: Sequence[str]) -> int:
     asked = " ".join(" ".join(words).replace(":", " ").split())
     if not asked:
         result(*(f"{table.where}: {', '.join(table.names)}" for table in every_table()))
+        document(tables=[{"where": table.where, "keys": table.names} for table in every_table()])
         return AS_EXPECTED
     found = [(table, key) for table in every_table() for key in table.keys if asked in _names(table, key)]
     known = (name for table in every_table() for name in table.names)
+    document(keys=[_key_data(*pair) for pair in found])
     expected = "a key of a scenario file; without one, all of them are listed"
     return _explain("explain", asked, expected, known, [_key_lines(*pair) for pair in found])
 
@@ -38,16 +41,19 @@ def explain_claims(words: Sequence[str]) -> int:
     """
     from safety_harness.formulas.signals import SIGNALS
     from safety_harness.properties.catalogue import CATALOGUE  # slow to import
+    from safety_harness.properties.entry import told
 
     asked = " ".join(" ".join(words).split())
     examples = [entry.example for entry in CATALOGUE]
     if not asked:
         result(*examples)
+        document(claims=[{"claim": entry.example} | dict(told(entry)) for entry in CATALOGUE])
         say(f"or a formula (docs/formulas.md) over: {', '.join(signal.words for signal in SIGNALS)}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
     wanted = set(asked.lower().split())
     found = found or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
+    document(claims=[{"claim": entry.example} | dict(told(entry)) for entry in found])
     expected = "words of a claim of the catalogue; without any, all claims are listed"
     return _explain("claims", asked, expected, examples, [_claim_lines(one) for one in found])
 
@@ -68,9 +74,14 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
     from safety_harness.properties.entry import told
 
     yield entry.example
+    columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)
     for name, text in told(entry):
         yield from textwrap.wrap(
-            text, WIDTH, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15, break_on_hyphens=False
+            text,
+            columns,
+            initial_indent=f"  {name:<13}",
+            subsequent_indent=" " * (15 if columns >= NARROW else 4),
+            break_on_hyphens=False,
         )
 
 
@@ -78,6 +89,17 @@ def _names(table: KeyTable, key: Key) -> tuple[str, ...]:
     """What a user may call a key: its name, alone or below that of its mapping."""
     above = {table.name, table.path, table.path.rpartition(".")[2]} - {""}
     return (key.name, *(f"{name}.{key.name}" for name in sorted(above)))
+
+
+def _key_data(table: KeyTable, key: Key) -> dict[str, object]:
+    return {
+        "key": key.name,
+        "where": table.where,
+        "means": _plain(key.meaning),
+        "takes": _plain(_takes(key)),
+        "default": None if key.default == REQUIRED else _plain(key.default),
+        "example": key.lines,
+    }
 
 
 def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:

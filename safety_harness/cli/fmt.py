@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, explain, result
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, files_of, read_bytes
@@ -15,14 +15,15 @@ from safety_harness.whole_file import write_whole
 
 def format_files(paths: Sequence[Path], *, check: bool) -> int:
     """Lay every file out, or say which ones would change; returns the exit code."""
-    changed = failed = False
+    changed, failed = list[Path](), False
     for path in paths:
         try:
             for file in files_of(path):
-                changed |= _format(file, check=check)
+                changed += [file] * _format(file, check=check)
         except InputError as error:
             explain(error)
             failed = True
+    document(changed=changed)  # or, with --check, what would be
     if failed:
         return BAD_INPUT
     return DIFFERS if check and changed else AS_EXPECTED

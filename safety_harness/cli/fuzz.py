@@ -13,6 +13,7 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    document,
     result,
     say,
     say_shared_modules,
@@ -92,7 +93,7 @@ def fuzz(
         out=out,
         budget=budget,
         output=SearchOutput(say, result, watching_search),
-        write_page=partial(write_search, attribution=attribution),
+        write_page=partial(write_search, attribution=attribution, on_data=document),
         baseline=baseline,
         explain=attribution.explain,
     )

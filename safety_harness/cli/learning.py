@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError, Place
 from safety_harness.extras import LEARNING, ONNX
@@ -37,16 +37,14 @@ def dataset(
     The defaults are the paper's 5,000,000 samples, in a few seconds.
     Exit code 0; 2: bad input; 130: interrupted, nothing was written.
     """
-    from safety_harness.cli.runs import bar_of
+    from safety_harness.cli.progress import counting
     from safety_harness.learning.dataset import generate, space_named
-    from safety_harness.learning.manifest import data_hash, save_dataset
+    from safety_harness.learning.manifest import data_hash, manifest_of, save_dataset
     from safety_harness.settings import DEFAULTS
 
     where = space_named(space, DEFAULTS)
-    with bar_of("TCPs") as bar:
-        if bar.disable:
-            say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
-        task = bar.add_task(where.name, total=tcps)
+    say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
+    with counting(tcps, "TCPs") as show:
         made = generate(
             DEFAULTS,
             where,
@@ -54,7 +52,7 @@ def dataset(
             tcps=tcps,
             candidates=candidates,
             hands=hands,
-            on_progress=lambda done: bar.update(task, completed=done),
+            on_progress=show,
         )
     save_dataset(made, out)
     views, away = made.tcps * made.candidates, made.views_without_object
@@ -68,6 +66,7 @@ def dataset(
         f"seed        {made.seed}",
         f"sha256      {data_hash(made)}",
     )
+    document(**manifest_of(made), folder=out)
     say(f"data set: {out}")
     return AS_EXPECTED
 
@@ -100,6 +99,7 @@ def train(
     import shlex
 
     from safety_harness.avoidance.model_file import save_model
+    from safety_harness.cli.progress import paced_lines
     from safety_harness.learning.dataset import generate, seen
     from safety_harness.learning.manifest import load_dataset
     from safety_harness.learning.recipes import recipe_named
@@ -117,17 +117,19 @@ def train(
         split = split_for(chosen, dataset)
         with LEARNING.needed("train"):
             from safety_harness.learning.training import train as train_networks  # brings PyTorch
-        trained = train_networks(
-            chosen,
-            samples_for(chosen, dataset),
-            split.train,
-            split.validation,
-            seed=seed,
-            out=out,
-            resume=resume,
-            device=device,
-            on_epoch=_epoch_lines(chosen),
-        )
+        say(f"training on {len(split.train):,} samples")
+        with paced_lines() as tell:
+            trained = train_networks(
+                chosen,
+                samples_for(chosen, dataset),
+                split.train,
+                split.validation,
+                seed=seed,
+                out=out,
+                resume=resume,
+                device=device,
+                on_epoch=_epoch_lines(chosen, tell),
+            )
         say("calibrating on seen TCPs and hands that are new")
         model = model_of(trained, dataset, split, shlex.join(again))
         model = calibrate(model, chosen, dataset, seed=seed)
@@ -141,21 +143,23 @@ def train(
     result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
     result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
     result(f"model: {out / MODEL}")
+    document(model=out / MODEL, interval_multiplier=multiplier, spread_threshold_m=threshold_m)
     return AS_EXPECTED
 
 
-def _epoch_lines(recipe: Recipe) -> Callable[[Epoch], None]:
-    """One line an epoch: the losses, and how long the rest will take."""
+def _epoch_lines(recipe: Recipe, say: Callable[[str], None]) -> Callable[[Epoch], None]:
+    """One line an epoch: the losses, the share that is done, and how long the rest will take."""
     begun_s, epochs = time.monotonic(), count(1)
 
     def tell(epoch: Epoch) -> None:
-        left = recipe.members * recipe.epochs - epoch.member * recipe.epochs - epoch.number - 1
+        whole = recipe.members * recipe.epochs
+        left = whole - epoch.member * recipe.epochs - epoch.number - 1
         left_s = left * (time.monotonic() - begun_s) / next(epochs)
         member = f"member {epoch.member + 1}/{recipe.members}, " if recipe.members > 1 else ""
         say(
             f"{member}epoch {epoch.number + 1}/{recipe.epochs}: loss {epoch.training_loss:.4f}, "
             f"validation {epoch.validation_loss:.4f}, RMSE {1e3 * epoch.validation_rmse_m:.2f} mm"
-            f"{' (best)' if epoch.is_best else ''}, {left_s:.0f} s left"
+            f"{' (best)' if epoch.is_best else ''}, {100 * (1 - left / whole):.0f} %, {left_s:.0f} s left"
         )
 
     return tell
@@ -179,12 +183,21 @@ def metrics(
     """
     from safety_harness.avoidance.learned import LearnedAvoider
     from safety_harness.cli.evaluation_tables import tables
-    from safety_harness.learning.evaluation_file import figures_of, load_models, write_evaluation
+    from safety_harness.cli.progress import paced_lines
+    from safety_harness.learning.evaluation_file import (
+        evaluation_data,
+        figures_of,
+        load_models,
+        write_evaluation,
+    )
 
     loaded = load_models(models)
-    figures, remarks = figures_of(loaded, samples, seed, say)
+    with paced_lines() as tell:
+        figures, remarks = figures_of(loaded, samples, seed, tell)
+    found = evaluation_data(loaded, figures, remarks, samples, seed)
+    document(**found)
     if out is not None:
-        write_evaluation(out, loaded, figures, remarks, samples, seed)
+        write_evaluation(out, found)
     for one in loaded:
         result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
     result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
@@ -227,7 +240,16 @@ def time_avoider(
         return BAD_INPUT
     if out is not None:
         write_text(out, profile_text(found.profile))
-    p50, p99, most = map(milliseconds_words, found.quantiles_s(0.5, 0.99, 1.0))
+    quantiles_s = found.quantiles_s(0.5, 0.99, 1.0)
+    p50, p99, most = map(milliseconds_words, quantiles_s)
+    document(
+        avoider=found.measured.avoider,
+        **dict(zip(("p50_s", "p99_s", "max_s"), quantiles_s, strict=True)),
+        questions=questions,
+        faults=found.faults,
+        machine=found.measured.machine,
+        profile=out,
+    )
     who = f"{found.measured.avoider} ({found.avoider_name})"
     result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
     result(f"on {found.measured.machine}")
@@ -262,6 +284,7 @@ def export(
         from safety_harness.learning.export import write_export  # brings PyTorch
 
         difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)
+    document(onnx=out, model=path, max_difference_m=difference_m)
     result(f"onnx: {out}")
     result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
     return AS_EXPECTED

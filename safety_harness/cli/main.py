@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.metadata import version
 from importlib.util import find_spec
+from typing import Annotated
 
 import typer
 
 from safety_harness.cli.campaign import commands as of_campaigns
 from safety_harness.cli.certify import commands as of_reports
 from safety_harness.cli.certify import of_certify
-from safety_harness.cli.console import BAD_INPUT, explain
+from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, no_escapes, result
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
@@ -18,10 +21,11 @@ from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
 
+NAME = "safety-harness"
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
@@ -55,10 +59,32 @@ def of_the_paper() -> typer.Typer:
 app.add_typer(of_the_paper())
 
 
+def _say_version(asked: bool) -> None:
+    if asked:
+        result(f"{NAME} {version(NAME)}")
+        raise typer.Exit
+
+
+@app.callback()
+def of_all(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", "-V", callback=_say_version, is_eager=True, help="Say which version this is."
+        ),
+    ] = False,
+) -> None:
+    """Nothing is common to all commands."""
+
+
 def main() -> None:
     """Entry point: one of our own errors is explained, and never a traceback."""
+    columns = columns_of(sys.stdout) or 80
+    plain = columns < NARROW or no_escapes()
+    if plain:  # Rich cuts words where a table is too wide, and draws in bold without colour
+        app.rich_markup_mode = None
     try:
-        app()
+        app(prog_name=NAME, terminal_width=columns if plain else None, color=False if plain else None)
     except SafetyHarnessError as error:
         explain(error)
         raise SystemExit(BAD_INPUT) from None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, update_wrapper, wraps
+from inspect import Parameter, cleandoc, signature
 from pathlib import Path
 from typing import Annotated, ParamSpec
 
 from typer import Argument, Exit, Option, Typer
 
-from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, explain, say
+from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, answered_as_json, explain, say
 from safety_harness.exceptions import InputError, SafetyHarnessError
 
 Files = Annotated[
@@ -39,16 +40,23 @@ OfWorld = Annotated[
     ),
 ]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
+_AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
 _Asked = ParamSpec("_Asked")
 
 
 def command(
-    group: Typer, name: str | None = None, *, interrupted: str = "", failed: int | None = None
+    group: Typer,
+    name: str | None = None,
+    *,
+    interrupted: str = "",
+    failed: int | None = None,
+    json: bool = True,
 ) -> Callable[[Callable[_Asked, int]], Callable[_Asked, int]]:
     """A command of ``group``, of a function that returns an exit code, which it ends with.
 
     The user's mistakes are explained, and are exit code 2.  Any other error of ours is ``failed`` (None: it
-    is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).
+    is raised), and Ctrl-C is answered with the words ``interrupted`` (none: it is raised).  Without ``json``
+    it has no option --json.
     """
 
     def registered(work: Callable[_Asked, int]) -> Callable[_Asked, int]:
@@ -68,11 +76,20 @@ def command(
                 say(interrupted)
                 return INTERRUPTED
 
-        @group.command(name)
-        @wraps(work)
         def ended(*args: _Asked.args, **options: _Asked.kwargs) -> None:
-            raise Exit(answer(*args, **options))
+            as_json = options.pop("as_json", False)
+            answered = partial(answer, *args, **options)
+            raise Exit(answered_as_json(answered) if as_json else answered())
 
+        update_wrapper(ended, work)
+        if json:
+            asked = signature(work, eval_str=True)
+            option = Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=_AsJson)
+            ended.__signature__ = asked.replace(  # type: ignore[attr-defined]
+                parameters=[*asked.parameters.values(), option], return_annotation=None
+            )
+        short = cleandoc(work.__doc__ or "").partition("\n\n")[0]  # which lists of commands do not cut
+        group.command(name, short_help=short)(ended)
         return answer
 
     return registered

@@ -1,57 +1,179 @@
-"""What a search and a campaign show: lines that change on a terminal, a line now and then elsewhere."""
+"""What long commands show: lines that change on a terminal; elsewhere a line every ten seconds.
+
+Elsewhere is a pipe, a file, or a terminal that is to get no escape codes.  It is told where a command is at
+the start, at most every ten seconds, and at the end, with the share that is done and the time that is left.
+"""
 
 from __future__ import annotations
 
 import math
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 from rich.console import Console
 from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.cli.campaign_lines import worst_lines
-from safety_harness.cli.console import say
+from safety_harness.cli.console import no_escapes, say
+from safety_harness.scenario.model import Scenario
 from safety_harness.search.findings import Findings
 from safety_harness.search.session import nearest_lines, summary
 
-_EVERY_S = 30.0  # of a campaign, where there is no terminal
+EVERY_S = 10.0
+
+
+def is_live() -> bool:
+    """May lines change on standard error?"""
+    return sys.stderr is not None and sys.stderr.isatty() and not no_escapes()
+
+
+@dataclass
+class PacedLines:
+    """Says a line when it is due; the others make room for the next, and the last is said at the end."""
+
+    now_s: Callable[[], float] = time.monotonic
+    _said_s: float = -math.inf
+    _waiting: str = ""
+
+    def tell(self, line: str) -> None:
+        """A line that says where a command is."""
+        self._waiting = line
+        if self.now_s() - self._said_s >= EVERY_S:
+            self.end()
+
+    def end(self) -> None:
+        """Say what was not said."""
+        if self._waiting:
+            say(self._waiting)
+        self._waiting, self._said_s = "", self.now_s()
 
 
 @contextmanager
-def _lines() -> Iterator[Callable[[list[str], bool], None]]:
-    """Yields what shows lines on a terminal; elsewhere it says the first of them, where that is due."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda lines, due: say(lines[0]) if due else None
+def paced_lines() -> Iterator[Callable[[str], None]]:
+    """Yields what is told lines that a log needs few of; a terminal gets them all."""
+    if is_live():
+        yield say
         return
-    with Live(console=console, refresh_per_second=4, transient=True) as live:
-        yield lambda lines, due: live.update(Text("\n".join(lines)))
+    lines = PacedLines()
+    try:
+        yield lines.tell
+    finally:
+        lines.end()
+
+
+@contextmanager
+def _block() -> Iterator[Callable[[list[str]], None]]:
+    """Yields what shows lines on a terminal; elsewhere the first of them, where that is due."""
+    if is_live():
+        with Live(
+            console=_console(), refresh_per_second=4, transient=True, redirect_stdout=_redirect()
+        ) as live:
+            yield lambda lines: live.update(Text("\n".join(lines)))
+    else:
+        with paced_lines() as tell:
+            yield lambda lines: tell(lines[0])
+
+
+def _console() -> Console:
+    return Console(stderr=True)
+
+
+def _redirect() -> bool:
+    """Do results have to be kept from the lines that change?  Not where they go to a file."""
+    return sys.stdout is not None and sys.stdout.isatty()
+
+
+@contextmanager
+def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
+    """Yields what is told how many of ``total`` are done, and in words what comes next: a bar, or lines."""
+    if is_live():
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
+        with Progress(
+            *columns, TimeRemainingColumn(), console=_console(), transient=True, redirect_stdout=_redirect()
+        ) as bar:
+            task = bar.add_task("", total=total)
+            yield lambda done, words="": bar.update(task, completed=done, description=words)
+        return
+    begun_s = time.monotonic()
+    with paced_lines() as tell:
+
+        def told(done: int, words: str = "") -> None:
+            tell(f"{words or f'{done:,}/{total:,} {unit}'}{where(done, total, begun_s)}")
+
+        told(0)
+        yield told
+
+
+def where(done: float, total: float, begun_s: float) -> str:
+    """``, 30 %, 25 s left``; nothing at the start, and at the end how long it took."""
+    spent_s = time.monotonic() - begun_s
+    if done <= 0 or total <= 0:
+        return ""
+    if done >= total:
+        return f", 100 %, {time_words(spent_s)}"
+    return f", {done / total:.0%}, {_time_left(spent_s * (total / done - 1.0))}".replace("%", " %")
+
+
+@dataclass
+class RunsShown:
+    """Which of several scenarios is run, and how far it is."""
+
+    scenarios: Sequence[Scenario]
+    show: Callable[..., None]
+    _before: int = 0
+    _shown: int = 0
+    _words: str = ""
+    _ticks: int = field(default=0, init=False)
+
+    def begin(self, number: int) -> None:
+        """Scenario ``number`` starts."""
+        name = self.scenarios[number].name
+        self._before = sum(s.ticks + 1 for s in self.scenarios[:number])
+        self._ticks, self._shown = self.scenarios[number].ticks + 1, 0
+        self._words = name if is_live() else f"[{number + 1}/{len(self.scenarios)}] {name}"
+        self.show(self._before, self._words)
+
+    def tick(self, done: int) -> None:
+        """``done`` ticks of the current scenario are over; shown every 50, and at its end."""
+        if done - self._shown >= 50 or done >= self._ticks:
+            self._shown = done
+            self.show(self._before + done, self._words)
+
+
+@contextmanager
+def watching_runs(scenarios: Sequence[Scenario]) -> Iterator[RunsShown]:
+    """Yields what is told which scenario is run, and of its ticks."""
+    with counting(sum(s.ticks + 1 for s in scenarios), "ticks") as show:
+        yield RunsShown(scenarios, show)
 
 
 @contextmanager
 def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
-    """Yields what is told of the findings after every batch: without a terminal said ten times a budget."""
-    said = 0
-    with _lines() as show:
-
-        def told(findings: Findings) -> None:
-            nonlocal said
-            tenth = findings.tried * 10 // budget
-            show([summary(findings, budget), *nearest_lines(findings)], tenth > said)
-            said = max(said, tenth)
-
-        yield told
+    """Yields what is told of the findings after every batch."""
+    begun_s = time.monotonic()
+    with _block() as show:
+        show([f"tried 0/{budget}"])
+        yield lambda findings: show(
+            [
+                summary(findings, budget) + where(findings.tried, budget, begun_s),
+                *nearest_lines(findings),
+            ]
+        )
 
 
 @contextmanager
-def watching_steps() -> Iterator[Callable[[str], None]]:
-    """Yields what is told which step comes next: one line that changes, or without a terminal a line each."""
-    with _lines() as show:
-        yield lambda words: show([words], True)
+def watching_steps() -> Iterator[Callable[[str, float], None]]:
+    """Yields what is told which step comes next, and what share of all is done."""
+    begun_s = time.monotonic()
+    with _block() as show:
+        yield lambda words, share: show([words + where(share, 1.0, begun_s)])
 
 
 @contextmanager
@@ -59,21 +181,14 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yields what is told of the progress: rate, time left, worst margins, violations."""
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)
-    said_s = -math.inf
-    with _lines() as show:
-
-        def told(progress: CampaignRunner) -> None:
-            nonlocal said_s
-            due = time.monotonic() - said_s > _EVERY_S
-            show([_head(progress), *worst_lines(claims, units, progress.tally)], due)
-            said_s = time.monotonic() if due else said_s
-
-        yield told
+    with _block() as show:
+        yield lambda progress: show([_head(progress), *worst_lines(claims, units, progress.tally)])
 
 
 def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
-    head = f"{tally.done}/{tally.planned} episodes, {progress.rate:.1f} a second, "
+    share = tally.done / tally.planned if tally.planned else 1.0
+    head = f"{tally.done}/{tally.planned} episodes ({100 * share:.0f} %), {progress.rate:.1f} a second, "
     head += _time_left(progress.left_s)
     if not progress.crew.size:
         head += "; NO WORKER IS THERE"
@@ -83,8 +198,11 @@ def _head(progress: CampaignRunner) -> str:
 
 
 def _time_left(seconds: float) -> str:
-    if not math.isfinite(seconds):
-        return "time left unknown"
+    return f"{time_words(seconds)} left" if math.isfinite(seconds) else "time left unknown"
+
+
+def time_words(seconds: float) -> str:
+    """Whole seconds, minutes, or hours with a tenth."""
     if seconds < 90.0:
-        return f"{seconds:.0f} s left"
-    return f"{seconds / 60.0:.0f} min left" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h left"
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"

@@ -10,11 +10,13 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
-from safety_harness.cli.runs import ScenarioProgress, say_results
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
+from safety_harness.cli.progress import watching_runs
+from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InadmissibleError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.machine import run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import shown
@@ -33,8 +35,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     stored = load_trace(path)
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
-    progress = ScenarioProgress([stored.scenario])
-    with progress.bar:
+    with watching_runs([stored.scenario]) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
@@ -50,10 +51,18 @@ def replay(path: Path, avoider: str | None = None) -> int:
     else:
         result(f"{stored.scenario.name}: {difference}")
     (result if repeated.words else say)(repeated.line)
-    if difference is None:
-        return DIFFERS if repeated.words else AS_EXPECTED
-    say(*changes(stored.provenance, fresh.provenance))
-    return DIFFERS
+    changed = [] if difference is None else changes(stored.provenance, fresh.provenance)
+    say(*changed)
+    document(
+        scenario=stored.scenario.name,
+        identical=difference is None,
+        difference=None if difference is None else str(difference),
+        ticks=len(fresh.ticks),
+        decisions=len(fresh.decisions),
+        repeatability=repeated,
+        changes=[line.strip() for line in changed],
+    )
+    return AS_EXPECTED if difference is None and not repeated.words else DIFFERS
 
 
 def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
@@ -96,14 +105,15 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
 
     ``sentences`` take the place of the traces' own claims, and are expected to hold.
     """
-    code = AS_EXPECTED
+    runs = []
     for path in paths:
         trace = load_trace(path)
         if sentences:
             claims = with_expectation(_claims(sentences), trace.scenario)
             trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
-        run = JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="")
-        say_results(run)
-        if not run.all_as_expected:
-            code = DIFFERS
-    return code
+        runs.append(
+            JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)
+        )
+        say_results(runs[-1])
+    document(runs=[run_data(run) for run in runs])
+    return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS

@@ -19,19 +19,21 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    document,
     explain,
     explain_each,
     result,
     say,
     say_shared_modules,
+    table,
     usable,
 )
-from safety_harness.cli.runs import ScenarioProgress, say_results
-from safety_harness.compiled import PACKAGE, cache_folder, forget_old_machine_code
+from safety_harness.cli.progress import RunsShown, watching_runs
+from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import table_lines
+from safety_harness.properties.tally import HEADINGS, table_rows
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -80,9 +82,6 @@ def run(
     InstallationError for a world that is not installed.
     """
     world.opener()
-    if not cache_folder(PACKAGE / "controller" / "stack.py").is_dir():
-        say("compiling the control stack; this takes a minute or two, once")
-        forget_old_machine_code()
     say_shared_modules()
     try:
         admitted, skipped, errors = read_all(paths, avoider, against)
@@ -134,8 +133,7 @@ class RunSession:
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
         """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""
-        progress = ScenarioProgress([one.scenario for each in admitted for one in each])
-        with progress.bar:
+        with watching_runs([one.scenario for each in admitted for one in each]) as progress:
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
                 try:
@@ -240,7 +238,7 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        say(*table_lines(found))
+        say(*table(HEADINGS, table_rows(found), named_by=1, to="stderr"))
         untested = [tally.sentence for tally in found if tally.untested]
         words = "error: no run put this to the test, and it was expected to tell"
         say(*(f"{words}: {sentence}" for sentence in untested))
@@ -249,7 +247,7 @@ class RunSession:
     def _report(self) -> bool:
         """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""
         from safety_harness.report.html import write_report  # matplotlib is slow to import
-        from safety_harness.report.machine import write_json
+        from safety_harness.report.machine import report_data, write_json
 
         path = self.out / REPORT
         interrupted = len(self.runs) < self.planned or self.interrupted
@@ -267,14 +265,15 @@ class RunSession:
                     against=self.against,
                     repeated=self.repeated,
                 )
-                write_json(
-                    self.out / DATA,
+                found = report_data(
                     self.runs,
                     interrupted=interrupted,
                     skipped=self.skipped,
                     against=self.against,
                     repeated=self.repeated,
                 )
+                document(**found, failed=self.failed)
+                write_json(self.out / DATA, found)
         except OutputError as error:
             explain(error)
             return False
@@ -286,7 +285,7 @@ class RunSession:
         return True
 
 
-def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: ScenarioProgress) -> JudgedRun:
+def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: RunsShown) -> JudgedRun:
     """Simulate, save, judge."""
     trace = run_trial(admitted, world=world, on_tick=progress.tick)
     file = traces / f"{admitted.scenario.name}.trace"

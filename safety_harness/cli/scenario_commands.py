@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, say, verbatim
 from safety_harness.cli.options import Files, OfAvoider, OfReference, OfWorld, Out, Seed, command
 from safety_harness.exceptions import OutputError, Place
 
@@ -164,11 +164,12 @@ def new(
         if isinstance(error, FileExistsError):
             expected, got = "a file that is not there yet", "one that is"
         raise OutputError(place=Place(file=file), expected=expected, got=got) from error
+    document(file=file)
     say(f"{file} is a scenario; run it with: safety-harness run {file}")
     return AS_EXPECTED
 
 
-@command(commands)
+@command(commands, json=False)
 def schema() -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
 
@@ -178,7 +179,7 @@ def schema() -> int:
 
     from safety_harness.scenario.schema import scenario_schema
 
-    result(json.dumps(scenario_schema(), indent=1, ensure_ascii=False))
+    verbatim(json.dumps(scenario_schema(), indent=1, ensure_ascii=False))
     return AS_EXPECTED
 
 

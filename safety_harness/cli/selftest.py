@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say, table
 from safety_harness.cli.options import OfAvoider, command
 from safety_harness.exceptions import Place, SettingsError
 
@@ -39,8 +39,10 @@ def selftest(
     fault applies; 2: bad input; 130: interrupted.
     """
     import shlex
+    import time
 
     from safety_harness.certification.tools import FaultState
+    from safety_harness.cli.progress import paced_lines, where
     from safety_harness.selftest.outcome import (
         HARMLESS_HEAD,
         HEAD,
@@ -48,7 +50,6 @@ def selftest(
         bad,
         harmless_row,
         in_table,
-        lines,
         row,
         summary,
         tally_of,
@@ -71,21 +72,25 @@ def selftest(
     except KeyboardInterrupt:
         say("interrupted before anything was tried")
         return INTERRUPTED
-    say(*session.remarks)
+    say(*session.remarks, f"{len(numbers)} faults and harmless changes to try")
+    begun_s = time.monotonic()
 
     def tell(one: FaultOutcome) -> None:
         words, alarm, smallest = one.state.value, one.alarm, one.smallest
         if one.state is FaultState.CAUGHT and alarm and smallest:
             words = f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
-        say(f"[{len(session.done)}/{len(numbers)}] {one.part}: {one.fault}: {words}")
+        done, planned = len(session.done), len(numbers)
+        say_where(f"[{done}/{planned}] {one.part}: {one.fault}: {words}{where(done, planned, begun_s)}")
 
     with writing(out):
-        session.run(jobs, tell)
+        with paced_lines() as say_where:
+            session.run(jobs, tell)
         faults, harmless = in_table(session.tried)
         tables = (HEAD, list(map(row, faults))), (HARMLESS_HEAD, list(map(harmless_row, harmless)))
         for head, rows in tables:
-            result(*lines(head, rows), "")
+            result(*table(head, rows), "")
         result(summary(tally_of(session.tried)))
+        document(**session.document)
         session.write()
         session.write_page()
     say(f"page: {out / PAGE} (for programs: {DATA})")

@@ -13,7 +13,7 @@ from safety_harness.admission.admit import Looker
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
@@ -33,14 +33,17 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
     if gathered.errors:
         raise gathered.errors[0]
     alone = out.suffix in PICTURES and len(gathered.scenarios) + len(gathered.spaces) == 1
+    pictures = []
     for scenario in gathered.scenarios:
-        _draw(out if alone else out / f"{scenario.name}.png", [scenario], scenario.title)
+        path = out if alone else out / f"{scenario.name}.png"
+        pictures.append(_draw(path, [scenario], scenario.title))
     for variant, file in gathered.spaces:
         space = space_of(variant.tree, file, name=variant.name)
         drawn = draw_admissible(space, seed, draws)
         say(f"{file}: {drawn}")
         path = out if alone else out / f"{space.name}.png"
-        _draw(path, drawn.scenarios, space.title, regions_of(space))
+        pictures.append(_draw(path, drawn.scenarios, space.title, regions_of(space)))
+    document(pictures=pictures)
     return AS_EXPECTED
 
 
@@ -52,21 +55,25 @@ def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
         )
     space = read_space(file)
     drawn = draw_admissible(space, seed, count)
+    files = []
     for scenario in drawn.scenarios:
         path = out / f"{scenario.name.replace('#', '-')}.yaml"
         one = replace(scenario, claims=each_to_hold(scenario.claims))
         write_text(path, write_scenario(as_seen_from(out, one)))
         result(str(path))
+        files.append(path)
+    document(files=files, drawn=drawn.drawn, refused=drawn.refused)
     say(*space.notes, str(drawn))
     return AS_EXPECTED
 
 
-def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> None:
+def _draw(path: Path, scenarios: Sequence[Scenario], title: str, regions: Boxes = ()) -> Path:
     looker = Looker()
     previews = [preview_of(looker.look(scenario)) for scenario in scenarios]
     with writing(path):
         draw_scene(path, previews, title=title, regions=regions)
     result(str(path))
+    return path
 
 
 def regions_of(space: ScenarioSpace) -> list[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
-from safety_harness.admission.admit import Checked, Looker
+from safety_harness.admission.admit import Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
@@ -14,13 +14,16 @@ from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
     INTERRUPTED,
+    document,
     explain_each,
     result,
     say,
     usable,
 )
+from safety_harness.compiled import without_compiling
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import gather
+from safety_harness.scenario.model import Scenario
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
@@ -32,9 +35,13 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         looker = Looker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
-            lambda one: looker.look(one if avoider is None else with_avoider(one, avoider)),
+            lambda one: without_compiling(
+                lambda: looker.look(one if avoider is None else with_avoider(one, avoider))
+            ),
         )
-        spaces, errors_of_spaces = usable(gathered.spaces, _tried_space)
+        spaces, errors_of_spaces = usable(
+            gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
+        )
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
@@ -43,11 +50,16 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
     errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces]
     bad = {error.place.file for error in errors}
+    usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
         if file not in bad:
-            result(f"ok {file}: {_words(list(scenarios))}")
+            in_file = [one.scenario for one in scenarios]
+            result(f"ok {file}: {_words(in_file)}")
+            usable_files.append({"file": file, "kind": "scenario", "scenarios": [*map(_data, in_file)]})
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
+        usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
+    document(usable=usable_files)
     if errors:
         mistakes = _count(explain_each(errors), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
@@ -63,13 +75,23 @@ def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
     return space
 
 
-def _words(admitted: Sequence[Checked]) -> str:
+def _data(scenario: Scenario) -> dict[str, object]:
+    return {
+        "scenario": scenario.name,
+        "hands": len(scenario.hands),
+        "claims": [claim.sentence for claim in scenario.claims],
+        "duration_s": scenario.duration_s,
+        "avoider": scenario.avoider,
+    }
+
+
+def _words(scenarios: Sequence[Scenario]) -> str:
     """What a file holds: ``2 hands, 3 claims, 8 s``; for a matrix the number of its scenarios as well."""
-    scenario = admitted[0].scenario
+    scenario = scenarios[0]
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
     words += [f"{scenario.duration_s:g} s", scenario.avoider]
-    if len(admitted) > 1:
-        words.insert(0, _count(len(admitted), "scenario"))
+    if len(scenarios) > 1:
+        words.insert(0, _count(len(scenarios), "scenario"))
     return ", ".join(words)
 
 

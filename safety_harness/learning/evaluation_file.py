@@ -128,11 +128,11 @@ def figures_of(
     return figures, remarks
 
 
-def write_evaluation(
-    out: Path, loaded: list[LoadedModel], figures: list[Figures], remarks: list[str], samples: int, seed: int
-) -> None:
-    """Everything, in metres, as JSON; OutputError if it cannot be written."""
-    document = {
+def evaluation_data(
+    loaded: list[LoadedModel], figures: list[Figures], remarks: list[str], samples: int, seed: int
+) -> dict[str, Any]:
+    """Everything, in metres, for JSON."""
+    return {
         "schema": SCHEMA,
         "package_version": metadata.version("safety-harness"),
         "source_hash": source_hash(),
@@ -152,8 +152,12 @@ def write_evaluation(
             for one in loaded
         ],
     }
+
+
+def write_evaluation(out: Path, found: dict[str, Any]) -> None:
+    """Write what ``evaluation_data`` gave; OutputError if it cannot be written."""
     with writing_to(out):
-        write_whole(out, json.dumps(document, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
+        write_whole(out, json.dumps(found, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
 
 
 def _json_of(figures: Figures) -> dict[str, Any]:

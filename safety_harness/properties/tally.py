@@ -9,7 +9,16 @@ from math import isfinite, nan
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Verdict
 
-HEADINGS = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "worst margin")
+HEADINGS = (
+    "claim",
+    "runs",
+    "exercised",
+    "occasions",
+    "holds",
+    "violated",
+    "inconclusive",
+    "worst margin",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,13 +102,18 @@ def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:
     """The tallies as lines of text of a terminal; what was never put to the test is marked."""
     if not tallies:
         return []
-    rows = [("claim", *HEADINGS), *(_cells(tally) for tally in tallies)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    rows = [HEADINGS, *table_rows(tallies)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS) - 1)]
     lines = []
     for first, *numbers, worst in rows:
         aligned = "  ".join(number.rjust(width) for number, width in zip(numbers, widths[1:], strict=True))
         lines.append(f"{first:<{widths[0]}}  {aligned}  {worst}")
     return lines
+
+
+def table_rows(tallies: Sequence[ClaimTally]) -> list[tuple[str, ...]]:
+    """Under HEADINGS; what was never put to the test is marked."""
+    return [_cells(tally) for tally in tallies]
 
 
 def _cells(tally: ClaimTally) -> tuple[str, ...]:

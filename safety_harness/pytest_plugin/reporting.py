@@ -24,7 +24,7 @@ from safety_harness.pytest_plugin.plugin import explained
 from safety_harness.pytest_plugin.running import Payload, packed, unpacked
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import write_report
-from safety_harness.report.machine import write_json
+from safety_harness.report.machine import report_data, write_json
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
@@ -67,7 +67,7 @@ def write_reports(
             generated_at=datetime.now(UTC),
             coverage=coverage,
         )
-        write_json(file.with_suffix(".json"), runs, interrupted=not whole, coverage=coverage)
+        write_json(file.with_suffix(".json"), report_data(runs, interrupted=not whole, coverage=coverage))
     except OSError as error:
         return f"no report: {error}"
     except InputError as error:

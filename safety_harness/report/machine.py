@@ -36,8 +36,12 @@ SI_UNITS = {
 }
 
 
-def write_json(
-    path: Path,
+def write_json(path: Path, found: dict[str, Any]) -> None:
+    """Write what ``report_data`` found to ``path``, whole or not at all.  Raises OSError."""
+    write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
+
+
+def report_data(
     runs: Sequence[JudgedRun],
     *,
     interrupted: bool,
@@ -45,8 +49,8 @@ def write_json(
     skipped: Sequence[NotTaken] = (),
     against: Against | None = None,
     repeated: RepeatabilityResult | None = None,
-) -> None:
-    """Write what came out of ``runs`` to ``path``, whole or not at all.
+) -> dict[str, Any]:
+    """What came out of ``runs``, in types that JSON has.
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
@@ -58,13 +62,13 @@ def write_json(
     finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
-    found = {
+    return {
         "format": FORMAT,
         "interrupted": interrupted,
         "overruling": {
             name: one.named for name, one in overruling_of_each(run.trace for run in runs).items()
         },
-        "runs": [_run(run) for run in runs],
+        "runs": [run_data(run) for run in runs],
         "coverage": [_coverage(tally) for tally in (tallies(runs) if coverage is None else coverage)],
         "skipped": [
             {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
@@ -72,10 +76,10 @@ def write_json(
         "against": None if against is None else against.as_json(),
         "repeatability": None if repeated is None else asdict(repeated),
     }
-    write_whole(path, json.dumps(found, indent=1, allow_nan=False) + "\n")
 
 
-def _run(run: JudgedRun) -> dict[str, Any]:
+def run_data(run: JudgedRun) -> dict[str, Any]:
+    """One run, as ``report_data`` has it."""
     trace, scenario, file = run.trace, run.trace.scenario, run.trace_file
     return {
         "scenario": scenario.name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from math import isfinite
@@ -31,18 +32,25 @@ from safety_harness.whole_file import write_text
 PAGE, COVERAGE = "fuzz.html", "coverage.svg"
 
 
-def write_search(session: SearchSession, attribution: SearchAttribution | None = None) -> None:
+def write_search(
+    session: SearchSession,
+    attribution: SearchAttribution | None = None,
+    on_data: Callable[..., object] = dict,
+) -> None:
     """The three files, in the folder of the session, which keeps what the disk or Ctrl-C says to that.
 
-    With an ``attribution`` all violations are attributed before, which is said.
+    With an ``attribution`` all violations are attributed before, which is said.  ``on_data`` gets what
+    findings.json has, as keywords.
     """
     out, say = session.out, session.output.say
     evidence = evidence_of(session, attribution)
     if evidence.faults is not None:
         say(evidence.faults.words)
+    found = as_json(session.trials, evidence)
+    on_data(**found)
     try:
         with one_more_ctrl_c(say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
-            write_text(out / FINDINGS, json.dumps(as_json(session.trials, evidence), indent=1) + "\n")
+            write_text(out / FINDINGS, json.dumps(found, indent=1) + "\n")
             write_text(out / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
             write_text(out / PAGE, render(evidence))
         say(f"page: {out / PAGE} (for programs: {FINDINGS})")

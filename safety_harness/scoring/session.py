@@ -18,7 +18,7 @@ from safety_harness.scoring.question_file import question_file
 from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.repeats import Subject
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
-from safety_harness.scoring.score import Counts, paced, score, yardsticks
+from safety_harness.scoring.score import YARDSTICKS, Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Objective, Tried, search_region, worst_questions
@@ -40,7 +40,7 @@ class ScoringSession:
     """What is asked for; ``questions`` None: as many as the avoider's pace allows.
 
     ``regions`` by name and ``spaces`` by file; neither: all regions that have a name.  ``on_step`` is told
-    what comes.
+    what comes, and what share of the steps is done.
     """
 
     references: Sequence[str]
@@ -51,8 +51,10 @@ class ScoringSession:
     regions: Sequence[str] = ()
     spaces: Sequence[Path] = ()
     against: str | None = None
-    on_step: Callable[[str], object] = print
+    on_step: Callable[[str, float], object] = print
     scored: Scored = field(init=False)
+    _steps: int = field(default=0, init=False)
+    _steps_done: int = field(default=0, init=False)
     _cards: dict[tuple[object, ...], tuple[Scorecard, ...]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
@@ -65,6 +67,11 @@ class ScoringSession:
             (Subject.of(one, AVOIDER), self._regions(one)) for one in self.references
         ]  # every mistake before anything is asked
         other = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+        for _, regions in subjects:
+            searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
+            of_score = 2 + len(regions)
+            self._steps += len(YARDSTICKS) + of_score + searched
+            self._steps += 0 if other is None else 1 + of_score
         try:
             for subject, regions in subjects:
                 try:
@@ -74,6 +81,11 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.interrupted = True
         return self.scored
+
+    def _step(self, words: str) -> None:
+        """The next begins; yardsticks that are known already take no steps."""
+        self.on_step(words, min(self._steps_done / self._steps, 0.99))
+        self._steps_done += 1
 
     def _seen(self, reference: str) -> Seen:
         return seen_by(reference, folder=None, settings=DEFAULTS)
@@ -90,10 +102,9 @@ class ScoringSession:
     def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None) -> None:
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
-        step = self.on_step
 
         def told(what: str) -> None:
-            step(f"{reference}: {what}")
+            self._step(f"{reference}: {what}")
 
         cards = self._yardsticks(regions, counts)
         beside: Scorecard | None = None
@@ -136,7 +147,7 @@ class ScoringSession:
         """Once for avoiders that are asked the same."""
         key = (counts, *(region.about for region in regions))
         if key not in self._cards:
-            self._cards[key] = yardsticks(regions, seed=self.seed, counts=counts, on_step=self.on_step)
+            self._cards[key] = yardsticks(regions, seed=self.seed, counts=counts, on_step=self._step)
         return self._cards[key]
 
     def _search(

@@ -195,20 +195,6 @@ def summary(tally: SelfTestTally) -> str:
     return words
 
 
-def lines(head: Sequence[str], rows: Sequence[Sequence[str]], most: int = 60) -> list[str]:
-    """Aligned columns for a terminal; long cells are cut.  None without rows."""
-    if not rows:
-        return []
-    cells = [
-        [cell if len(cell) <= most else cell[: most - 3] + "..." for cell in one] for one in (head, *rows)
-    ]
-    widths = [max(len(one[column]) for one in cells) for column in range(len(head))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(one, widths, strict=True)).rstrip()
-        for one in cells
-    ]
-
-
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """The same for the docs."""
     written = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.trial import slower_because
@@ -23,7 +24,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.exceptions import Place, SettingsError
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.document import SelfTestRun, write_document, write_page
+from safety_harness.selftest.document import SelfTestRun, document, write_document, write_page
 from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.outcome import FaultOutcome, outcome_of
 from safety_harness.selftest.suite import SelfTestPlan
@@ -75,6 +76,11 @@ class SelfTestSession:
             raise
         except Exception as error:  # what was tried must not be lost for it
             self.broken = f"{type(error).__name__}: {error}, a defect of safety-harness"
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What there is, for JSON."""
+        return document(self.tried, self._about())
 
     def write(self) -> None:
         """JSON of what there is.  Raises OSError."""

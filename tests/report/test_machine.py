@@ -12,11 +12,11 @@ import pytest
 
 from safety_harness.properties.base import Unit
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.machine import SI_UNITS, write_json
+from safety_harness.report.machine import SI_UNITS, report_data, write_json
 
 
 def written(path: Path, *runs: JudgedRun, interrupted: bool = False) -> dict[str, Any]:
-    write_json(path, runs, interrupted=interrupted)
+    write_json(path, report_data(runs, interrupted=interrupted))
 
     def no_constant(text: str) -> float:
         raise AssertionError(f"{text} is not JSON")
@@ -58,7 +58,7 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
 
 def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> None:
     first = factory.violated_run()
-    write_json(tmp_path / "r.json", [first, first], interrupted=False)
+    write_json(tmp_path / "r.json", report_data([first, first], interrupted=False))
     coverage = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))["coverage"]
     assert [row["claim"] for row in coverage] == [e.sentence for e in first.evaluations]
     assert coverage[0] == {
@@ -106,7 +106,9 @@ def test_a_trace_file_that_is_gone_is_an_error_and_leaves_the_old_report(tmp_pat
     path = tmp_path / "r.json"
     before = written(path, factory.holds_run())
     with pytest.raises(FileNotFoundError):
-        write_json(path, [replace(factory.holds_run(), trace_file=tmp_path / "gone")], interrupted=False)
+        write_json(
+            path, report_data([replace(factory.holds_run(), trace_file=tmp_path / "gone")], interrupted=False)
+        )
     assert json.loads(path.read_text(encoding="utf-8")) == before
 
 
