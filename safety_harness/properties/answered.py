@@ -156,7 +156,7 @@ class DecisionTime:
         """Judge each decision."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
         if len(decisions) == 0:
-            return unexercised(self, no_decision(trace))
+            return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")
         took_s = (decisions["tick"] - decisions["asked_tick"]) * period_s
         late = (decisions["proposed_failed"] & Check.LATE) != 0
         took_s = np.where(late, np.maximum(took_s, self.within_s + period_s), took_s)

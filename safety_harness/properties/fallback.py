@@ -290,8 +290,9 @@ class StopsWhereNothingIsReachable:
             findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
         if not findings:
             least = f"with {least_m * 1e3:.1f} mm to spare at {when_s:.3f} s, or more"
-            always = f"one of the two could always be reached, {least}; a start near the end of the reach"
-            found = f"{always} exercises it" if len(trace.decisions) else no_decision(trace)
+            found = f"one of the two could always be reached, {least}; neither within reach exercises it"
+            if len(trace.decisions) == 0:
+                found = f"{no_decision(trace)} if neither can be reached"
             return unexercised(self, found)
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")

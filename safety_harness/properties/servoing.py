@@ -28,7 +28,7 @@ from safety_harness.properties.base import (
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, beside, millimetres, tcp_stood
+from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
@@ -153,10 +153,9 @@ class GainSwitchReached:
         if len(below):
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
             if not above.any():
-                error = beside(float(errors[0]), servo.gain_switch_sse, "", 1.0).strip()
                 reason = (
-                    f"below the switch already when the hands had left: |f - f*|^2 = {error}; at least "
-                    f"{servo.gain_switch_sse:g} then exercises it, the TCP farther from the desired pose"
+                    f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.4g}; at "
+                    f"least {servo.gain_switch_sse:g} then exercises it, the TCP farther from the desired pose"
                 )
         else:
             if left_s >= 0.0:

@@ -114,7 +114,8 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
     It says so too if no answer has both.
     """
     if len(trace.decisions) == 0:
-        return no_decision(trace)
+        wanted = "in doubt, above its threshold" if above else "sure of an answer that can be used"
+        return f"{no_decision(trace)} if the avoider is {wanted}"
     largest_m = trace.decisions["proposed_spread_m"].max(axis=1)
     limit_m = trace.decisions["spread_threshold_m"]
     told = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
