@@ -155,7 +155,7 @@ class GainSwitchReached:
             if not above.any():
                 reason = (
                     f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.4g}; at "
-                    f"least {servo.gain_switch_sse:g} then exercises it, the TCP farther from the desired pose"
+                    f"least {servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
                 )
         else:
             if left_s >= 0.0:
