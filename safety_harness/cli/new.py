@@ -36,7 +36,7 @@ def avoider_of(stem: str) -> str:
     return f"{stem}_avoider.py"
 
 
-def test_of(stem: str) -> str:
+def suite_of(stem: str) -> str:
     """The file of pytest beside a scenario."""
     return f"test_{stem}.py"
 
@@ -53,7 +53,7 @@ TEMPLATES = {
     "log": Template("a recorded hand, from a CSV file", (("recording.csv", recording_of),)),
     "policy": Template(
         "an avoider of your own: a Python file, a scenario and a pytest file",
-        (("avoider.py.txt", avoider_of), ("test_policy.py.txt", test_of)),
+        (("avoider.py.txt", avoider_of), ("test_policy.py.txt", suite_of)),
     ),
 }
 
@@ -144,7 +144,7 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
         "@SCENARIO@": repr(scenario.name),
         "@RECORDING@": recording_of(stem),
         "@AVOIDER@": avoider_of(stem),
-        "@TEST@": test_of(stem),
+        "@TEST@": suite_of(stem),
     }
     pattern = re.compile("|".join(words))
     return {
@@ -177,7 +177,7 @@ def _next(template: str, scenario: Path) -> list[str]:
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
     lines = [f"safety-harness run {file}", f"safety-harness show {file}"]
     if template == "policy":
-        lines.append(f"pytest {shlex.quote(str(scenario.with_name(test_of(stem))))}")
+        lines.append(f"pytest {shlex.quote(str(scenario.with_name(suite_of(stem))))}")
         lines.append(f"safety-harness evaluate {shlex.quote(str(scenario.with_name(avoider_of(stem))))}:Away")
     else:
         lines.append(f"safety-harness run {file} --avoider 'opposite pose'")
