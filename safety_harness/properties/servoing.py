@@ -57,7 +57,9 @@ def busy_to_the_end(trace: Trace) -> str:
     """Why servoing was not free to go on."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
     if not left_m < critical_m:
-        return "the arm gives way to the end of the run; a longer duration exercises it"
+        since_s = trace.time_s[runs_of(gives_way(trace))[0][-1]]
+        gives = f"the arm gives way from {since_s:.3f} s to the end of the run"
+        return f"{gives}; a hand that leaves earlier, or a longer duration, exercises it"
     near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
     return f"{near}; beyond {critical_m * 1e3:g} mm, or a longer duration, exercises it"
 
@@ -154,7 +156,7 @@ class GainSwitchReached:
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
             if not above.any():
                 reason = (
-                    f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.4g}; at "
+                    f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.2g}; at "
                     f"least {servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
                 )
         else:
@@ -170,7 +172,8 @@ class GainSwitchReached:
 
 def longer(trace: Trace, lacked_s: float) -> str:
     """The duration that would decide it."""
-    return f"a duration of {trace.scenario.duration_s + lacked_s + ROUNDED_UP_S:.1f} s exercises it"
+    duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
+    return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
 
 @once_a_trace
