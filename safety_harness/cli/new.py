@@ -126,7 +126,7 @@ def _scenario_file(template: str, file: Path | None) -> Path:
     if file is None:
         return Path(f"{template}.yaml")
     if file.suffix not in SUFFIXES:
-        if file.suffix in (".py", ".csv") or not file.name:
+        if file.suffix in (".py", ".csv") or file.is_dir():
             raise OutputError(place=Place(file=file), expected="a name such as my-cell.yaml", got=str(file))
         file = file.with_name(f"{file.name}.yaml")
     if not file.name.isprintable():

@@ -54,7 +54,11 @@ class Ending:
         terminalreporter.section("safety claims")
         for line in table_lines(self._tallies()):
             say(line)
-        for line in untested_lines(self._tallies()) if self._sent else ():
+        untested = untested_lines(self._tallies())
+        for line in untested and [
+            *untested,
+            "The session has failed: what is never exercised is no evidence.",
+        ]:
             say(line, red=True)
         if self._fallback():
             say(self._fallback(), red=True)
