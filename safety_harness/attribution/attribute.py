@@ -46,7 +46,7 @@ class Outcome(Enum):
         """By the verdict, and by whether an inconclusive one is for want of an occasion."""
         if evaluation.verdict is not Verdict.INCONCLUSIVE:
             return cls.KEPT if evaluation.verdict is Verdict.HOLDS else cls.VIOLATED
-        idle = evaluation.reason.startswith("never exercised") or evaluation.reason == NOT_MODELLED
+        idle = evaluation.reason.startswith(("never exercised", NOT_MODELLED))
         return cls.NO_OCCASION if idle else cls.UNTOLD
 
 

@@ -17,6 +17,7 @@ from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, n
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
+from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
@@ -29,7 +30,7 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (of_scenarios, of_search, of_scoring, of_reports, of_selftest):
+for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")

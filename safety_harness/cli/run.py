@@ -33,7 +33,7 @@ from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import HEADINGS, table_rows
+from safety_harness.properties.tally import HEADINGS, table_rows, untested_lines
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -239,9 +239,10 @@ class RunSession:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
         say(*table(HEADINGS, table_rows(found), named_by=1, to="stderr"))
-        untested = [tally.sentence for tally in found if tally.untested]
-        words = "error: no run put this to the test, and it was expected to tell"
-        say(*(f"{words}: {sentence}" for sentence in untested))
+        untested = untested_lines(found)
+        if untested:
+            say(f"error: {untested[0]}", *untested[1:])
+            say("  What hands do is drawn by: safety-harness show FILE")
         return bool(untested)
 
     def _report(self) -> bool:

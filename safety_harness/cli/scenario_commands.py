@@ -7,58 +7,10 @@ from typing import Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, document, say, verbatim
+from safety_harness.cli.console import AS_EXPECTED, verbatim
 from safety_harness.cli.options import Files, OfAvoider, OfReference, OfWorld, Out, Seed, command
-from safety_harness.exceptions import OutputError, Place
 
 commands = Typer()
-STARTING_FILE = """\
-# A scenario: one thing to try. Every value has its unit; "safety-harness explain KEY" says what a key means.
-# Run it with: safety-harness run {name}
-scenario: a hand reaches past the tool and withdraws
-about: >
-  Say here why one would try this: what could go wrong, and what you would learn from it.
-duration: 6 s
-seed: 1
-
-# Where the tool starts, as an offset from the pose that the servoing should end in.
-# Positions are in the robot's base frame: x forward, y left, z up, origin at the foot of the arm.
-tcp start:
-  offset: [30 mm, -60 mm, 60 mm]
-
-# What proposes where the tool gives way to: a name, FILE.py:NAME, FILE.onnx or FILE.safetensors.
-avoider: mc-dropout
-
-# At most two hands; each does one move after another, then rests.
-hands:
-  - hand: right hand
-    starts at: [1100 mm, -750 mm, 150 mm]
-    elbow towards: [1600 mm, -1200 mm, 300 mm]
-    moves:
-      - wait: 500 ms
-      - move to: [840 mm, -350 mm, 300 mm]
-        speed: 0.6 m/s
-      - wait: 1 s
-      - withdraw: 1.6 m/s
-
-# The camera that watches the hands, and how it errs.
-hand sensor:
-  kind: overhead
-  rate: 30 Hz
-  latency: 33 ms
-
-# Everything else keeps its default; docs/scenario-language.md has them all.
-settings:
-  avoidance:
-    critical distance: 400 mm
-
-# What you claim will come of it: holds, violated or inconclusive.
-claims:
-  hand distance never below 50 mm: holds
-  repulsive poses reachable: holds
-  joint speeds within limits: holds
-  the avoider answered: holds
-"""
 
 
 @command(commands)
@@ -146,27 +98,6 @@ def claims(
     from safety_harness.cli.explain import explain_claims
 
     return explain_claims(words or [])
-
-
-@command(commands)
-def new(
-    file: Annotated[Path, Argument(help="The file to write.")] = Path("scenario.yaml"),
-) -> int:
-    """Write a scenario file with comments to start from; it runs as it is.
-
-    Exit code 0; 2: there is such a file already, or it cannot be written.
-    """
-    try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(STARTING_FILE.format(name=file))
-    except OSError as error:
-        expected, got = "a place that can be written", error.strerror or str(error)
-        if isinstance(error, FileExistsError):
-            expected, got = "a file that is not there yet", "one that is"
-        raise OutputError(place=Place(file=file), expected=expected, got=got) from error
-    document(file=file)
-    say(f"{file} is a scenario; run it with: safety-harness run {file}")
-    return AS_EXPECTED
 
 
 @command(commands, json=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place
+from safety_harness.exceptions import FormulaError, Place
 from safety_harness.formulas.formula import (
     Comparison,
     Formula,
@@ -147,7 +147,7 @@ class _Asked:
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
             count = times_begun(at_ticks.parts[0].bounds.low >= 0.0)
-            untried = f'"{part.trigger}" never holds'
+            untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
         elif isinstance(part, Initially):
             count = int(known[0])
@@ -160,6 +160,19 @@ class _Asked:
             if one.occasions is not None and one.occasions < count:
                 count, untried = one.occasions, one.untried
         return count, untried
+
+    def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
+        """By how little a trigger did not hold, and when; empty where that is no one quantity."""
+        low = at_ticks.bounds.low[: len(self.trace.ticks)]
+        try:
+            unit = unit_of(trigger)
+        except FormulaError:  # of several kinds, which a trigger may mix
+            return ""
+        if not np.isfinite(low).any():
+            return ""
+        tick = int(np.argmax(np.where(np.isfinite(low), low, -np.inf)))
+        lacked = unit.margin_text(-float(low[tick])).removeprefix("+")
+        return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
     def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
         """Inconclusive: something is unknown, or the bounds between the ticks are too wide."""

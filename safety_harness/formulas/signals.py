@@ -31,6 +31,7 @@ from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m
+from safety_harness.properties.unexercised import nearest_of, no_decision, no_hand, no_predicted_hand
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
@@ -102,7 +103,7 @@ def hand_distance(trace: Trace) -> Sampled:
         way_m, slack_m = _ways(trace, paths, hand)
         low[:-1, hand] = np.minimum(low[:-1, hand], _certified(trace, paths, hand))
         high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
-    return _nearest(trace, value, low, high)
+    return _nearest(trace, value, low, high, "the arm's surface")
 
 
 @measure("nearest hand to TCP", LENGTH, "from the TCP to the centre of the nearest true hand")
@@ -120,7 +121,7 @@ def nearest_hand_to_tcp(trace: Trace) -> Sampled:
         way_m = tcp_way_m(trace) + _path_m(trace, paths, hand)[0]
         slack_m = hand_bend_m(trace, paths, hand)
         low[:-1, hand], high[:-1, hand] = tent(value[:, hand], way_m, slack_m)
-    return _nearest(trace, value, low, high)
+    return _nearest(trace, value, low, high, "the TCP")
 
 
 @measure("TCP speed", SPEED, "of the TCP; between ticks the mean speed counts too")
@@ -182,7 +183,7 @@ def image_error(trace: Trace) -> Sampled:
 def spread(trace: Trace) -> Sampled:
     """The largest of the three axes, as the gate takes it."""
     if len(trace.decisions) == 0:
-        return absent(trace, "no decision was made")
+        return absent(trace, f"never exercised: {no_decision(trace)}")
     spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
     if not np.any(np.isfinite(spread_m)):
         return absent(trace, "the avoider says no spread")
@@ -201,13 +202,8 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
     """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
-        return absent(trace, "no hand is ever predicted")
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    return replace(
-        at_ticks(distance_m),
-        occasions=times_begun(distance_m < critical_m),
-        untried=f"no predicted hand comes within {critical_m * 1e3:g} mm",
-    )
+        return absent(trace, f"never exercised: {no_predicted_hand(trace)}")
+    return _coming_near(at_ticks(distance_m), trace, "predicted hand", "the TCP")
 
 
 @measure(
@@ -221,7 +217,7 @@ def prediction_error(trace: Trace) -> Sampled:
     """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
-        return absent(trace, "no hand is ever predicted" if hands else "there is no hand in this scenario")
+        return absent(trace, f"never exercised: {no_predicted_hand(trace) if hands else no_hand(trace)}")
     errors_m = prediction_errors_m(trace)
     tracked = valid[: len(errors_m)]
     value = np.full(len(valid), np.nan)
@@ -256,7 +252,7 @@ deciding = flag("deciding", "a decision is made at this tick")(
 def falling_back(trace: Trace) -> Sampled:
     """While it gives way to the opposite pose, or stops, because of its latest decision."""
     if len(trace.decisions) == 0:
-        return absent(trace, "no decision was made")
+        return absent(trace, f"never exercised: {no_decision(trace)}")
     number = in_force(trace)
     gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
     refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
@@ -277,17 +273,23 @@ def fault_acting(trace: Trace) -> Sampled:
 
 
 def _nearest(
-    trace: Trace, value: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+    trace: Trace,
+    value: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    what: str,
 ) -> Sampled:
     """The nearest of the hands of (n, hands) distances and bounds of them."""
+    nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1))
+    return _coming_near(nearest, trace, "hand", what)
+
+
+def _coming_near(distance: Sampled, trace: Trace, whose: str, what: str) -> Sampled:
+    """The distance of ``whose`` from ``what``, exercised each time that it falls below the critical one."""
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    return Sampled(
-        value=value.min(axis=1),
-        low=low.min(axis=1),
-        high=high.min(axis=1),
-        occasions=times_begun(value.min(axis=1) < critical_m),
-        untried=f"no hand comes within {critical_m * 1e3:g} mm",
-    )
+    times = times_begun(distance.value < critical_m)
+    untried = "" if times else nearest_of(trace, distance.value, critical_m, whose, what)
+    return replace(distance, occasions=times, untried=untried)
 
 
 def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

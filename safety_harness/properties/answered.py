@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.unexercised import no_decision, unexercised
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import TIME
@@ -42,11 +43,17 @@ class AvoiderAnswered:
         own, silent = _own(trace), unanswered(trace)
         asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
         if asked == 0:
-            return inconclusive(self, "never asked")
+            return unexercised(self, self._never_asked(trace))
         first = int(np.argmax(silent if missing else own))
         why = f"; first: {_words(trace, first)}" if missing else ""
         reason = f"{missing} of {asked} questions without a usable answer{why}"
         return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=asked)
+
+    def _never_asked(self, trace: Trace) -> str:
+        suppressed = len(trace.decisions)
+        if suppressed == 0:
+            return no_decision(trace)
+        return f"answers that a fault of the scenario kept away: all {suppressed}; another one exercises it"
 
 
 def unanswered(trace: Trace) -> NDArray[np.bool_]:
@@ -149,14 +156,14 @@ class DecisionTime:
         """Judge each decision."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
         if len(decisions) == 0:
-            return inconclusive(self, "never exercised: nothing was decided")
+            return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")
         took_s = (decisions["tick"] - decisions["asked_tick"]) * period_s
         late = (decisions["proposed_failed"] & Check.LATE) != 0
         took_s = np.where(late, np.maximum(took_s, self.within_s + period_s), took_s)
         worst = int(np.argmax(took_s))
         free = np.count_nonzero(~late & (decisions["decision_time_s"] == 0.0))
         if free and not took_s[worst] > self.within_s:
-            return inconclusive(self, NOT_MODELLED)
+            return inconclusive(self, f"{NOT_MODELLED}; a decision time in the settings exercises it")
         reason = f"slowest {took_s[worst] * 1e3:.1f} ms, median {np.median(took_s) * 1e3:.1f} ms"
         if late.any():
             reason = f"{np.count_nonzero(late)} of {len(late)} were never answered"

@@ -240,13 +240,20 @@ def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
 
 
 def judged(
-    prop: Property, trace: Trace, margin: float, worst_time_s: float, reason: str, exercised: int
+    prop: Property,
+    trace: Trace,
+    margin: float,
+    worst_time_s: float,
+    reason: str,
+    exercised: int,
+    lacked: Callable[[], str] | None = None,
 ) -> Evaluation:
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
     Violated when negative; when not, inconclusive if the property was never exercised or if the
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
-    comes from nothing that can have happened and is no evidence at all.
+    comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
+    ``reason``, what it would have taken to exercise it.
     """
     if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
@@ -254,7 +261,7 @@ def judged(
     if margin < 0.0:
         verdict = Verdict.VIOLATED
     elif exercised == 0:
-        verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {reason}"
+        verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {lacked() if lacked else reason}"
     elif not trace.complete:
         verdict, reason = Verdict.INCONCLUSIVE, f"the run was cut short ({trace.ended}): {reason}"
     found = inconclusive(prop, reason, exercised=exercised)

@@ -17,6 +17,7 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_so
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
 from safety_harness.properties.true_motion import arm_of
+from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules
@@ -67,7 +68,7 @@ class ClearWays:
                 return inconclusive(self, f"the position chosen at {decision['time_s']:.3f} s is not finite")
             ways += [planned(trace, number, reach_m), executed(trace, number, reach_m)]
         if not ways:
-            return inconclusive(self, "never exercised: no repulsive position was chosen")
+            return unexercised(self, no_position(trace))
         parts = tuple(self._part(trace, ways, obstacle) for obstacle in range(len(OBSTACLES)))
         unknown = next((part for part in parts if part.margin is None), None)
         worst = unknown or min(parts, key=lambda part: part.margin or 0.0)

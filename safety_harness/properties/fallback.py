@@ -6,6 +6,7 @@ The fallback is there when it is needed, and where there is nothing to give way 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +16,12 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_so
 from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
+from safety_harness.properties.unexercised import (
+    millimetres,
+    no_decision,
+    spread_beside_threshold,
+    unexercised,
+)
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
@@ -59,14 +66,19 @@ def went(
 
 
 def concluded(
-    prop: UncertainFallsBack | CertainIsUsed, trace: Trace, findings: list[Finding], exercised: int, none: str
+    prop: UncertainFallsBack | CertainIsUsed,
+    trace: Trace,
+    findings: list[Finding],
+    exercised: int,
+    none: Callable[[], str],
 ) -> Evaluation:
     """The word on the worst finding; ``none`` says why there is none."""
     if not findings:
-        return inconclusive(prop, f"never exercised: {none}")
+        return unexercised(prop, none())
     worst = worst_of(findings)
     reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
-    return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised)
+    lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
+    return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +120,7 @@ class UncertainFallsBack:
             found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
             findings += found
             exercised += tried
-        return concluded(self, trace, findings, exercised, "no answer was above its threshold")
+        return concluded(self, trace, findings, exercised, lambda: spread_beside_threshold(trace, above=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,10 +139,14 @@ class CertainIsUsed:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
         findings: list[Finding] = []
-        exercised = 0
+        exercised, most_m = 0, -np.inf
         for number, decision in enumerate(trace.decisions):
             proposed = decision["proposed_position_in_base_m"]
-            if has_doubt(decision) is not False or not spare_m(trace, decision, proposed) >= SAME_M:
+            if has_doubt(decision) is not False:
+                continue
+            to_spare_m = spare_m(trace, decision, proposed)
+            most_m = max(most_m, to_spare_m)
+            if not to_spare_m >= SAME_M:
                 continue
             if decision["outcome"] == DecisionOutcome.STOP:
                 tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
@@ -141,7 +157,14 @@ class CertainIsUsed:
             found, tried = went(trace, number, proposed, 0, "the proposed position")
             findings += found
             exercised += tried
-        return concluded(self, trace, findings, exercised, "no answer was certain and could be used")
+
+        def none() -> str:
+            if not np.isfinite(most_m):
+                return spread_beside_threshold(trace, above=False)
+            had = f"the certain answers had {millimetres(most_m, SAME_M)} to spare at most"
+            return f"{had}; {SAME_M * 1e3:g} mm within reach, and away from hands and robot, exercises it"
+
+        return concluded(self, trace, findings, exercised, none)
 
 
 UNCERTAIN = CatalogueEntry(
@@ -190,7 +213,7 @@ class FallbackPoses:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the fallback pose of every decision."""
         if len(trace.decisions) == 0:
-            return inconclusive(self, "never exercised: no decision was made")
+            return unexercised(self, no_decision(trace))
         reachable = [
             Finding(reach_m(trace, one, one["opposite_position_in_base_m"]), float(one["time_s"]), "")
             for one in trace.decisions
@@ -256,14 +279,21 @@ class StopsWhereNothingIsReachable:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision that left nothing."""
         findings: list[Finding] = []
+        least_m, when_s = np.inf, 0.0
         for decision in trace.decisions:
             answers = (decision["proposed_position_in_base_m"], opposite_position(trace, decision))
-            if any(reach_m(trace, decision, position) >= -BEYOND_DOUBT_M for position in answers):
+            farthest_m = max(reach_m(trace, decision, position) for position in answers)
+            if farthest_m >= -BEYOND_DOUBT_M:
+                least_m, when_s = min((least_m, when_s), (farthest_m, float(decision["time_s"])))
                 continue
             left_m = stopped_m(trace, int(decision["tick"]))
             findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
         if not findings:
-            return inconclusive(self, "never exercised: one of the two could always be reached")
+            least = f"with {least_m * 1e3:.1f} mm to spare at {when_s:.3f} s, or more"
+            found = f"one of the two could always be reached, {least}; neither within reach exercises it"
+            if len(trace.decisions) == 0:
+                found = f"{no_decision(trace)} if neither can be reached"
+            return unexercised(self, found)
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
         return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.unexercised import nearest_of, no_hand, no_position, no_time, unexercised
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
@@ -89,6 +90,7 @@ class MovesAway:
         """Judge each decision's planned and executed way."""
         findings: list[Finding] = []
         made = exercised = 0
+        longest_m, nearest_m = 0.0, np.full(len(trace.ticks), np.inf)
         before: RepulsionProgress | None = None
         for number, decision in enumerate(trace.decisions):
             if decision["outcome"] == DecisionOutcome.STOP:
@@ -98,6 +100,7 @@ class MovesAway:
             apart_m = np.linalg.norm(
                 tick["hand_position_in_base_m"] - tick["transform_tcp_to_base"][:3, 3], axis=1
             )
+            nearest_m[decision["tick"]] = np.min(apart_m, where=tick["hand_present"], initial=np.inf)
             hands = np.flatnonzero(tick["hand_present"] & ~(apart_m >= self.nearer_m))
             if len(hands) == 0:
                 continue  # nobody there to move away from
@@ -108,17 +111,25 @@ class MovesAway:
             goes_on = before is not None and decision["trigger"] == Trigger.ANOTHER_HAND
             done = progress(trace, decision, last, before if goes_on else None)
             exercised += done.due_m >= LEAST_WAY_M
+            longest_m = max(longest_m, done.due_m)
             before = done
             for hand in hands:
                 findings.extend(away_from(trace, decision, int(hand), last, self.tolerance_m))
             findings.extend(given(trace, number, last, done))
         if not findings:
-            return inconclusive(
-                self, f"never exercised: {'no hand was there' if made else 'the arm never gave way'}"
-            )
+            far = nearest_of(trace, nearest_m, self.nearer_m, "hand at a decision") or no_hand(trace)
+            return unexercised(self, far if made else no_position(trace))
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {made}" if made > 1 else "")
-        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised)
+        return judged(
+            self,
+            trace,
+            worst.margin_m,
+            worst.time_s,
+            reason,
+            exercised,
+            lambda: no_time(longest_m, LEAST_WAY_M),
+        )
 
 
 def last_tick(trace: Trace, number: int) -> int:

@@ -20,6 +20,7 @@ from safety_harness.properties.true_motion import (
     hand_paths,
     true_motion,
 )
+from safety_harness.properties.unexercised import nearest_of, no_hand
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.distance import hand_distance, place_capsules
@@ -69,17 +70,22 @@ class HandDistance:
         if paths is None:
             return inconclusive(self, why)
         distance_m, time_s, hand = closest_approach(trace, paths)
-        near = true_motion(trace).nearest_m < self.near_m
+        nearest_m = true_motion(trace).nearest_m
         name = trace.scenario.hands[hand].name
         part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
         reason = f"{name}: {_words(distance_m)} {part}"
-        return judged(self, trace, distance_m - self.minimum_m, time_s, reason, times_begun(near))
+        margin_m, times = distance_m - self.minimum_m, times_begun(nearest_m < self.near_m)
+
+        def lacked() -> str:
+            return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
+
+        return judged(self, trace, margin_m, time_s, reason, times, lacked)
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
     """The ways of the hands, or why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
-        return None, "there is no hand in this scenario"
+        return None, f"never exercised: {no_hand(trace)}"
     if _farthest_turn_rad(true_motion(trace).joints_rad) > TURNED_RAD:
         return None, "a joint has turned further than any arm can"
     paths = hand_paths(trace)

@@ -12,6 +12,7 @@ from safety_harness.compiled import compiled
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import true_motion
+from safety_harness.properties.unexercised import no_hand, unexercised
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import MAX_TRACKS
 from safety_harness.trace.trace import Trace
@@ -38,13 +39,13 @@ class HandPredictions:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
         if not trace.scenario.hands:
-            return inconclusive(self, "there is no hand in this scenario")
+            return unexercised(self, no_hand(trace))
         errors_m = prediction_errors_m(trace)  # (k, tracks)
         found_m, worst, unknown = _tracked(errors_m, trace.ticks["track_valid"])
         if unknown >= 0:
             return inconclusive(self, f"a prediction is not finite from {trace.time_s[unknown]:.3f} s")
         if len(found_m) == 0:
-            return inconclusive(self, "never exercised: no hand was tracked")
+            return unexercised(self, self._untracked(trace))
         tick, track = divmod(worst, errors_m.shape[1])
         found_m.sort()
         median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
@@ -54,6 +55,12 @@ class HandPredictions:
             f"predicted for {then_s:.3f} s, off by {error_m * 1e3:.1f} mm; median {median_m * 1e3:.1f} mm"
         )
         return judged(self, trace, self.maximum_m - error_m, trace.time_s[tick], reason, len(found_m))
+
+    def _untracked(self, trace: Trace) -> str:
+        horizon_ms = trace.scenario.settings.hand_filter.prediction_horizon_s * 1e3
+        seen = np.flatnonzero(trace.ticks["track_valid"].any(axis=1))
+        what = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
+        return f"a hand was {what}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:

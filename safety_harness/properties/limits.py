@@ -13,13 +13,13 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, judge
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.separation import faster_mps
 from safety_harness.properties.true_motion import arm_of, true_motion
+from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.scenario.units import ACCELERATION, ANGULAR_ACCELERATION, SPEED
 from safety_harness.trace.trace import Trace
 
-MOVES = 1e-3  # m/s and rad/s: what is slower stands
 ROUNDING_MPS = 1e-9  # by which a bound, computed otherwise, may be off
 
 
@@ -58,7 +58,8 @@ class JointSpeedLimits:
         left_radps, tick, joint, turning = _least_speed_left(
             true.joints_rad, true.rates_radps, trace.time_s, arm.velocity_limit_radps
         )
-        return judged(self, trace, left_radps, trace.time_s[tick], arm.joint_names[joint], turning)
+        name = arm.joint_names[joint]
+        return judged(self, trace, left_radps, trace.time_s[tick], name, turning, lambda: joints_stood(trace))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +84,8 @@ class TcpSpeedLimit:
             trace.ticks["tcp_speed_mps"], true_motion(trace).tcp_m, trace.time_s
         )
         reason = f"fastest {fastest_mps * 1e3:.1f} mm/s"
-        return judged(self, trace, self.maximum_mps - fastest_mps, trace.time_s[tick], reason, moving)
+        margin_mps = self.maximum_mps - fastest_mps
+        return judged(self, trace, margin_mps, trace.time_s[tick], reason, moving, lambda: tcp_stood(trace))
 
 
 @compiled
@@ -200,7 +202,10 @@ class JointAccelerations:
         hardest_radps2, tick, joint, turning = _hardest_of_joints(true_motion(trace).rates_radps, period_s)
         name = load_arm(trace.scenario.robot.arm_name).joint_names[joint]
         reason = f"{name} {np.degrees(hardest_radps2):.0f} deg/s2"
-        return judged(self, trace, self.maximum_radps2 - hardest_radps2, trace.time_s[tick], reason, turning)
+        margin_radps2 = self.maximum_radps2 - hardest_radps2
+        return judged(
+            self, trace, margin_radps2, trace.time_s[tick], reason, turning, lambda: joints_stood(trace)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +233,8 @@ class TcpAcceleration:
         hardest_mps2 = change_mps / trace.scenario.settings.clock.control_period_s
         moving = int(np.count_nonzero(trace.ticks["tcp_speed_mps"] > MOVES))
         reason = f"largest {hardest_mps2:.2f} m/s2"
-        return judged(self, trace, self.maximum_mps2 - hardest_mps2, trace.time_s[tick], reason, moving)
+        margin_mps2 = self.maximum_mps2 - hardest_mps2
+        return judged(self, trace, margin_mps2, trace.time_s[tick], reason, moving, lambda: tcp_stood(trace))
 
 
 @compiled

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged, readable
 from safety_harness.properties.clear_ways import clearances_m
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
+from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics, straight_way
 from safety_harness.trace.records import DecisionOutcome, Mode
@@ -153,7 +154,7 @@ class RepulsivePosesReachable:
             if not margin >= worst:
                 worst, worst_time_s = margin, float(decision["time_s"])
         if count == 0:
-            return inconclusive(self, "never exercised: no repulsive position was asked for")
+            return unexercised(self, no_position(trace))
         reason = f"worst of {count}" if count > 1 else "one position"
         return judged(self, trace, worst, worst_time_s, reason, exercised=count)
 

@@ -18,19 +18,18 @@ from safety_harness.properties.base import (
     Evaluation,
     Property,
     Unit,
-    inconclusive,
     is_somewhere,
     judged,
     readable,
 )
 from safety_harness.properties.entry import CatalogueEntry, quantity, share
+from safety_harness.properties.unexercised import no_answer, spread_beside_threshold, unexercised
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.overruling import Overruling, answered, overruled
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m")
-NEVER = "the avoider never answered"
 
 
 @once_a_trace
@@ -69,7 +68,7 @@ def worst(
     The reason is ``shown_m`` of it, in mm, and ``what`` that is.
     """
     if len(found) == 0:
-        return inconclusive(prop, f"never exercised: {NEVER}")
+        return unexercised(prop, no_answer(trace))
     at = int(np.argmin(margins_m))  # the first NaN, if there is one
     reason = f"{shown_m[at] * 1e3:.1f} mm {what}" + (f", worst of {len(found)}" if len(found) > 1 else "")
     return judged(prop, trace, float(margins_m[at]), float(found["time_s"][at]), reason, len(found))
@@ -148,7 +147,7 @@ class WithinSpread:
         found = proposals(trace)
         spread_m = np.minimum(found["proposed_spread_m"], ENDLESS)
         if len(found) and np.isnan(found["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
-            return inconclusive(self, "never exercised: the avoider gives no spread")
+            return unexercised(self, "the avoider gives no spread; one that does exercises it")
         errors_m = np.abs(found["proposed_position_in_base_m"] - optima_in_base_m(trace, found))  # (m, 3)
         margins_m = self.spreads * spread_m + self.allowance_m - errors_m
         axis = np.argmin(margins_m, axis=1)[:, None]
@@ -178,7 +177,7 @@ class NeverSureAndOff:
         found = proposals(trace)
         sure = found[is_sure(found["proposed_spread_m"], found["spread_threshold_m"])]
         if len(found) and not len(sure):
-            return inconclusive(self, "never exercised: the avoider was never sure")
+            return unexercised(self, spread_beside_threshold(trace, above=False))
         error_m = off_m(sure["proposed_position_in_base_m"], optima_in_base_m(trace, sure))
         return worst(self, trace, sure, self.within_m - error_m, error_m, "from the optimum, and sure")
 
@@ -203,7 +202,7 @@ class FewOverruled:
         """Judge the run as a whole."""
         found = Overruling.of([trace])
         if found.proposals == 0:
-            return inconclusive(self, f"never exercised: {NEVER}")
+            return unexercised(self, no_answer(trace))
         why = ", ".join(f"{check.name} {n}" for check, n in found.reasons.items()).lower().replace("_", " ")
         reason = f"{found.overruled} of {found.proposals} overruled" + (f" ({why})" if why else "")
         first = int(np.argmax(overruled(trace) if found.overruled else answered(trace)))

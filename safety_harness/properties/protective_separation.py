@@ -13,7 +13,6 @@ from safety_harness.properties.base import (
     OF_HANDS,
     Evaluation,
     Unit,
-    inconclusive,
     judged,
     readable,
     runs_of,
@@ -28,6 +27,7 @@ from safety_harness.properties.separation import (
     lengths,
 )
 from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
+from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, no_hand, unexercised
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
 from safety_harness.trace.records import Limit
@@ -74,13 +74,19 @@ class ProtectiveSeparation:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the pair that has least to spare."""
         if not trace.scenario.hands:
-            return inconclusive(self, "there is no hand in this scenario")
+            return unexercised(self, no_hand(trace))
         worst = self.worst(trace)
         if worst is None:
-            return inconclusive(self, "never exercised: the arm did not move while a hand was there")
-        near = moving(trace) & (true_motion(trace).nearest_m < self.largest_m(trace.scenario.settings))
-        reason = described(trace, worst)
-        return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times_begun(near))
+            stood = "the arm did not move while a hand was there; one that moves exercises it"
+            return unexercised(self, f"{stood}: {OFF_THE_GOAL}")
+        nearest_m = np.where(moving(trace), true_motion(trace).nearest_m, np.inf)
+        near_m = self.largest_m(trace.scenario.settings)
+
+        def lacked() -> str:
+            return nearest_of(trace, nearest_m, near_m, "hand", "the moving arm's surface")
+
+        reason, times = described(trace, worst), times_begun(nearest_m < near_m)
+        return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times, lacked)
 
     def worst(self, trace: Trace) -> Separation | None:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""

@@ -27,6 +27,13 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.properties.unexercised import (
+    millimetres,
+    no_decision,
+    no_near_hand,
+    no_predicted_hand,
+    unexercised,
+)
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH, TIME
 from safety_harness.settings import Settings
@@ -147,7 +154,8 @@ def _judged(
     """By the longest of the stretches in which a hand that came near was not answered."""
     occasions = times_begun(near)
     if occasions == 0:
-        return inconclusive(prop, f"never exercised: no {whose} came within the critical distance")
+        true = isinstance(prop, GivesWayToTrueHand)
+        return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
     longest, since, open_ones = 0, int(np.argmax(near)), 0  # in ticks
     for first, end in unanswered:
         took = min(end, len(near) - 1) - first
@@ -156,7 +164,9 @@ def _judged(
         elif took > longest:
             longest, since = took, first
     if open_ones == occasions:
-        return inconclusive(prop, "the run ends before the time allowed")
+        had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
+        why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
+        return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
     margin_s = time_left_s(trace, prop.within_s, longest)
     reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
     return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, occasions - open_ones)
@@ -216,7 +226,7 @@ class GivesWayAtMost:
         entered = gives_way_at(trace)
         times = len(entered)
         if times == 0:
-            return inconclusive(self, "never exercised: the arm never gave way")
+            return unexercised(self, no_decision(trace))
         reason = f"gave way {times} times" if times > 1 else "gave way once"
         worst_time_s = trace.time_s[entered[min(times - 1, self.most)]]
         return judged(self, trace, self.most - times, worst_time_s, reason, exercised=times)
@@ -277,7 +287,13 @@ class NoFalseAlarms:
             reason = "nobody" if far else f"nearest hand {nearest_m[worst] * 1e3:.1f} mm from the TCP"
             reason += f", worst of {len(alarms)} alarms" if len(alarms) > 1 else ""
         exercised = int(np.count_nonzero(nearest_m > limit_m))
-        return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised)
+
+        def lacked() -> str:
+            tick = int(np.argmax(nearest_m))
+            far = f"a hand was always near the TCP, at most {millimetres(nearest_m[tick], limit_m)} away, at"
+            return f"{far} {trace.time_s[tick]:.3f} s; beyond {limit_m * 1e3:g} mm exercises it"
+
+        return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised, lacked)
 
     def limit_m(self, settings: Settings) -> float:
         """How far a hand may be that the arm gives way to."""

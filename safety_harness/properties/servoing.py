@@ -28,6 +28,7 @@ from safety_harness.properties.base import (
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
@@ -36,9 +37,9 @@ from safety_harness.trace.trace import Trace, history, once_a_trace
 
 ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
 GRACE_S = 1.0  # for getting up to speed
+ROUNDED_UP_S = 0.1
 LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
 LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
-MOVES_MPS = 1e-3
 
 
 @once_a_trace
@@ -50,6 +51,17 @@ def left_at(trace: Trace) -> int | None:
         return 0
     first = int(busy[-1]) + 1
     return first if first < len(near) else None
+
+
+def busy_to_the_end(trace: Trace) -> str:
+    """Why servoing was not free to go on."""
+    critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
+    if not left_m < critical_m:
+        since_s = trace.time_s[runs_of(gives_way(trace))[0][-1]]
+        gives = f"the arm gives way from {since_s:.3f} s to the end of the run"
+        return f"{gives}; a hand that leaves earlier, or a longer duration, exercises it"
+    near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
+    return f"{near}; beyond {critical_m * 1e3:g} mm, or a longer duration, exercises it"
 
 
 @once_a_trace
@@ -128,7 +140,7 @@ class GainSwitchReached:
         """Judge the first crossing after the hands have left."""
         first = left_at(trace)
         if first is None:
-            return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
+            return inconclusive(self, busy_to_the_end(trace))
         servo = trace.scenario.settings.servo
         sse = history(trace, "sse")[first:]
         errors = _errors(trace)[first:]
@@ -143,15 +155,25 @@ class GainSwitchReached:
         if len(below):
             reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
             if not above.any():
-                reason = "below the switch already when the hands had left"
+                reason = (
+                    f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.2g}; at "
+                    f"least {servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
+                )
         else:
             if left_s >= 0.0:
                 reason = (
-                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
+                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed: "
+                    f"{longer(trace, left_s)}"
                 )
                 return inconclusive(self, reason)
             reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
         return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised=int(above.any()))
+
+
+def longer(trace: Trace, lacked_s: float) -> str:
+    """The duration that would decide it."""
+    duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
+    return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
 
 @once_a_trace
@@ -181,7 +203,7 @@ class Converged:
         """Judge the last tick."""
         first = left_at(trace)
         if first is None:
-            return inconclusive(self, "a hand is near to the end: servoing was not free to go on")
+            return inconclusive(self, busy_to_the_end(trace))
         position = position_errors_m(trace)
         angle_rad = float(angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"][-1:])[0])
         needed_s = self._needed_s(trace, float(position[first]))
@@ -194,9 +216,18 @@ class Converged:
             depth_m = desired_m[2] - settings.object.position_in_base_m[2]
             margin = min(margin, -excess_rad * depth_m)
         if margin < 0.0 and had_s < needed_s:
-            return inconclusive(self, f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s")
+            lacked = f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s"
+            return inconclusive(self, f"{lacked}: {longer(trace, needed_s - had_s)}")
         reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off"
-        return judged(self, trace, margin, trace.time_s[-1], reason, exercised=int(was_off(trace)))
+
+        def lacked() -> str:
+            far = (
+                f"the TCP was {1e3 * position.max():.2g} mm and {np.degrees(pose_errors(trace)[1].max()):.2g}"
+            )
+            limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
+            return f"{far} deg off at most; beyond {limits} exercises it: {OFF_THE_GOAL}"
+
+        return judged(self, trace, margin, trace.time_s[-1], reason, int(was_off(trace)), lacked)
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
         """Closed form from ``distance_m``: fast until the gain switch, slow from there to 1 mm."""
@@ -306,7 +337,8 @@ class NeverStarved:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the whole run."""
         if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
-            return inconclusive(self, "the run is not longer than the task may starve")
+            lasts = f"the run lasts {trace.time_s[-1]:g} s"
+            return inconclusive(self, f"{lasts}; longer than {self.longest_s:g} s exercises it")
         lost, away = lost_ticks(trace)
         worst, exercised = int(np.argmax(lost)), int(np.count_nonzero(away))
         margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
@@ -314,7 +346,14 @@ class NeverStarved:
             reason = f"starved for {trace.time_s[lost[-1]]:.2f} s when the run ends"
             return inconclusive(self, reason, exercised=exercised)
         reason = f"longest {trace.time_s[lost[worst]]:.2f} s"
-        return judged(self, trace, margin_s, trace.time_s[worst], reason, exercised)
+
+        def lacked() -> str:
+            distance_m, angle_rad = (errors.max() for errors in pose_errors(trace))
+            done = np.sqrt(trace.scenario.settings.servo.gain_switch_sse)
+            far = f"the TCP was {distance_m * 1e3:.1f} mm and {np.degrees(angle_rad):.1f} deg off at most"
+            return f"{far}; beyond {done * 1e3:.1f} mm exercises it: {OFF_THE_GOAL}"
+
+        return judged(self, trace, margin_s, trace.time_s[worst], reason, exercised, lacked)
 
 
 def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
@@ -390,13 +429,14 @@ class ObjectInView:
         longest_s = float(times_s[lasted[worst]]) if len(begins) else 0.0
         margin_s = time_left_s(trace, self.within_s, int(lasted[worst]) if len(begins) else 0)
         begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
-        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES_MPS)))
+        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES)))
         if bool(lost[-1]) and margin_s >= 0.0:
             left_s = float(times_s[-1] - times_s[begins[-1]])
             reason = f"the object has been out of view for {left_s:.2f} s when the run ends"
             return inconclusive(self, reason, exercised=exercised)
         worst_time_s = begun_s + min(longest_s, self.within_s)
-        return judged(self, trace, margin_s, worst_time_s, _words(len(begins), longest_s), exercised)
+        reason = _words(len(begins), longest_s)
+        return judged(self, trace, margin_s, worst_time_s, reason, exercised, lambda: tcp_stood(trace))
 
 
 def _words(losses: int, longest_s: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import inf, isfinite, nan
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Verdict
@@ -41,7 +41,8 @@ class ClaimTally:
     ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
     ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
     expected a verdict that says something (holds or violated), and in none of those runs was there
-    anything to say.  A violation counts as a test, whatever the occasions.
+    anything to say; ``nearest`` is then the one of them with the least margin, else the first.  A violation
+    counts as a test, whatever the occasions.
     """
 
     sentence: str
@@ -52,7 +53,12 @@ class ClaimTally:
     violated: int
     inconclusive: int
     worst: Judged | None
-    untested: bool
+    nearest: Judged | None = None
+
+    @property
+    def untested(self) -> bool:
+        """Was it expected to tell something, and never exercised?"""
+        return self.nearest is not None
 
     @property
     def worst_words(self) -> str:
@@ -75,7 +81,8 @@ def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
 def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
     evaluations = [one.evaluation for one in found]
     verdicts = [evaluation.verdict for evaluation in evaluations]
-    conclusive = [one.evaluation for one in found if one.expected is not Verdict.INCONCLUSIVE]
+    conclusive = [one for one in found if one.expected is not Verdict.INCONCLUSIVE]
+    untested = bool(conclusive) and not any(_tested(one.evaluation) for one in conclusive)
     finite = [one for one in found if isfinite(_margin(one))]
     return ClaimTally(
         sentence=sentence,
@@ -86,7 +93,7 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
         violated=verdicts.count(Verdict.VIOLATED),
         inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
         worst=min(finite, key=_margin, default=None),
-        untested=bool(conclusive) and not any(_tested(evaluation) for evaluation in conclusive),
+        nearest=min(conclusive, key=_margin_or_inf) if untested else None,
     )
 
 
@@ -96,6 +103,22 @@ def _tested(evaluation: Evaluation) -> bool:
 
 def _margin(one: Judged) -> float:
     return nan if one.evaluation.margin is None else one.evaluation.margin
+
+
+def _margin_or_inf(one: Judged) -> float:
+    return _margin(one) if isfinite(_margin(one)) else inf
+
+
+def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
+    """How many claims were never exercised, and of each what the run that came nearest lacked."""
+    untested = [(tally.sentence, tally.nearest) for tally in tallies if tally.nearest is not None]
+    if not untested:
+        return []
+    count = f"{len(untested)} of {len(tallies)} {'claim was' if len(tallies) == 1 else 'claims were'}"
+    lines = [f"{count} never exercised, and nothing is shown of:"]
+    for sentence, nearest in untested:
+        lines += [f"  {sentence}", f"    {nearest.run}: {nearest.evaluation.reason}"]
+    return lines
 
 
 def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:

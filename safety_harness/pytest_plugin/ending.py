@@ -48,14 +48,18 @@ class Ending:
         """The table of claims, the kept failures, the seed."""
         if not self._sent:
             return
-        from safety_harness.properties.tally import table_lines
+        from safety_harness.properties.tally import table_lines, untested_lines
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
         for line in table_lines(self._tallies()):
             say(line)
-        for sentence in self._untested():
-            say(f"never put to the test: {sentence}; the session has failed", red=True)
+        untested = untested_lines(self._tallies())
+        for line in untested and [
+            *untested,
+            "The session has failed: what is never exercised is no evidence.",
+        ]:
+            say(line, red=True)
         if self._fallback():
             say(self._fallback(), red=True)
         for line in (

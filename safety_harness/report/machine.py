@@ -135,6 +135,7 @@ def _coverage(tally: ClaimTally) -> dict[str, Any]:
         "worst_margin_si": _number(worst.evaluation.margin) if worst else None,
         "worst_scenario": worst.run if worst else None,
         "untested": tally.untested,
+        "untested_for": tally.nearest.evaluation.reason if tally.nearest else None,
     }
 
 

@@ -13,9 +13,8 @@ from safety_harness.cli.fmt import format_files
 from safety_harness.cli.main import app
 from safety_harness.cli.scenario_commands import explain as explain_key
 from safety_harness.cli.scenario_commands import judge as judge_again
-from safety_harness.cli.scenario_commands import new, replay, run
+from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.validate import validate
-from safety_harness.scenario.layout import laid_out
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema
@@ -177,29 +176,13 @@ def test_every_example_of_a_setting_can_be_read() -> None:
                     parse_scenario(f"{base}{start}\n{key.lines}\n")
 
 
-def test_new_writes_a_file_that_runs_as_it_is_and_is_laid_out_well(tmp_path: Path, capsys: Captured) -> None:
-    file = tmp_path / "mine.yaml"
-    assert new(file) == AS_EXPECTED
-    assert f"safety-harness run {file}" in file.read_text()
-    assert laid_out(file.read_text()) == file.read_text()
-    assert run([file], tmp_path / "out") == AS_EXPECTED
-
-
-def test_new_overwrites_nothing(tmp_path: Path, capsys: Captured) -> None:
-    write(tmp_path, mine="keep me\n")
-    assert new(tmp_path / "mine.yaml") == BAD_INPUT
-    assert (tmp_path / "mine.yaml").read_text() == "keep me\n"
-    assert new(tmp_path / "gone" / "mine.yaml") == BAD_INPUT
-    assert "Traceback" not in capsys.readouterr().err
-
-
 def test_the_schema_is_printed_as_json() -> None:
     done = CliRunner().invoke(app, ["schema"])
     assert done.exit_code == AS_EXPECTED
     assert json.loads(done.stdout) == scenario_schema()
 
 
-@pytest.mark.parametrize("command", ["validate", "fmt", "explain", "new", "schema"])
+@pytest.mark.parametrize("command", ["validate", "fmt", "explain", "schema"])
 def test_help_teaches_exit_codes(command: str) -> None:
     done = CliRunner().invoke(app, [command, "--help"])
     assert "Exit code 0" in " ".join(done.stdout.split())
@@ -211,4 +194,3 @@ def test_the_commands_reach_their_functions(tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["validate", file]).exit_code == AS_EXPECTED
     assert CliRunner().invoke(app, ["fmt", "--check", file]).exit_code == AS_EXPECTED
     assert CliRunner().invoke(app, ["explain", "seed"]).exit_code == AS_EXPECTED
-    assert CliRunner().invoke(app, ["new", file]).exit_code == BAD_INPUT

@@ -141,13 +141,14 @@ def test_what_is_not_known_at_one_tick_is_said_with_its_time(visit: Trace) -> No
 
 
 def test_a_signal_that_there_is_not_makes_no_evidence(alone: Trace) -> None:
+    nobody = "never exercised: there is no hand in this scenario; one within 400 mm of the TCP exercises it"
     for sentence, why in {
-        "always hand distance > 50 mm": "there is no hand in this scenario",
-        "not nearest hand to TCP < 50 mm": "there is no hand in this scenario",
-        "predicted hand distance > 50 mm": "no hand is ever predicted",
-        "prediction error < 50 mm": "there is no hand in this scenario",
-        "whenever deciding then spread < 50 mm": "no decision was made",
-        "not falling back": "no decision was made",
+        "always hand distance > 50 mm": nobody,
+        "not nearest hand to TCP < 50 mm": nobody,
+        "predicted hand distance > 50 mm": nobody,
+        "prediction error < 50 mm": nobody,
+        "whenever deciding then spread < 50 mm": nobody,
+        "not falling back": nobody,
         "not fault acting": "there is no fault in this scenario",
     }.items():
         evaluation = judged(sentence, alone)
@@ -158,7 +159,9 @@ def test_a_hand_that_stays_away_puts_nothing_to_the_test() -> None:
     far = run(scenario(replace(VISIT, moves=VISIT.moves[1:2]), duration_s=0.2))
     evaluation = judged("always hand distance > 50 mm", far)
     assert evaluation.verdict is INCONCLUSIVE
-    assert evaluation.reason.startswith("never exercised: no hand comes within")
+    assert evaluation.reason.startswith(
+        "never exercised: the nearest hand came to 654.9 mm of the arm's surface"
+    )
 
 
 def test_a_trigger_that_never_comes_is_no_evidence(visit: Trace) -> None:
@@ -177,6 +180,15 @@ def test_a_margin_of_whenever_is_the_worst_of_the_response_where_it_is_asked(vis
     assert evaluation.verdict is VIOLATED
     assert evaluation.margin == pytest.approx(slowest, abs=5e-3)  # the mean between two ticks counts too
     assert evaluation.unit is Unit.SPEED
+
+
+def test_a_trigger_that_never_comes_says_by_how_little(visit: Trace) -> None:
+    nearest_m = visit.ticks["hand_distance_m"].min()
+    never = judged("whenever hand distance < 100 mm then stopped", visit)
+    lacked = f"it lacked at least {(nearest_m - 0.1) * 1e3:.1f} mm"
+    assert never.reason.startswith(f'never exercised: "hand distance < 100 mm" never holds: {lacked}, at ')
+    mixed = judged("whenever hand distance < 100 mm and TCP speed < 1 mm/s then stopped", visit)
+    assert mixed.reason.endswith("never holds")
 
 
 def test_until_that_has_ended_before_it_began_is_no_evidence(visit: Trace) -> None:

@@ -67,7 +67,8 @@ def test_an_answer_that_never_came_is_late_however_much_time_was_allowed() -> No
 def test_a_decision_that_costs_nothing_shows_nothing() -> None:
     for trace in (ran(), ran(AvoiderNaN()), ran(settings=costing(0.0))):
         found = WITHIN.evaluate(trace)
-        assert (found.verdict, found.reason) == (Verdict.INCONCLUSIVE, "computing time not modelled")
+        assert found.verdict is Verdict.INCONCLUSIVE
+        assert found.reason.startswith("computing time not modelled")
         assert found.exercised == 0
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.tally import Judged, table_lines, tally_claims
+from safety_harness.properties.tally import Judged, table_lines, tally_claims, untested_lines
 from safety_harness.scenario.model import Verdict
 
 SENTENCE = "hand distance never below 50 mm"
@@ -74,7 +74,17 @@ def test_a_claim_is_untested_if_no_run_that_was_expected_to_tell_put_it_to_the_t
 ) -> None:
     (found,) = tally_claims(judged(v, exercised=n, expected=e) for v, n, e in outcomes)
     assert found.untested is untested
+    assert bool(untested_lines([found])) is untested
     assert ("NEVER PUT TO THE TEST" in table_lines([found])[1]) is untested
+
+
+def test_what_was_never_exercised_is_counted_with_what_the_nearest_run_lacked() -> None:
+    every = [judged(U, exercised=0, margin=m, sentence="a") for m in (0.3, 0.1, nan)]
+    tallies = tally_claims([*every, judged(H, exercised=1, sentence="b")])
+    first, *lines = untested_lines(tallies)
+    assert first == "1 of 2 claims were never exercised, and nothing is shown of:"
+    assert tallies[0].nearest == every[1]
+    assert lines == ["  a", f"    {every[1].run}: {every[1].evaluation.reason}"]
 
 
 def test_a_margin_that_is_not_finite_is_never_the_worst() -> None:

@@ -1,0 +1,184 @@
+"""``safety-harness new``: a small file to start from, which runs as it is, and what to type next."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.options import command
+from safety_harness.exceptions import InputError, OutputError, Place
+from safety_harness.scenario.units import near_miss
+
+commands = Typer()
+FOLDER = Path(__file__).parent / "templates"
+SUFFIXES = (".yaml", ".yml")
+
+
+@dataclass(frozen=True)
+class Template:
+    """What a template is of, and the files beside its scenario: (name in ``FOLDER``, name of FILE's stem)."""
+
+    about: str
+    beside: tuple[tuple[str, Callable[[str], str]], ...] = ()
+
+
+def avoider_of(stem: str) -> str:
+    """The file of the avoider beside a scenario."""
+    return f"{stem}_avoider.py"
+
+
+def suite_of(stem: str) -> str:
+    """The file of pytest beside a scenario."""
+    return f"test_{stem}.py"
+
+
+def recording_of(stem: str) -> str:
+    """The recording beside a scenario."""
+    return f"{stem}_recording.csv"
+
+
+TEMPLATES = {
+    "reaching": Template("a hand reaches for the object under the tool"),
+    "handover": Template("a hand is held out to the tool, stays, and leaves"),
+    "two-people": Template("one of two people takes the part, the other's hand is beside it"),
+    "log": Template("a recorded hand, from a CSV file", (("recording.csv", recording_of),)),
+    "policy": Template(
+        "an avoider of your own: a Python file, a scenario and a pytest file",
+        (("avoider.py.txt", avoider_of), ("test_policy.py.txt", suite_of)),
+    ),
+}
+
+
+@command(commands, interrupted="interrupted: nothing was written")
+def new(
+    template: Annotated[
+        str | None, Argument(help=f"One of {', '.join(TEMPLATES)}; asked for if none is given.")
+    ] = None,
+    file: Annotated[Path | None, Argument(help="The scenario file to write; TEMPLATE.yaml if none.")] = None,
+    listed: Annotated[
+        bool, Option("--list", help="Say which templates there are, and write nothing.")
+    ] = False,
+) -> int:
+    """Write a scenario with comments to start from; it runs as it is.
+
+    The template log brings a recording, policy an avoider in Python and a test of it, beside the scenario.
+    Nothing is overwritten.
+    Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
+    """
+    if listed:
+        result(*_listed())
+        return AS_EXPECTED
+    if template is None:
+        template, file = _asked()
+    chosen = _template(template)
+    scenario = _scenario_file(template, file)
+    written = _texts(template, chosen, scenario)
+    _write(written)
+    result(*(f"wrote {path}" for path in written))
+    say("next:", *(f"  {line}" for line in _next(template, scenario)))
+    return AS_EXPECTED
+
+
+def _listed() -> list[str]:
+    return [f"{name:<11} {template.about}" for name, template in TEMPLATES.items()]
+
+
+def _asked() -> tuple[str, Path]:
+    """Template and file from whoever sits at the terminal; without one an error that lists the templates."""
+    if not sys.stdin.isatty():
+        raise _unknown("none, and no terminal to ask at")
+    say(*_listed())
+    try:
+        name = typer.prompt("template", default="reaching", err=True)
+        _template(name)
+        return name, Path(typer.prompt("file", default=f"{name}.yaml", err=True))
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+
+
+def _template(name: str) -> Template:
+    if name not in TEMPLATES:
+        raise _unknown(repr(name), near_miss(name, TEMPLATES))
+    return TEMPLATES[name]
+
+
+def _unknown(got: str, hint: str = "") -> InputError:
+    usage = "safety-harness new reaching my-cell.yaml"
+    return InputError(
+        place=Place(field="template"),
+        expected=f"a template: {', '.join(TEMPLATES)}",
+        got=got,
+        hint=hint or f"for example: {usage}; safety-harness new --list says what each is",
+    )
+
+
+def _scenario_file(template: str, file: Path | None) -> Path:
+    """Where the scenario goes: a name that ends in .yaml, of characters that can be printed."""
+    if file is None:
+        return Path(f"{template}.yaml")
+    if file.suffix not in SUFFIXES:
+        if file.suffix in (".py", ".csv") or file.is_dir():
+            raise OutputError(place=Place(file=file), expected="a name such as my-cell.yaml", got=str(file))
+        file = file.with_name(f"{file.name}.yaml")
+    if not file.name.isprintable():
+        raise OutputError(place=Place(file=file), expected="a name that can be printed", got=repr(file.name))
+    return file
+
+
+def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
+    """What is written where; names beside the scenario are such that Python can import them."""
+    stem = re.sub(r"\W+", "_", scenario.stem)
+    files = {f"{name}.yaml": scenario}
+    files |= {source: scenario.with_name(named(stem)) for source, named in template.beside}
+    words = {
+        "@FILE@": shlex.quote(scenario.name),
+        "@SCENARIO@": repr(scenario.name),
+        "@RECORDING@": recording_of(stem),
+        "@AVOIDER@": avoider_of(stem),
+        "@TEST@": suite_of(stem),
+    }
+    pattern = re.compile("|".join(words))
+    return {
+        path: pattern.sub(lambda found: words[found[0]], (FOLDER / source).read_text(encoding="utf-8"))
+        for source, path in files.items()
+    }
+
+
+def _write(texts: dict[Path, str]) -> None:
+    """All of them or, if one is there already, none."""
+    for path in texts:
+        if path.exists() or path.is_symlink():
+            raise OutputError(
+                place=Place(file=path), expected="a file that is not there yet", got="one that is"
+            )
+    for path, text in texts.items():
+        try:
+            with path.open("x", encoding="utf-8") as stream:
+                stream.write(text)
+        except OSError as error:
+            raise OutputError(
+                place=Place(file=path),
+                expected="a place that can be written",
+                got=error.strerror or str(error),
+            ) from error
+
+
+def _next(template: str, scenario: Path) -> list[str]:
+    """Commands to type next."""
+    file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
+    lines = [f"safety-harness run {file}", f"safety-harness show {file}"]
+    if template == "policy":
+        lines.append(f"pytest {shlex.quote(str(scenario.with_name(suite_of(stem))))}")
+        lines.append(f"safety-harness evaluate {shlex.quote(str(scenario.with_name(avoider_of(stem))))}:Away")
+    else:
+        lines.append(f"safety-harness run {file} --avoider 'opposite pose'")
+    return [*lines, "safety-harness claims"]
