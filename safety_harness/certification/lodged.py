@@ -110,7 +110,7 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
 
 
 def declaration_file(plan: Path) -> Path:
-    """Where the declaration of a plan lies if nobody says otherwise: of a shipped one in the working folder."""
+    """Where the declaration of a plan lies if nobody says otherwise; never where we are installed."""
     beside = located(plan).with_suffix(".declared.json")
     return Path(beside.name) if is_installed() and shipped_name(located(plan)) else beside
 

@@ -11,7 +11,7 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, result, say
 from safety_harness.cli.options import command
-from safety_harness.exceptions import OutputError, Place, ScenarioError
+from safety_harness.exceptions import OutputError, Place
 from safety_harness.shipped.contents import PREFIX, ShippedKind, contents, is_shipped, located, shipped_files
 
 if TYPE_CHECKING:

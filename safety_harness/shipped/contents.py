@@ -1,4 +1,4 @@
-"""What comes with the package, by name: ``shipped:hand-visits-and-leaves`` is a file wherever it is installed.
+"""What comes with the package, by name: ``shipped:fast-reach`` is a file, wherever that is installed.
 
 A wheel has scenarios, spaces, plans, recordings and examples in a folder of this package; a checkout has them
 beside the package, where a build takes them from.  Both have one layout, so that what these files say of each
