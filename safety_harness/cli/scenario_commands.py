@@ -47,7 +47,7 @@ hand sensor:
   rate: 30 Hz
   latency: 33 ms
 
-# Everything else keeps its default; docs/scenario-language.md has them all.
+# Everything else keeps its default; safety-harness docs scenario-language has them all.
 settings:
   avoidance:
     critical distance: 400 mm
@@ -167,7 +167,7 @@ def new(
 def schema() -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
 
-    It is also docs/schema/scenario.schema.json. Exit code 0.
+    The repository has it too, in docs/schema. Exit code 0.
     """
     import json
 
