@@ -49,7 +49,7 @@ def certify(
     ] = None,
     oracles: Annotated[
         Path | None,
-        Option(help="Table of independent oracles (docs/oracles.json of the repository), likewise."),
+        Option(help="Independent oracles (docs/oracles.json of the repository), likewise."),
     ] = None,
     declared: Annotated[
         Path | None,

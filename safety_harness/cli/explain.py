@@ -43,9 +43,8 @@ def explain_claims(words: Sequence[str]) -> int:
     examples = [entry.example for entry in CATALOGUE]
     if not asked:
         result(*examples)
-        say(
-            f"or a formula (safety-harness docs formulas) over: {', '.join(signal.words for signal in SIGNALS)}"
-        )
+        signals = ", ".join(signal.words for signal in SIGNALS)
+        say(f"or a formula (safety-harness docs formulas) over: {signals}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
     wanted = set(asked.lower().split())

@@ -23,7 +23,7 @@ def seen_from(folder: Path, path: str, standing_in: Path) -> str:
     """``path``, relative to the folder ``standing_in``, as ``folder`` has to say it."""
     if Path(path).is_absolute() or path.startswith("~") or is_shipped(path):
         return path
-    return Path(os.path.relpath(standing_in / path, folder)).as_posix()
+    return Path(named_from(folder, standing_in / path)).as_posix()
 
 
 def named_from(folder: Path, path: Path) -> str:
