@@ -5,7 +5,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test check paper bench bench-all others docs oracles mutation mutants bounds release setup clean
+.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -51,6 +51,10 @@ paper: $(VENV)/installed
 
 docs: $(VENV)/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# Into dist/, with scenarios, plans, examples (setup.py) and the site.
+wheel: docs
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The largest disagreement with each independent oracle, into docs/oracles.json and docs/selftest.md.
 oracles: $(VENV)/tested

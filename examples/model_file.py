@@ -1,7 +1,7 @@
 """A model file of one's own: every tensor of the architecture, for weights from anywhere.
 
-    python examples/model_file.py constant.safetensors
-    safety-harness run scenarios/hand-visits-and-leaves.yaml --avoider constant.safetensors
+    python model_file.py constant.safetensors  # safety-harness copy shipped:model_file.py
+    safety-harness run shipped:hand-visits-and-leaves --avoider constant.safetensors
 
 With all weights zero the network answers 0 in normalised units, which is the mean of the targets:
 always the same position.

@@ -1,7 +1,9 @@
-"""An ONNX file of one's own: the least that the contract of docs/avoiders.md asks for.
+"""An ONNX file of one's own: the least that the contract asks for.
 
-    python examples/onnx_model.py up.onnx
-    safety-harness run scenarios/hand-visits-and-leaves.yaml --avoider up.onnx
+safety-harness docs avoiders#an-onnx-file has the contract.
+
+    python onnx_model.py up.onnx  # safety-harness copy shipped:onnx_model.py
+    safety-harness run shipped:hand-visits-and-leaves --avoider up.onnx
 
 PyTorch, TensorFlow or scikit-learn write such files as well; give inputs and outputs these names.
 Needs the package onnx, which only writing does: pip install 'safety-harness[learning]'.

@@ -1,6 +1,6 @@
 """An avoider that says how certain it is: the mean of three guesses, used only while they agree.
 
-safety-harness run scenarios/hand-visits-and-leaves.yaml --avoider examples/three_guesses.py:guesses
+safety-harness run shipped:hand-visits-and-leaves --avoider shipped:three_guesses.py:guesses
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """An avoider of one's own: straight up, whatever the hand does.
 
-safety-harness run scenarios/hand-visits-and-leaves.yaml --avoider examples/upwards.py:Upwards
+safety-harness run shipped:hand-visits-and-leaves --avoider shipped:upwards.py:Upwards
 """
 
 import numpy as np

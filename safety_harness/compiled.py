@@ -15,7 +15,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -58,10 +58,15 @@ def _hash(files: Iterable[Path]) -> str:
     return digest.hexdigest()[:16]
 
 
+def _package_sources() -> Iterator[Path]:
+    """Every Python file of the package; examples, which a wheel has in a folder of ``shipped``, are none."""
+    return (path for path in PACKAGE.rglob("*.py") if PACKAGE / "shipped" not in path.parent.parents)
+
+
 @lru_cache(maxsize=1)
 def source_hash() -> str:
     """The hash over every Python file of the package: what a trace's provenance names."""
-    return _hash(PACKAGE.rglob("*.py"))
+    return _hash(_package_sources())
 
 
 @lru_cache
@@ -81,7 +86,7 @@ def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozens
     anything: all of this one.
     """
     if PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file():
-        return frozenset(PACKAGE.rglob("*.py"))
+        return frozenset(_package_sources())
     found: set[Path] = set()
     waiting = [file]
     while waiting:

@@ -27,9 +27,10 @@ from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
 from safety_harness.scenario.units import near_miss
 from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.shipped.contents import is_shipped, located
 from safety_harness.space.regions import exported_seen
 
 if TYPE_CHECKING:
@@ -141,7 +142,8 @@ def command_line_reference(scenario: Scenario) -> str:
     file, name = file_and_name(scenario.avoider)
     if not file:
         return scenario.avoider
-    return os.path.relpath((folder_of(scenario) or Path()) / file) + (f":{name}" if name else "")
+    own = file if is_shipped(file) else os.path.relpath((folder_of(scenario) or Path()) / file)
+    return own + (f":{name}" if name else "")
 
 
 def told_avoider(reference: str) -> str:
@@ -209,7 +211,7 @@ def _file_of(scenario: Scenario) -> Path | None:
     if scenario.avoider in SHIPPED:
         return shipped_model(scenario.avoider)
     file, _ = file_and_name(scenario.avoider)
-    return resolved((folder_of(scenario) or Path()) / os.path.expanduser(file)) if file else None
+    return resolved(located((folder_of(scenario) or Path()) / os.path.expanduser(file))) if file else None
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
@@ -222,8 +224,8 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     place = place or Place(field="--avoider")
     file, name = file_and_name(reference)
     if file:
-        path = resolved(Path(os.path.expanduser(file)))
-        reference = os.path.relpath(path, resolved(folder_of(scenario) or Path()))
+        path = resolved(located(os.path.expanduser(file), place))
+        reference = named_from(resolved(folder_of(scenario) or Path()), path)
         reference += f":{name}" if name else ""
     if not is_sentence(reference):
         raise InadmissibleError(
@@ -263,7 +265,7 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     """The scenario with its recordings, and its avoider's file, named relative to another folder."""
     before = scenario.file.parent if scenario.file else Path()
     hands = tuple(
-        replace(hand, recording=Path(os.path.relpath(before / hand.recording, folder)))
+        replace(hand, recording=Path(named_from(folder, before / hand.recording)))
         if isinstance(hand, RecordedHand)
         else hand
         for hand in scenario.hands

@@ -164,5 +164,7 @@ def _raised(path: Path, expected: str, error: BaseException) -> NoReturn:
     raise InadmissibleError(place=AVOIDER, expected=expected, got=described(error, str(path))) from error
 
 
-def _refuse(place: Place, expected: str, got: str, hint: str = "see docs/avoiders.md") -> NoReturn:
+def _refuse(
+    place: Place, expected: str, got: str, hint: str = "safety-harness docs avoiders#a-python-file"
+) -> NoReturn:
     raise InadmissibleError(place=place, expected=expected, got=got, hint=hint) from None

@@ -13,6 +13,7 @@ from safety_harness.campaign.merging import PAIRS
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.properties.against import SCALES, TOLERANCE, p_words, paired_words
 from safety_harness.scenario.references import file_and_name
+from safety_harness.shipped.contents import is_shipped
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.whole_file import write_text
 
@@ -36,7 +37,7 @@ def plan_against(ledger: Ledger, reference: str) -> Plan:
     slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
     file = unpacked(ledger.files, ledger.path.parent / f"{ledger.path.stem}-against-{slug}")
     own, name = file_and_name(reference)
-    if own:
+    if own and not is_shipped(own):
         own = os.path.relpath(Path(own).expanduser().resolve(), file.parent)
         reference = f"{own}:{name}" if name else own
     line, text = f"avoider: {reference}", file.read_text()

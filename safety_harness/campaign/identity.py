@@ -19,6 +19,7 @@ from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
+from safety_harness.shipped.contents import contents, is_installed, located
 from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
@@ -114,16 +115,32 @@ def files_of_plan(
         named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
     if avoider is not None:
         named += _existing([file_and_name(avoider)[0]], plan.parent)
-    found = dict.fromkeys(named)
-    root = Path(os.path.commonpath([path.parent for path in found]))
     files, size = [], 0
-    for path in found:
+    for path, name in _names(named).items():
         data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
         size += len(data)
         if size > MOST_BYTES:
             raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
-        files.append(PlanFile(path.relative_to(root).as_posix(), data))
+        files.append(PlanFile(name, data))
     return tuple(files)
+
+
+def _names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Each file relative to the folder that all are in; what an installation ships, to a folder ``shipped``.
+
+    For the plan, the first of them, says "shipped:" of those, and where they lie is this machine's matter;
+    unless it is shipped itself.
+    """
+    ours = {path for path in paths if is_installed() and contents() in path.parents}
+    if paths[0] in ours:
+        ours = set()
+    root = Path(os.path.commonpath([path.parent for path in paths if path not in ours]))
+    return {
+        path: f"shipped/{path.relative_to(contents()).as_posix()}"
+        if path in ours
+        else path.relative_to(root).as_posix()
+        for path in paths
+    }
 
 
 def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
@@ -162,7 +179,7 @@ def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool
 def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:
     for file in references:
         try:
-            path = resolved(folder / os.path.expanduser(file))
+            path = resolved(located(folder / os.path.expanduser(file)))
             if file and path.is_file():
                 yield path
         except (OSError, ValueError):  # too long for a name, or no name at all

@@ -22,6 +22,7 @@ from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.model import LARGEST_SEED, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
+from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
@@ -125,9 +126,10 @@ class Plan:
 def read_plan(path: Path) -> Plan:
     """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
 
-    No avoider is made: a user's own would be executed.
+    ``shipped:NAME`` is one of ours, also where a plan names a space.  No avoider is made: a user's own would
+    be executed.
     """
-    library = Library()
+    path, library = located(path), Library()
     root = Field(library.tree(path), path, path="", line=1)
     given = root.fields(KEYS)
     title = given.required("plan").prose("a title on one line")
@@ -191,7 +193,7 @@ def _from(folder: Path, reference: str) -> str:
     file, name = file_and_name(reference)
     if not file:
         return reference
-    return str(folder / Path(file).expanduser()) + (f":{name}" if name else "")
+    return str(located(folder / Path(file).expanduser())) + (f":{name}" if name else "")
 
 
 def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
@@ -210,7 +212,7 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
         runs = given.required("runs").integer(least=1, most=MOST_RUNS)
         space = given.required("space")
         expected = "the file of a scenario space, relative to the plan"
-        file = folder / space.sentence(expected)
+        file = located(folder / space.sentence(expected), space.place)
         if not file.is_file():
             raise space.error(expected, got=f"no such file: {file}")
         strata.append(Stratum(name, read_space(file, library), runs))

@@ -30,6 +30,7 @@ from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.folder import JSON, MANIFEST, sha256_of
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.typed_json import of_format, read_json, typed
+from safety_harness.shipped.contents import is_installed, located, shipped_name
 from safety_harness.whole_file import write_whole
 
 
@@ -109,8 +110,9 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
 
 
 def declaration_file(plan: Path) -> Path:
-    """Where the declaration of a plan lies if nobody says otherwise."""
-    return plan.with_suffix(".declared.json")
+    """Where the declaration of a plan lies if nobody says otherwise; never where we are installed."""
+    beside = located(plan).with_suffix(".declared.json")
+    return Path(beside.name) if is_installed() and shipped_name(located(plan)) else beside
 
 
 def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:

@@ -22,6 +22,7 @@ from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.settings import DecisionCost, Settings
+from safety_harness.shipped.contents import located
 
 CARD = {  # what is shown of a model's card
     "command": "Made by",
@@ -60,7 +61,7 @@ def model_of(scenario: Scenario) -> Model | None:
         return load_model(shipped_model(scenario.avoider))
     if scenario.avoider.endswith(MODEL_SUFFIX):
         folder = scenario.file.parent if scenario.file else Path()
-        return load_model(resolved(folder / os.path.expanduser(scenario.avoider)))
+        return load_model(resolved(located(folder / os.path.expanduser(scenario.avoider))))
     return None
 
 

@@ -32,6 +32,7 @@ from safety_harness.report.search_attribution import confirming_line
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.store import load_trace
 from safety_harness.whole_file import write_text
@@ -106,6 +107,7 @@ class AttributionSession:
 
 def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenario], list[InputError]]:
     """What is to be run again: of a trace its scenario, which claims what it violates."""
+    paths = [located(path) for path in paths]
     traces = [path for path in paths if path.suffix == TRACE]
     files = [path for path in paths if path.suffix != TRACE and not path.is_dir()]
     errors: list[InputError] = []

@@ -54,7 +54,8 @@ def certify(
         Path | None, Option(help="selftest.json of safety-harness selftest, to be part of the report.")
     ] = None,
     oracles: Annotated[
-        Path | None, Option(help="Table of independent oracles (docs/oracles.json), likewise.")
+        Path | None,
+        Option(help="Independent oracles (docs/oracles.json of the repository), likewise."),
     ] = None,
     declared: Annotated[
         Path | None,

@@ -48,7 +48,8 @@ def explain_claims(words: Sequence[str]) -> int:
     if not asked:
         result(*examples)
         document(claims=[{"claim": entry.example} | dict(told(entry)) for entry in CATALOGUE])
-        say(f"or a formula (docs/formulas.md) over: {', '.join(signal.words for signal in SIGNALS)}")
+        signals = ", ".join(signal.words for signal in SIGNALS)
+        say(f"or a formula (safety-harness docs formulas) over: {signals}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
     wanted = set(asked.lower().split())
@@ -136,4 +137,4 @@ def _dimension(value: Value) -> Dimension | None:
 def _plain(text: str) -> str:
     """A cell of the page's table without the page's marks."""
     text = re.sub(r" \(\[[^]]*\]\(#[^)]*\)\)", "", text.replace("`", ""))
-    return re.sub(r"\[[^]]*\]\(([a-z-]+\.md)[^)]*\)", r"see docs/\1", text)
+    return re.sub(r"\[[^]]*\]\(([a-z-]+)\.md([^)]*)\)", r"safety-harness docs \1\2", text)

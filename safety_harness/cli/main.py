@@ -20,6 +20,7 @@ from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
+from safety_harness.cli.shipped import commands as of_shipped
 from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
 
 NAME = "safety-harness"
@@ -30,7 +31,7 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest):
+for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest, of_shipped):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")

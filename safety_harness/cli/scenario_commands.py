@@ -104,7 +104,7 @@ def claims(
 def schema() -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
 
-    It is also docs/schema/scenario.schema.json. Exit code 0.
+    The repository has it too, in docs/schema. Exit code 0.
     """
     import json
 

@@ -117,7 +117,7 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     yield "exercised", entry.exercised
     also = entry.inconclusive
     yield "inconclusive", "only for the reasons that make any claim so" if also == NONE else also
-    yield "tried in", f"scenarios/{entry.scenario}.yaml"
+    yield "tried in", f"shipped:{entry.scenario}"
     yield "broken by", entry.broken_by
 
 

@@ -19,6 +19,7 @@ from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.units import near_miss, shown
+from safety_harness.shipped.contents import located
 
 EXTENDS, WITHOUT, MATRIX, SUITE = "extends", "without", "matrix", "suite"
 SPACE_KEY = "scenario space"
@@ -152,7 +153,7 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
             raise given[WITHOUT].error(f'the key "{EXTENDS}" beside it', got=f'"{WITHOUT}" alone')
         return tree
     asked = given[EXTENDS]
-    base_path = path.parent / asked.sentence("the file that this one extends")
+    base_path = located(path.parent / asked.sentence("the file that this one extends"), asked.place)
     here = (*chain, path)
     if resolved(base_path) in [resolved(one) for one in here]:
         words = " extends ".join(one.name for one in (*here, base_path))

@@ -19,6 +19,7 @@ from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.units import TIME, format_quantity, parse_quantity
 from safety_harness.settings import DecisionCost, DecisionTimes, Measured
+from safety_harness.shipped.contents import located
 
 if TYPE_CHECKING:
     from safety_harness.scenario.model import Scenario
@@ -46,7 +47,8 @@ def read_decision_time(field: Field) -> DecisionCost | DecisionTimes:
             return cost
     if text.endswith(PROFILE):
         place = field.place
-        return _profile((place.file.parent if place.file else Path()) / Path(text).expanduser(), place)
+        folder = place.file.parent if place.file else Path()
+        return _profile(located(folder / Path(text).expanduser(), place), place)
     low, _, high = text.removeprefix("between ").partition(" and ")
     if not text.startswith("between "):
         return DecisionTimes(quantiles_s=(field.quantity(TIME, least=0.0, most=LONGEST_S),))

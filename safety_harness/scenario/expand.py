@@ -14,6 +14,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
+from safety_harness.shipped.contents import located
 
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
@@ -39,7 +40,7 @@ class Gathered:
         """What ``path``, named at ``place`` in the last of ``suites``, leads to."""
         try:
             for file in files_of(path, place):
-                asked_for_itself = resolved(file) in suites and file == path
+                asked_for_itself = resolved(file) in suites and file == located(path)
                 if resolved(file) in self._seen and not asked_for_itself:
                     continue
                 self._seen.add(resolved(file))

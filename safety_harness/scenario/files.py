@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.shipped.contents import is_installed, located, shipped_name
 
 TITLES = ("scenario", "scenario space", "suite")
 # Keys that few others have.
@@ -66,12 +67,14 @@ def told(path: Path) -> Path:
 
     Results are shown to anybody, and a path from the root tells of one machine and who works at it.  What
     was named relatively stays so, unless the way leads by the root or by the folder of everybody's homes.
+    What is shipped has the name that everybody has it by.
     """
     full, here = resolved(path.parent) / path.name, resolved(Path())
-    if here in full.parents:
+    shipped = shipped_name(full)
+    if here in full.parents and not (shipped and is_installed()):
         return full.relative_to(here)
     by_the_root = Path(os.path.commonpath([full, here])) in Path.home().parents
-    return Path(path.name) if path.is_absolute() or by_the_root else path
+    return Path(shipped or path.name) if path.is_absolute() or by_the_root else path
 
 
 def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]) -> str:
@@ -89,7 +92,11 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
 
 
 def files_of(path: Path, place: Place | None = None) -> Iterator[Path]:
-    """A file as it is, a folder with all its *.yaml; ScenarioError, at ``place``, for an empty folder."""
+    """A file as it is, a folder with all its *.yaml; ScenarioError, at ``place``, for an empty folder.
+
+    ``shipped:NAME`` stands for either.
+    """
+    path = located(path, place)
     if not path.is_dir():
         yield path
         return

@@ -43,6 +43,7 @@ from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import shown
 from safety_harness.settings import DEFAULTS, Settings, Vector3
+from safety_harness.shipped.contents import located
 
 MOST_TICKS = 1_000_000
 SMALLEST_BOX_M = 0.01  # from corner to corner
@@ -63,9 +64,10 @@ _PROSE = ("scenario", "about", "claims")
 def read_scenario(path: Path) -> Scenario:
     """The scenario in a file, with what it extends.
 
-    ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
-    which ``read_all_scenarios`` reads.
+    ``shipped:NAME`` is one of ours.  ScenarioError or RecordingError when it cannot be used as it stands, and
+    for a matrix or a suite, which ``read_all_scenarios`` reads.
     """
+    path = located(path)
     return scenario_of_variant(only_variant(path, Library(), "one scenario"), path)
 
 
@@ -282,7 +284,7 @@ def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
 def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
     """The carried recording with the SHA-256 that is asked for, else the file beside the scenario."""
     field = given.required("recording")
-    file = (field.file.parent if field.file else Path()) / path
+    file = located((field.file.parent if field.file else Path()) / path, field.place)
     if digest in carried:
         data = carried[digest]
     else:

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from safety_harness.scenario.files import resolved
+from safety_harness.shipped.contents import is_installed, is_shipped, located, shipped_name
 
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 
@@ -20,9 +21,16 @@ def file_and_name(reference: str) -> tuple[str, str]:
 
 def seen_from(folder: Path, path: str, standing_in: Path) -> str:
     """``path``, relative to the folder ``standing_in``, as ``folder`` has to say it."""
-    if Path(path).is_absolute() or path.startswith("~"):
+    if Path(path).is_absolute() or path.startswith("~") or is_shipped(path):
         return path
-    return Path(os.path.relpath(standing_in / path, folder)).as_posix()
+    return Path(named_from(folder, standing_in / path)).as_posix()
+
+
+def named_from(folder: Path, path: Path) -> str:
+    """How a file in ``folder`` names another: what an installation ships by its name, others relatively."""
+    if is_shipped(path):
+        return shipped_name(located(path))
+    return (is_installed() and shipped_name(resolved(path))) or os.path.relpath(path, folder)
 
 
 def portable(path: str, folder: Path) -> str:

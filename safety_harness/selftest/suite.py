@@ -17,6 +17,7 @@ from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.seeds import Branch, seed
+from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.space.read import read_space
 
@@ -84,13 +85,13 @@ class SelfTestPlan:
         telling ones are taken, if there are any.  What only PyBullet can run is left out.  InputError for
         a file that cannot be used, or if nothing is left to try.
         """
-        folder = self.folder
+        folder = located(self.folder)
         if not folder.is_dir():
             raise ScenarioError(
                 place=Place(field="--scenarios"),
                 expected="a folder with scenario files",
                 got=f"no such folder: {folder}",
-                hint="the shipped ones are in scenarios/ of the repository",
+                hint="the shipped ones: shipped:scenarios",
             )
         gathered = gather([folder])
         if gathered.errors:
@@ -106,7 +107,7 @@ class SelfTestPlan:
             raise ScenarioError(
                 place=Place(field="--scenarios"),
                 expected="a scenario that the kinematic world can run",
-                got=f"none of the {len(ordered)} in {folder}",
+                got=f"none of the {len(ordered)} in {self.folder}",
             )
         return tuple(episodes)
 

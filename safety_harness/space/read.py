@@ -15,6 +15,7 @@ from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
+from safety_harness.shipped.contents import located
 from safety_harness.space.distributions import Choice, InRegion
 from safety_harness.space.reading import TemplateReader
 from safety_harness.space.regions import region_named, seen_by
@@ -30,8 +31,9 @@ _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settin
 def read_space(path: Path, library: Library | None = None) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands.
 
-    ``library`` is told of every file that is read.
+    ``shipped:NAME`` is one of ours.  ``library`` is told of every file that is read.
     """
+    path = located(path)
     found = only_variant(path, library or Library(), "one scenario space")
     return space_of(found.tree, path, name=found.name)
 

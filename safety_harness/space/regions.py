@@ -36,6 +36,7 @@ from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.scenario.typed_json import parsed
 from safety_harness.settings import Settings, Vector3
+from safety_harness.shipped.contents import located
 
 SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
 SEEN_HAND_HALF_SIZE_M: Vector3 = (0.300, 0.300, 0.300)
@@ -72,7 +73,7 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     program is run for it: what has none counts as trained on the paper's seen space, and ``source``
     says so.  ModelError for a model file that cannot be used.
     """
-    path = (folder or Path()) / os.path.expanduser(avoider)
+    path = located((folder or Path()) / os.path.expanduser(avoider))
     seen: SeenSpace | None = None
     if avoider in SHIPPED or avoider.endswith(MODEL_SUFFIX):
         seen = load_model(shipped_model(avoider) if avoider in SHIPPED else path).seen

@@ -15,6 +15,7 @@ from safety_harness.admission.spaces import draw_admissible
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
+from safety_harness.shipped.contents import is_shipped
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
@@ -29,8 +30,8 @@ def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]
 
     ``source`` is a scenario space (a file, or an object): draws of it that can be tried; or a scenario
     file, a matrix, a suite or a folder: one of its scenarios.  A relative path is sought from the folder
-    of the file that asks for it, then from pytest's root.  All of it is read and checked here:
-    InputError says where the mistake stands, and a note which line asked.
+    of the file that asks for it, then from pytest's root; ``shipped:NAME`` is one of ours.  All of it is
+    read and checked here: InputError says where the mistake stands, and a note which line asked.
     """
     frame = inspect.currentframe()
     asked = frame.f_back if frame is not None else None
@@ -50,7 +51,7 @@ def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]
 
 def _found(path: Path, asked: FrameType | None) -> Path:
     """A relative path from the folder of whoever asks, else from the root."""
-    if path.is_absolute() or asked is None:
+    if path.is_absolute() or asked is None or is_shipped(path):
         return path
     beside = Path(asked.f_code.co_filename).parent / path
     return Path(os.path.abspath(beside if beside.exists() else session().root / path))

@@ -31,6 +31,7 @@ from safety_harness.scenario.recording import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
+from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Line, Provenance, Trace
@@ -135,7 +136,7 @@ def _portable(scenario: Scenario) -> Scenario:
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
     """The bytes of a recording; TraceError if the file has changed since it was read."""
     folder = scenario.file.parent if scenario.file else Path()
-    data = (folder / hand.recording).read_bytes()
+    data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
         raise TraceError(
             place=Place(file=folder / hand.recording),

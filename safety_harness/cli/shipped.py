@@ -1,0 +1,147 @@
+"""``safety-harness list``, ``copy`` and ``docs``: what comes with the package, and how to get at it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.options import command
+from safety_harness.exceptions import OutputError, Place
+from safety_harness.shipped.contents import PREFIX, ShippedKind, contents, is_shipped, located, shipped_files
+
+if TYPE_CHECKING:
+    from safety_harness.scenario.nodes import Node
+
+commands = Typer()
+REFERRING = ("avoider", "extends", "recording", "scenarios", "space")
+
+
+@command(commands, "list")
+def list_shipped(
+    kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None,
+    as_json: Annotated[bool, Option("--json", help="For programs: kind, name, about, file.")] = False,
+) -> int:
+    """List the scenarios, spaces, plans, examples and recordings that come with the package, one a line.
+
+    Each has a name, shipped:NAME, that stands for its file wherever a file is asked for; shipped:scenarios
+    and so on for their folders.
+    Exit code 0.
+    """
+    import json
+
+    found = [one for one in shipped_files() if kind in (None, one.kind)]
+    if as_json:
+        told = [
+            {"kind": one.kind, "name": PREFIX + one.name, "about": one.about, "file": str(one.path)}
+            for one in found
+        ]
+        result(json.dumps(told, indent=1, ensure_ascii=False))
+        return AS_EXPECTED
+    for number, each in enumerate(ShippedKind if kind is None else (kind,)):
+        of_kind = [one for one in found if one.kind is each]
+        width = max((len(PREFIX + one.name) for one in of_kind), default=0)
+        say(*[""] * (number > 0), f"{each}, together {PREFIX}{each}:")
+        result(*(f"{PREFIX + one.name:<{width}}  {one.about}".rstrip() for one in of_kind))
+    return AS_EXPECTED
+
+
+@command(commands)
+def copy(
+    name: Annotated[str, Argument(help="What is listed by safety-harness list.", metavar="shipped:NAME")],
+    folder: Annotated[Path, Argument(help="Where to.")] = Path(),
+    overwrite: Annotated[bool, Option("--overwrite", help="Also over files that are otherwise.")] = False,
+) -> int:
+    """Copy something shipped, with the files that it refers to, to be edited.
+
+    The files keep their places among each other; the path of each copy goes to standard output, that of what
+    was asked for first.
+    Exit code 0; 2: there is no such name, or another file is there already: then nothing is copied.
+    """
+    from safety_harness.whole_file import writing
+
+    source = located(name if is_shipped(name) else PREFIX + name)
+    copies = {folder / way: path.read_bytes() for way, path in _with_references(source).items()}
+    for path, data in copies.items():
+        if path.exists() and not overwrite and not (path.is_file() and path.read_bytes() == data):
+            got = "another one; nothing was copied"
+            raise OutputError(
+                place=Place(file=path), expected="no file there yet", got=got, hint="--overwrite replaces it"
+            )
+    for path, data in copies.items():
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+        result(str(path))
+    return AS_EXPECTED
+
+
+def _with_references(source: Path) -> dict[Path, Path]:
+    """Relative places of the files of ``source``, and of all that they refer to, with the files."""
+    import os
+
+    waiting = sorted(source.rglob("*")) if source.is_dir() else [source]
+    found: dict[Path, None] = {}
+    while waiting:
+        path = waiting.pop(0)
+        if path.is_file() and path not in found and "__pycache__" not in path.parts:
+            found[path] = None
+            waiting += _references(path) if path.suffix == ".yaml" else ()
+    licences = {path.with_name("LICENSE"): None for path in found}  # of recordings
+    found |= {path: None for path in licences if path.is_file()}
+    root = Path(os.path.commonpath([source.parent, *(path.parent for path in found)]))
+    return {path.relative_to(root): path for path in found}
+
+
+def _references(path: Path) -> Iterator[Path]:
+    """The files that a text in a YAML file names."""
+    from safety_harness.campaign.identity import references_in
+    from safety_harness.scenario.compose import Library
+    from safety_harness.scenario.references import file_and_name
+
+    tree: Node = Library().tree(path)
+    for text in references_in(tree, REFERRING):
+        named = located(path.parent / (file_and_name(text)[0] or text)).resolve()
+        if contents() in named.parents and named.is_file():
+            yield named
+
+
+@command(commands)
+def docs(
+    section: Annotated[
+        list[str] | None, Argument(help="A page, page#section, or words of a heading: claims, say.")
+    ] = None,
+    where: Annotated[bool, Option("--where", help="Only print where it is; open nothing.")] = False,
+) -> int:
+    """Open the documents, which come with the package, in a browser.
+
+    The path goes to standard output; without a terminal or a browser that is all.
+    Exit code 0; 2: there is no such section, or the documents were not built (make docs).
+    """
+    from safety_harness.shipped.documents import missing, path_of, section_named, site
+
+    words = " ".join(section or [])
+    path, anchor = path_of(section_named(words)) if words else (site() / "index.html", "")
+    if not path.is_file():
+        raise missing()
+    place = f"#{anchor}" if anchor else ""
+    result(f"{path}{place}")
+    if not where and sys.stdout.isatty():
+        _open(path.as_uri() + place)
+    return AS_EXPECTED
+
+
+def _open(uri: str) -> None:
+    """In a browser, if there is one."""
+    import webbrowser
+
+    try:
+        opened = webbrowser.open(uri)
+    except (webbrowser.Error, OSError):
+        opened = False
+    if not opened:
+        say("no browser was found: open this file in one")

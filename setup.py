@@ -1,0 +1,32 @@
+"""The one step of a build that pyproject.toml has no words for: the wheel holds what is shipped.
+
+Scenarios, plans and examples lie beside the package in the repository, where tests and documents name them;
+a mapping of packages to these folders would cost the editable install its plain path.  ``site`` is what
+``make docs`` built, if it did.
+"""
+
+import shutil
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_py import build_py
+
+FOLDERS = ("scenarios", "plans", "examples", "site")
+
+
+class BuildWithContents(build_py):
+    """Copies the folders below safety_harness/shipped; an editable install finds them where they are."""
+
+    def run(self) -> None:
+        """As always, and the folders, without what an earlier build left there."""
+        super().run()
+        if self.editable_mode:
+            return
+        for folder in FOLDERS:
+            copy = Path(self.build_lib, "safety_harness", "shipped", folder)
+            shutil.rmtree(copy, ignore_errors=True)
+            if Path(folder).is_dir():
+                shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+
+
+setup(cmdclass={"build_py": BuildWithContents})
