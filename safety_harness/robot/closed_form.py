@@ -36,7 +36,7 @@ FREE = 5e-10  # below which theta_6 is free: half of the largest difference of a
 EDGE_M = 1e-6  # beyond the reach: what rounding may do to it where the arm is singular
 AT_ONCE = 24  # for two theta_1, two theta_5, three psi and two elbows
 
-CLOSED_FORM = np.dtype(
+ARM_GEOMETRY = np.dtype(
     [
         ("base_to_plane", np.float64, (3, 3)),
         ("plane_to_tool", np.float64, (3, 3)),
@@ -54,11 +54,11 @@ CLOSED_FORM = np.dtype(
     ],
     align=True,
 )
-ClosedForms = NDArray[np.void]  # (1,) CLOSED_FORM
+ArmGeometryRecords = NDArray[np.void]  # (1,) ARM_GEOMETRY
 
 
-class ClosedForm(Protocol):
-    """One record of CLOSED_FORM, as compiled code reads it; a complex number is a vector in the plane.
+class ArmGeometry(Protocol):
+    """One record of ARM_GEOMETRY, as compiled code reads it; a complex number is a vector in the plane.
 
     ``plane_to_tool`` is at zero.  ``wrist_in_tool``: where axes 5 and 6 meet, from the TCP.  ``offset_m``:
     how far all steps lead along h.  ``shoulder_m``, ``upper_m``, ``lower_m``, ``wrist_m``: the steps from
@@ -81,8 +81,8 @@ class ClosedForm(Protocol):
     upper_rad: Array6
 
 
-def closed_form_of(arm: ArmModel) -> ClosedForms:
-    """(1,) CLOSED_FORM of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
+def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
+    """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
     zero = np.empty((FRAMES, 4, 4))
     forward_kinematics(arm.chain[0], np.zeros(6), zero)
     axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
@@ -94,7 +94,7 @@ def closed_form_of(arm: ArmModel) -> ClosedForms:
     inner[4] -= along_6
     fits = (
         abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, else the frame is none
-        and (np.abs(axes[2:4] - axes[1]).max() <= PARALLEL)
+        and np.abs(axes[2:4] - axes[1]).max() <= PARALLEL
         and abs(axes[4, 2]) <= PARALLEL
         and np.abs(axes[5, :2]).max() <= PARALLEL
         and np.abs(np.cross(inner[4], axes[4])).max() <= PARALLEL
@@ -102,58 +102,61 @@ def closed_form_of(arm: ArmModel) -> ClosedForms:
     plane = inner[:, 0] + 1j * inner[:, 1]
     if not (fits and abs(plane[1]) > 0.0 and abs(plane[2]) > 0.0):
         raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form of the UR family")
-    form = np.zeros(1, CLOSED_FORM)
-    form["base_to_plane"], form["plane_to_tool"] = base_to_plane, (base_to_plane @ zero[TCP, :3, :3]).T
-    form["joint_1_in_base"] = steps[0]
-    form["wrist_in_tool"] = -zero[TCP, :3, :3].T @ (steps[6] + base_to_plane.T @ along_6)
-    form["offset_m"] = inner[:, 2].sum()
-    form["shoulder_m"], form["upper_m"], form["lower_m"] = plane[:3]
-    form["wrist_m"] = plane[3] + plane[4]
-    form["axis_5_rad"], form["sense"] = atan2(axes[4, 1], axes[4, 0]), np.sign(axes[5, 2])
-    form["lower_rad"], form["upper_rad"] = arm.position_lower_rad, arm.position_upper_rad
-    form.setflags(write=False)
-    return form
+    geometry = np.zeros(1, ARM_GEOMETRY)
+    geometry["base_to_plane"], geometry["plane_to_tool"] = (
+        base_to_plane,
+        (base_to_plane @ zero[TCP, :3, :3]).T,
+    )
+    geometry["joint_1_in_base"] = steps[0]
+    geometry["wrist_in_tool"] = -zero[TCP, :3, :3].T @ (steps[6] + base_to_plane.T @ along_6)
+    geometry["offset_m"] = inner[:, 2].sum()
+    geometry["shoulder_m"], geometry["upper_m"], geometry["lower_m"] = plane[:3]
+    geometry["wrist_m"] = plane[3] + plane[4]
+    geometry["axis_5_rad"], geometry["sense"] = atan2(axes[4, 1], axes[4, 0]), np.sign(axes[5, 2])
+    geometry["lower_rad"], geometry["upper_rad"] = arm.position_lower_rad, arm.position_upper_rad
+    geometry.setflags(write=False)
+    return geometry
 
 
 @njit_no_nrt
-def candidate_branches(form: ClosedForm, pose: Array4x4, out: ArrayNx6) -> int:
+def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
     """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return how many.
 
     They give it if it can be reached, but for rounding: unchecked, angles not wrapped, some twice where the
     arm is singular.  In order of theta_1, then theta_5, then psi, then theta_3.
     """
-    wx, wy, wz = _wrist(form, pose, 0), _wrist(form, pose, 1), _wrist(form, pose, 2)
+    wx, wy, wz = _wrist(arm, pose, 0), _wrist(arm, pose, 1), _wrist(arm, pose, 2)
     radius = hypot(wy, wz)
-    if not radius > max(abs(form.offset_m) - EDGE_M, 0.0):
+    if not radius > max(abs(arm.offset_m) - EDGE_M, 0.0):
         return 0
-    half = np.arccos(min(max(form.offset_m / radius, -1.0), 1.0))
-    across, along = cos(form.axis_5_rad), sin(form.axis_5_rad)
+    half = np.arccos(min(max(arm.offset_m / radius, -1.0), 1.0))
+    across, along = cos(arm.axis_5_rad), sin(arm.axis_5_rad)
     count = 0
     for side in (-1.0, 1.0):
         theta_1 = atan2(-wy, wz) + side * half
         c, s = cos(theta_1), sin(theta_1)
         # u = R^T E_1 h, and its parts across axis 5 and along it
-        ux = c * _turn(form, pose, 2, 0) - s * _turn(form, pose, 1, 0)
-        uy = c * _turn(form, pose, 2, 1) - s * _turn(form, pose, 1, 1)
-        uz = c * _turn(form, pose, 2, 2) - s * _turn(form, pose, 1, 2)
-        a, b = uy * across - ux * along, form.sense * (ux * across + uy * along)
+        ux = c * _turn(arm, pose, 2, 0) - s * _turn(arm, pose, 1, 0)
+        uy = c * _turn(arm, pose, 2, 1) - s * _turn(arm, pose, 1, 1)
+        uz = c * _turn(arm, pose, 2, 2) - s * _turn(arm, pose, 1, 2)
+        a, b = uy * across - ux * along, arm.sense * (ux * across + uy * along)
         theta_6 = atan2(b, a)
         # E_2 E_3 E_4 h_5 = E_1^T R E_6^T h_5 lies in the plane, at psi from h_5
-        gamma = form.axis_5_rad - form.sense * theta_6
-        gx = _turn(form, pose, 0, 0) * cos(gamma) + _turn(form, pose, 0, 1) * sin(gamma)
-        gy = _turn(form, pose, 1, 0) * cos(gamma) + _turn(form, pose, 1, 1) * sin(gamma)
-        gz = _turn(form, pose, 2, 0) * cos(gamma) + _turn(form, pose, 2, 1) * sin(gamma)
-        psi = atan2(c * gy + s * gz, gx) - form.axis_5_rad
-        z = complex(wx, c * wy + s * wz) - form.shoulder_m
+        gamma = arm.axis_5_rad - arm.sense * theta_6
+        gx = _turn(arm, pose, 0, 0) * cos(gamma) + _turn(arm, pose, 0, 1) * sin(gamma)
+        gy = _turn(arm, pose, 1, 0) * cos(gamma) + _turn(arm, pose, 1, 1) * sin(gamma)
+        gz = _turn(arm, pose, 2, 0) * cos(gamma) + _turn(arm, pose, 2, 1) * sin(gamma)
+        psi = atan2(c * gy + s * gz, gx) - arm.axis_5_rad
+        z = complex(wx, c * wy + s * wz) - arm.shoulder_m
         for sign in (1.0, -1.0):
             theta_5, turned = atan2(sign * hypot(a, b), uz), 0.5 * (1.0 - sign) * pi
-            count = _with_wrist(form, z, psi + turned, theta_1, theta_5, theta_6 + turned, out, count)
+            count = _with_wrist(arm, z, psi + turned, theta_1, theta_5, theta_6 + turned, out, count)
     return count
 
 
 @njit_no_nrt
 def _with_wrist(
-    form: ClosedForm,
+    arm: ArmGeometry,
     z: complex,
     psi: float,
     theta_1: float,
@@ -167,9 +170,9 @@ def _with_wrist(
     Beside the singularity psi is ill determined: where it leaves joints 2 and 3 a way that they cannot
     bridge, the nearest that they can is taken.  At it, the two psi in the middle of what they can as well.
     """
-    k = form.wrist_m * np.exp(1j * psi)
+    k = arm.wrist_m * np.exp(1j * psi)
     way, apart = abs(z - k), np.angle(k / z)
-    shortest, longest = abs(abs(form.upper_m) - abs(form.lower_m)), abs(form.upper_m) + abs(form.lower_m)
+    shortest, longest = abs(abs(arm.upper_m) - abs(arm.lower_m)), abs(arm.upper_m) + abs(arm.lower_m)
     sine = abs(sin(theta_5))
     if shortest <= way <= longest:
         best = psi
@@ -184,17 +187,17 @@ def _with_wrist(
     middle = _angle_for(z, k, 0.5 * (least + most))
     straight = psi - apart
     for tried in (best, straight + middle, straight - middle):
-        y = z - form.wrist_m * np.exp(1j * tried)
-        bend = (abs(y) ** 2 - abs(form.upper_m) ** 2 - abs(form.lower_m) ** 2) / (
-            2.0 * abs(form.upper_m) * abs(form.lower_m)
+        y = z - arm.wrist_m * np.exp(1j * tried)
+        bend = (abs(y) ** 2 - abs(arm.upper_m) ** 2 - abs(arm.lower_m) ** 2) / (
+            2.0 * abs(arm.upper_m) * abs(arm.lower_m)
         )
         for elbow in (1.0, -1.0):
             theta_3 = elbow * np.arccos(min(max(bend, -1.0), 1.0))
-            theta_3 += np.angle(form.upper_m) - np.angle(form.lower_m)
-            theta_2 = np.angle(y) - np.angle(form.upper_m + form.lower_m * np.exp(1j * theta_3))
+            theta_3 += np.angle(arm.upper_m) - np.angle(arm.lower_m)
+            theta_2 = np.angle(y) - np.angle(arm.upper_m + arm.lower_m * np.exp(1j * theta_3))
             out[count, 0], out[count, 1], out[count, 2] = theta_1, theta_2, theta_3
             out[count, 3], out[count, 4] = tried - theta_2 - theta_3, theta_5
-            out[count, 5] = theta_6 + (psi - tried) * form.sense * np.sign(cos(theta_5))
+            out[count, 5] = theta_6 + (psi - tried) * arm.sense * np.sign(cos(theta_5))
             count += 1
         if sine > FREE:
             break
@@ -202,27 +205,27 @@ def _with_wrist(
 
 
 @inlined
-def _turn(form: ClosedForm, pose: Array4x4, i: int, j: int) -> float:
+def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
     """Entry (i, j) of the pose's rotation since zero, in the plane's frame.  ``pose`` (4, 4)."""
     total = 0.0
     for m in range(3):
         for n in range(3):
-            total += form.base_to_plane[i, m] * pose[m, n] * form.plane_to_tool[n, j]
+            total += arm.base_to_plane[i, m] * pose[m, n] * arm.plane_to_tool[n, j]
     return total
 
 
 @inlined
-def _wrist(form: ClosedForm, pose: Array4x4, i: int) -> float:
+def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
     """Entry i of the place where axes 5 and 6 meet [m], from joint 1, in the plane's frame.
 
     ``pose`` (4, 4).
     """
     total = 0.0
     for m in range(3):
-        entry = pose[m, 3] - form.joint_1_in_base[m]
+        entry = pose[m, 3] - arm.joint_1_in_base[m]
         for n in range(3):
-            entry += pose[m, n] * form.wrist_in_tool[n]
-        total += form.base_to_plane[i, m] * entry
+            entry += pose[m, n] * arm.wrist_in_tool[n]
+        total += arm.base_to_plane[i, m] * entry
     return total
 
 

@@ -11,7 +11,7 @@ from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, Array8x4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
-from safety_harness.robot.closed_form import AT_ONCE, ClosedForms, candidate_branches, closed_form_of
+from safety_harness.robot.closed_form import AT_ONCE, ArmGeometryRecords, arm_geometry, candidate_branches
 from safety_harness.robot.description import ArmModel, ChainRecords
 from safety_harness.robot.kinematics import (
     FRAMES,
@@ -35,7 +35,7 @@ class InverseKinematics:
 
     def __init__(self, arm: ArmModel) -> None:
         self.arm = arm
-        self._form = closed_form_of(arm)
+        self._geometry = arm_geometry(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
         """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
@@ -48,7 +48,7 @@ class InverseKinematics:
 
         ``transform_tcp_to_base`` (4, 4).
         """
-        return _branches(self.arm.chain, self._form, np.array(transform_tcp_to_base, dtype=np.float64))
+        return _branches(self.arm.chain, self._geometry, np.array(transform_tcp_to_base, dtype=np.float64))
 
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
@@ -74,7 +74,7 @@ class InverseKinematics:
         """
         poses = np.array(transforms_tcp_to_base, dtype=np.float64)
         reference = np.array(reference_joint_position, dtype=np.float64)
-        return _nearest_of_each(self.arm.chain, self._form, poses, reference)
+        return _nearest_of_each(self.arm.chain, self._geometry, poses, reference)
 
     def reach_along(
         self,
@@ -106,11 +106,11 @@ class InverseKinematics:
 
 
 @compiled
-def _branches(chains: ChainRecords, forms: ClosedForms, pose: Array4x4) -> ArrayNx6:
+def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4x4) -> ArrayNx6:
     """The candidates that give ``pose``, those that are the same but for rounding once."""
     found, transforms = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4))
     kept = 0
-    for k in range(candidate_branches(forms[0], pose, found)):
+    for k in range(candidate_branches(geometries[0], pose, found)):
         copy_vector(found[k], found[kept])
         if _gives(chains, pose, found[kept], transforms):
             kept += not _is_among(found[kept], found[:kept])
@@ -185,7 +185,7 @@ def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Ar
 @compiled
 def _nearest_of_each(
     chains: ChainRecords,
-    forms: ClosedForms,
+    geometries: ArmGeometryRecords,
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
@@ -197,12 +197,12 @@ def _nearest_of_each(
     found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
     for n in range(poses.shape[0]):
         best = np.inf
-        for k in range(candidate_branches(forms[0], poses[n], found)):
+        for k in range(candidate_branches(geometries[0], poses[n], found)):
             # first how near it is, then, which takes longer, whether it gives the pose
-            if not _turned_towards(forms, reference, found[k], turned) < best:
+            if not _turned_towards(geometries, reference, found[k], turned) < best:
                 continue
             if _gives(chains, poses[n], found[k], transforms):
-                distance = _turned_towards(forms, reference, found[k], turned)
+                distance = _turned_towards(geometries, reference, found[k], turned)
                 if distance < best:
                     best = distance
                     copy_vector(turned, solutions[n])
@@ -210,8 +210,8 @@ def _nearest_of_each(
 
 
 @compiled
-def _turned_towards(forms: ClosedForms, reference: Array6, joints: Array6, turned_out: Array6) -> float:
-    """Fill ``joints`` (6,) with the full turns that are nearest to ``reference`` within the limits.
+def _turned_towards(geometries: ArmGeometryRecords, reference: Array6, joints: Array6, out: Array6) -> float:
+    """Fill ``out`` with those full turns of ``joints`` that are nearest to ``reference`` within the limits.
 
     Returns how far that is [rad], infinity if a joint has none.
     """
@@ -221,8 +221,8 @@ def _turned_towards(forms: ClosedForms, reference: Array6, joints: Array6, turne
         for turn in range(-2, 3):
             angle = wrapped + turn * (2.0 * pi)
             away = abs(angle - reference[i])
-            if forms[0].lower_rad[i] <= angle <= forms[0].upper_rad[i] and away < least:
-                turned_out[i], least = angle, away
+            if geometries[0].lower_rad[i] <= angle <= geometries[0].upper_rad[i] and away < least:
+                out[i], least = angle, away
         total += least * least
     return sqrt(total)
 
