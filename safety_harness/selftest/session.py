@@ -162,7 +162,7 @@ def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
     avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(episodes)))}
     said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
     if not REFERENCE.is_installed:
-        said.append(f"{REFERENCE} is not installed: whether a fault is caught there too is not asked")
+        said.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
     for name, number in avoiders.items():
         system = ChangedSystem(episodes[number])
         wrong = words_on(system.admitted, system.run())[SAME_TWICE]

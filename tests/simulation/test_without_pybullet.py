@@ -11,7 +11,7 @@ from examples import VISIT, scenario
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_all, run_trial
-from safety_harness.campaign.session import carry_on, processes
+from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.cli.attribute import attribute_runs
 from safety_harness.cli.campaign import run as run_campaign
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
@@ -120,8 +120,9 @@ def test_a_campaign_in_pybullet_is_refused_before_it_has_a_ledger(
 
 
 def test_a_campaign_in_the_kinematic_world_needs_none(tmp_path: Path) -> None:
-    plan = plan_in(tmp_path, PLAN.replace("30", "2").replace("20", "2"))
-    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+    rows = list(EpisodeRunner(plan_in(tmp_path)).run(0, range(2)))
+    assert len(rows) == 2
+    assert not any(row.failure for row in rows)
 
 
 def test_attribute_confirms_only_where_it_can(
