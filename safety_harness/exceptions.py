@@ -152,7 +152,7 @@ class MissingPackageError(InstallationError):
 
     def __init__(self, *, place: Place, expected: str, got: str, hint: str = "") -> None:
         super().__init__(place=place, expected=expected, got=got, hint=hint)
-        self.args = (f"{place} needs {self.expected}, which is not installed: {self.hint}",)
+        self.args = (f"{place}: needs {self.expected}, which is not installed: {self.hint}",)
 
 
 class AvoiderError(SafetyHarnessError):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
-from collections.abc import Iterator
+import sys
+from collections.abc import Generator, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +26,24 @@ WORLDS = ("simulation", "admission", "controller", "campaign", "cli", "search", 
 PARTS = ("learning", "avoidance", "perception", "servoing", "geometry", "robot", "docs", "pytest_plugin")
 
 
+NO_PYBULLET = find_spec("pybullet") is None
+asked_for_pybullet = [False]  # by the test that runs
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--oracles", type=Path, help="write the largest disagreements with oracles to this file")
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     """No deadlines: whoever calls a kernel first compiles it, and machines are busy.
 
     A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves.
     """
+    if NO_PYBULLET and os.environ.get("SAFETY_HARNESS_REQUIRE_PYBULLET"):
+        pytest.exit("PyBullet is not installed, and SAFETY_HARNESS_REQUIRE_PYBULLET asks for it", 1)
+    if NO_PYBULLET:
+        sys.meta_path.insert(0, Finder())
+        config.pluginmanager.register(WithoutPyBullet())
     settings.register_profile("unhurried", settings(), deadline=None)
     settings.load_profile("unhurried")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -56,6 +68,45 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     ]
     cut = max(0, (len(items) + 1) // 2 - len(worlds))
     items[:] = worlds + others[:cut] + parts + others[cut:]
+
+
+class WithoutPyBullet:
+    """Where PyBullet is not installed, what fails after it was asked for is skipped; nothing elsewhere.
+
+    That much works without it is tested where it is hidden, ``simulation/test_without_pybullet.py``.
+    """
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, Any, Any]:
+        asked_for_pybullet[0] = False
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item) -> Generator[None, Any, pytest.TestReport]:
+        report: pytest.TestReport = yield
+        needed = asked_for_pybullet[0] or "needs pybullet, which" in str(report.longrepr)
+        return skipped(report, item.path) if report.failed and needed else report
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_make_collect_report(
+        self, collector: pytest.Collector
+    ) -> Generator[None, Any, pytest.CollectReport]:
+        report: pytest.CollectReport = yield
+        missing = report.failed and "No module named 'pybullet'" in str(report.longrepr)
+        return skipped(report, collector.path) if missing else report
+
+
+def skipped(report: Any, path: Path) -> Any:
+    report.outcome, report.longrepr = "skipped", (str(path), 0, "Skipped: needs PyBullet")
+    return report
+
+
+class Finder:
+    """Notes that PyBullet was looked for, and finds nothing."""
+
+    @staticmethod
+    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
+        asked_for_pybullet[0] |= name == "pybullet"
 
 
 @pytest.fixture(scope="session")

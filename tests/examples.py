@@ -16,8 +16,8 @@ from safety_harness.controller.records import COMMAND
 from safety_harness.scenario.model import MovingHand, OffsetStart, Scenario
 from safety_harness.scenario.moves import HandMove, MoveTo, Wait, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.simulate import simulate
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.records import DECISION, Check
 from safety_harness.trace.trace import Trace
 
@@ -70,7 +70,7 @@ def run(
     admitted = admit(what, avoider=avoider)
     if controller is None:
         controller = admitted.controller() if gate is None else ungated(admitted, gate)
-    with PyBulletWorld(what, admitted.arm, admitted.joint_position_rad) as world:
+    with PYBULLET.open(what, admitted.arm, admitted.joint_position_rad) as world:
         return simulate(world, controller, what)
 
 

@@ -12,7 +12,17 @@ import safety_harness
 PACKAGE = Path(safety_harness.__file__).parent
 ORDER = [
     {"exceptions"},
-    {"compiled", "geometry", "interrupts", "proportions", "seeds", "settings", "shipped", "whole_file"},
+    {
+        "compiled",
+        "extras",
+        "geometry",
+        "interrupts",
+        "proportions",
+        "seeds",
+        "settings",
+        "shipped",
+        "whole_file",
+    },
     {"scenario"},
     {"trace"},
     {"robot"},

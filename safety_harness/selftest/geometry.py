@@ -14,9 +14,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.extras import PYBULLET
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import TCP_LINK, load_arm, resolved_urdf
-from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
@@ -78,19 +78,22 @@ class PyBulletArm:
     """A PyBullet client of its own with the arm of a trace and a body for each of its capsules."""
 
     def __init__(self, trace: Trace) -> None:
+        with PYBULLET.needed("geometry that is not ours"):
+            from safety_harness.simulation.engine import pybullet
+        self._bullet = pybullet
         self.trace = trace
         self._forearms: dict[float, int] = {}
 
     def __enter__(self) -> PyBulletArm:
         settings = self.trace.scenario.settings
         arm = load_arm(self.trace.scenario.robot.arm_name)
-        self._client = int(pybullet.connect(pybullet.DIRECT))
+        self._client = int(self._bullet.connect(self._bullet.DIRECT))
         with tempfile.TemporaryDirectory() as folder:
             urdf = Path(folder) / "arm.urdf"
             urdf.write_text(resolved_urdf(arm.name, visuals=False))
-            self._arm = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=self._client)
-        joints = range(pybullet.getNumJoints(self._arm, physicsClientId=self._client))
-        rows = [pybullet.getJointInfo(self._arm, joint, physicsClientId=self._client) for joint in joints]
+            self._arm = self._bullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=self._client)
+        joints = range(self._bullet.getNumJoints(self._arm, physicsClientId=self._client))
+        rows = [self._bullet.getJointInfo(self._arm, joint, physicsClientId=self._client) for joint in joints]
         by_joint = {row[1].decode(): row[0] for row in rows}
         by_link = {row[12].decode(): row[0] for row in rows}
         self._joints = [by_joint[name] for name in arm.joint_names]
@@ -100,13 +103,13 @@ class PyBulletArm:
         bodies = [(self._capsule(float(np.linalg.norm(b - a)), float(r)), a, b) for a, b, r in sizes]
         links = [by_link.get(names[link], -1) for link in capsules.link_index]
         self._capsules = list(zip(links, bodies, strict=True))
-        self._hand = self._body(pybullet.GEOM_SPHERE, radius=settings.hand.radius_m)
+        self._hand = self._body(self._bullet.GEOM_SPHERE, radius=settings.hand.radius_m)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        pybullet.disconnect(physicsClientId=self._client)
+        self._bullet.disconnect(physicsClientId=self._client)
 
     def distance_m(self, tick: np.void) -> float:
         """Least distance [m] of any hand or forearm from any capsule at a tick; at most ``FAR_M``."""
@@ -117,7 +120,7 @@ class PyBulletArm:
 
     def _place_arm(self, joint_position_rad: NDArray[np.float64]) -> None:
         for joint, angle in zip(self._joints, joint_position_rad, strict=True):
-            pybullet.resetJointState(self._arm, joint, float(angle), physicsClientId=self._client)
+            self._bullet.resetJointState(self._arm, joint, float(angle), physicsClientId=self._client)
         frames = {link: self._frame(link) for link in {link for link, _ in self._capsules}}
         for link, (body, start, end) in self._capsules:
             rotation, origin = frames[link]
@@ -126,20 +129,22 @@ class PyBulletArm:
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if link < 0:
             return np.eye(3), np.zeros(3)
-        state = pybullet.getLinkState(
+        state = self._bullet.getLinkState(
             self._arm, link, computeForwardKinematics=True, physicsClientId=self._client
         )
-        return np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3)), np.array(state[4])
+        return np.reshape(self._bullet.getMatrixFromQuaternion(state[5]), (3, 3)), np.array(state[4])
 
     def _nearest_m(self, hand: NDArray[np.float64], elbow: NDArray[np.float64]) -> float:
-        pybullet.resetBasePositionAndOrientation(self._hand, hand, (0, 0, 0, 1), physicsClientId=self._client)
+        self._bullet.resetBasePositionAndOrientation(
+            self._hand, hand, (0, 0, 0, 1), physicsClientId=self._client
+        )
         forearm = self._forearm(round(float(np.linalg.norm(elbow - hand)), 6))
         self._lay(forearm, hand, elbow)
         points = [
             point
             for _, (body, _, _) in self._capsules
             for other in (self._hand, forearm)
-            for point in pybullet.getClosestPoints(body, other, FAR_M, physicsClientId=self._client)
+            for point in self._bullet.getClosestPoints(body, other, FAR_M, physicsClientId=self._client)
         ]
         return min((float(point[8]) for point in points), default=FAR_M)
 
@@ -150,11 +155,11 @@ class PyBulletArm:
         return self._forearms[length_m]
 
     def _capsule(self, length_m: float, radius_m: float) -> int:
-        return self._body(pybullet.GEOM_CAPSULE, radius=radius_m, height=length_m)
+        return self._body(self._bullet.GEOM_CAPSULE, radius=radius_m, height=length_m)
 
     def _body(self, kind: int, **size_m: float) -> int:
-        shape = pybullet.createCollisionShape(kind, **size_m, physicsClientId=self._client)
-        return int(pybullet.createMultiBody(0.0, shape, physicsClientId=self._client))
+        shape = self._bullet.createCollisionShape(kind, **size_m, physicsClientId=self._client)
+        return int(self._bullet.createMultiBody(0.0, shape, physicsClientId=self._client))
 
     def _lay(self, body: int, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """A capsule of PyBullet's lies along its own z, about its middle."""
@@ -165,6 +170,6 @@ class PyBulletArm:
             x, y, z = way / length_m
             turn = np.array([-y, x, 0.0, 1.0 + z]) if z > -0.999999 else np.array([1.0, 0.0, 0.0, 0.0])
             turn /= np.linalg.norm(turn)
-        pybullet.resetBasePositionAndOrientation(
+        self._bullet.resetBasePositionAndOrientation(
             body, 0.5 * (start + end), turn, physicsClientId=self._client
         )

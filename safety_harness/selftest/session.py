@@ -30,6 +30,7 @@ from safety_harness.selftest.outcome import FaultOutcome, outcome_of
 from safety_harness.selftest.suite import SelfTestPlan
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
+from safety_harness.simulation.worlds import REFERENCE
 
 PAGE, DATA = "selftest.html", "selftest.json"
 
@@ -166,6 +167,8 @@ def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
     """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
     avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(episodes)))}
     said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
+    if not REFERENCE.is_installed:
+        said.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
     for name, number in avoiders.items():
         system = ChangedSystem(episodes[number])
         wrong = words_on(system.admitted, system.run())[SAME_TWICE]

@@ -139,7 +139,7 @@ class FaultTrials:
             name = admitted.scenario.name
             sound, found, trace = self._with_and_without(fault, magnitude, number)
             alarms = alarms_between(sound, found, name)
-            if trace is not None and trace.scenario.hands:
+            if trace is not None and trace.scenario.hands and REFERENCE.is_installed:
                 kept = hand_distance_kept(trace, LEAST_M)
                 geometry = geometry.with_run(name, kept, found[HAND_DISTANCE.example].verdict)
                 alarms = confirmed_by(kept, alarms)

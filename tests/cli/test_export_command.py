@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -57,14 +56,6 @@ def test_a_difference_from_the_original_is_exit_code_2(
     assert export(model, out=tmp_path / "out.onnx") == BAD_INPUT
     assert "the original's answers" in capsys.readouterr().err
     assert not (tmp_path / "out.onnx").exists()
-
-
-def test_without_pytorch_the_extra_to_install_is_named(
-    model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "safety_harness.learning.export", None)
-    assert export(model, out=tmp_path / "out.onnx") == BAD_INPUT
-    assert "safety-harness[learning]" in capsys.readouterr().err
 
 
 def test_ctrl_c_leaves_nothing(

@@ -6,19 +6,23 @@ import base64
 import hashlib
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
 import pytest
+from examples import scenario
 
-import safety_harness.simulation.pybullet_world  # loads every library
 from safety_harness.campaign.identity import identity_of
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.scenario_commands import run
 from safety_harness.exceptions import InstallationError
+from safety_harness.settings import DEFAULTS, ImageSource
+from safety_harness.simulation.worlds import libraries_of
 from safety_harness.trace import provenance as software
 from safety_harness.trace.provenance import provenance, refuse_shared_modules, shared_modules
+from safety_harness.trace.trace import Provenance
 
 REPOSITORY = Path(__file__).parents[2]
 
@@ -40,8 +44,12 @@ def installed(folder: Path, name: str, version: str, *, record: str = "", names:
     (info / "top_level.txt").write_text(names)
 
 
+def of_every_library() -> Provenance:
+    return provenance("world", "avoider", tuple(software.LIBRARIES))
+
+
 def opencv_file() -> tuple[str, str]:
-    return next(pair for pair in provenance("world", "avoider").files if pair[0].startswith("cv2/"))
+    return next(pair for pair in of_every_library().files if pair[0].startswith("cv2/"))
 
 
 def recorded(sha256: str) -> str:
@@ -49,7 +57,7 @@ def recorded(sha256: str) -> str:
 
 
 def test_each_compiled_file_is_named_with_the_hash_of_what_is_loaded() -> None:
-    files = dict(provenance("world", "avoider").files)
+    files = dict(of_every_library().files)
     assert len(files) == len(software.LIBRARIES)
     import pybullet
 
@@ -65,7 +73,7 @@ def test_the_version_is_that_of_the_package_whose_file_is_loaded_not_of_another_
     installed(tmp_path, "opencv-python", "9.9.9", record=f"{name},sha256={recorded('00' * 32)},1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     forget()
-    libraries = dict(provenance("world", "avoider").libraries)
+    libraries = dict(of_every_library().libraries)
     assert "opencv-python-headless" in libraries
     assert "opencv-python" not in libraries
 
@@ -77,7 +85,7 @@ def test_the_package_of_the_other_name_is_believed_where_its_file_is_the_loaded_
     installed(tmp_path, "opencv-python", "9.9.9", record=f"{name},sha256={recorded(sha256)},1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     forget()
-    assert dict(provenance("world", "avoider").libraries)["opencv-python"] == "9.9.9"
+    assert dict(of_every_library().libraries)["opencv-python"] == "9.9.9"
 
 
 def test_a_file_that_no_package_records_has_the_version_that_its_module_says(
@@ -85,16 +93,31 @@ def test_a_file_that_no_package_records_has_the_version_that_its_module_says(
 ) -> None:
     monkeypatch.setattr(metadata, "distributions", lambda: iter(()))
     forget()
-    libraries = dict(provenance("world", "avoider").libraries)
+    libraries = dict(of_every_library().libraries)
     assert libraries["numpy"] == sys.modules["numpy"].__version__
     assert libraries["pybullet"] == "of a version that it does not say"
 
 
-def test_what_is_not_loaded_is_said_to_be_not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "pybullet")
-    found = provenance("kinematic", "avoider")
+def test_what_is_not_there_is_said_to_be_not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    found = provenance("pybullet", "avoider", ("pybullet",))
     assert dict(found.libraries)["pybullet"] == "not loaded"
     assert not any(name.startswith("pybullet") for name, _ in found.files)
+
+
+def test_a_run_names_what_it_used_and_nothing_else_whatever_is_loaded() -> None:
+    engines = {"pybullet", "opencv-python-headless", "onnxruntime"}
+    rendered = replace(DEFAULTS, camera=replace(DEFAULTS.camera, source=ImageSource.RENDERED))
+    for world, what, own in (
+        ("kinematic", scenario(), set[str]()),
+        ("pybullet", scenario(), {"pybullet"}),
+        ("pybullet", scenario(settings=rendered), {"pybullet", "opencv-python-headless"}),
+        ("kinematic", scenario(avoider="mine.onnx"), {"onnxruntime"}),
+        ("somebody's own", scenario(), set[str]()),
+    ):
+        named = dict(provenance(world, "avoider", libraries_of(world, what)).libraries)
+        assert named.keys() & engines == own
+        assert {"numpy", "numba"} <= named.keys()
 
 
 @pytest.mark.parametrize("how", [{"names": "cv2\n"}, {"record": "cv2/__init__.py,,\n"}])
@@ -139,6 +162,8 @@ def test_certify_refuses_two_owners_of_a_module_and_run_warns(
 
 def test_a_campaign_s_identity_is_of_versions_and_not_of_a_machine_s_files() -> None:
     parts = dict(identity_of([], [], None, "PyBullet").parts)
+    assert not parts["the library pybullet"].startswith("not")
+    assert "the library pybullet" not in dict(identity_of([], [], None, "kinematic").parts)
     assert parts["the library numpy"] == sys.modules["numpy"].__version__
     files = provenance("PyBullet", "").files
     assert files
@@ -149,6 +174,3 @@ def forget() -> None:
     for one in vars(software).values():
         if hasattr(one, "cache_clear") and one.__module__ == software.__name__:
             one.cache_clear()
-
-
-assert safety_harness.simulation.pybullet_world
