@@ -23,6 +23,7 @@ check: $(VENV)/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/hadolint Dockerfile
 
 # Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
@@ -106,7 +107,7 @@ crowded:
 
 # The wheel in an empty folder, with each Python that is here.
 installed: wheel
-	.ci/installed
+	.ci/installed.py
 
 # An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.
 release:

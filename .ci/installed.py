@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Install the newest wheel of dist/ in an empty folder, as a user does, and take every first step: "make installed".
+"""Install the newest wheel of dist/ in an empty folder, as a user does, and take every first step.
 
-    .ci/installed [PYTHON...]
+    .ci/installed.py [PYTHON...]                       ("make installed" makes the wheel before)
 
-PYTHON is an interpreter; without one, Python 3.11, 3.12 and 3.13, on the path or below ~/.pyenv.  One that this
-machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1 if any step does not end
-as it should; what the steps printed is shown of those only.
+PYTHON is an interpreter; without one, those of VERSIONS, on the path or below ~/.pyenv.  One that this
+machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1 if any step does not
+end as it should; what steps printed is shown of those only.
 """
 
 import os
@@ -35,10 +35,8 @@ claims:
 
 def interpreter(version: str) -> str | None:
     """Where Python of ``version`` is, if it starts."""
-    for candidate in (
-        f"python{version}",
-        *map(str, Path.home().glob(f".pyenv/versions/{version}.*/bin/python3")),
-    ):
+    installs = Path.home().glob(f".pyenv/versions/{version}.*/bin/python3")
+    for candidate in (f"python{version}", *map(str, installs)):
         try:
             if subprocess.run([candidate, "-c", "import venv"], capture_output=True).returncode == 0:
                 return candidate
@@ -96,13 +94,14 @@ def installed(python: str, wheel: Path) -> bool:
 def main(pythons: list[str]) -> int:
     """Two interpreters at a time."""
     wheel = max(Path("dist").glob("safety_harness-*.whl"), key=lambda file: file.stat().st_mtime).resolve()
-    asked = {python: python for python in pythons} or {version: interpreter(version) for version in VERSIONS}
-    for version, python in asked.items():
-        if python is None:
+    for version in () if pythons else VERSIONS:
+        found = interpreter(version)
+        if found is None:
             print(f"Python {version} is not on this machine: the wheel was not installed with it")
-    there = [python for python in asked.values() if python is not None]
+        else:
+            pythons.append(found)
     with ThreadPoolExecutor(2) as pool:
-        good = list(pool.map(lambda python: installed(python, wheel), there))
+        good = list(pool.map(lambda python: installed(python, wheel), pythons))
     return 0 if good and all(good) else 1
 
 
