@@ -1,4 +1,4 @@
-"""What pyproject.toml asks for: ranges in the package, exact versions in the lock file, extras by their names."""
+"""What pyproject.toml asks for: ranges in the package, exact versions in the lock file, extras by name."""
 
 from __future__ import annotations
 
