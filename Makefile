@@ -4,8 +4,11 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALL := -m pip install --quiet --disable-pip-version-check
+HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean \
+	lock oldest newest crowded installed
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -20,6 +23,7 @@ check: $(VENV)/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/hadolint Dockerfile
 
 # Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
@@ -29,11 +33,12 @@ others: .venv-psy-taliro/installed .venv-verifai/installed
 
 .venv-%/installed:
 	$(PYTHON) -m venv .venv-$*
-	.venv-$*/bin/python -m pip install --quiet --disable-pip-version-check $($*)
+	.venv-$*/bin/python $(INSTALL) $($*)
 	touch $@
 
 psy-taliro := psy-taliro==3.2.0
 verifai := verifai==2.2.0
+lock := uv==0.13.9
 
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
 LONG := agreement altered_rows busy campaign convergence convergence_in_pybullet crashes dataset decision \
@@ -47,7 +52,7 @@ bench-%: $(VENV)/benchmarks
 
 # "safety-harness reproduce": the paper's tables and figures, measured again.
 paper: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[learning]' --editable paper
+	$(HERE) --editable '.[learning]' --editable paper
 
 docs: $(VENV)/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
@@ -64,7 +69,7 @@ oracles: $(VENV)/tested
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
 mutation: $(VENV)/tested
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[mutation]'
+	$(HERE) --editable '.[mutation]'
 	$(BIN)/mutmut run
 
 # 100 mutants of the control stack, drawn by lot, into docs/mutants.json and docs/selftest.md: resumes.
@@ -77,6 +82,37 @@ bounds: $(VENV)/tested
 	NUMBA_BOUNDSCHECK=1 SAFETY_HARNESS_CACHE=$(CURDIR)/$(VENV)/cache-with-bounds $(BIN)/python -m pytest -q \
 		tests/controller tests/perception tests/robot tests/servoing tests/simulation tests/avoidance/test_gate.py
 
+# The newest versions of the ranges in pyproject.toml, for this repository.  Not kept: what torch brings for a GPU.
+COMPILE := .venv-lock/bin/uv pip compile --quiet --python-version 3.11 --no-annotate --no-header pyproject.toml
+lock: .venv-lock/installed
+	$(COMPILE) --all-extras --upgrade --output-file requirements.lock
+	sed -i '/^\(cuda\|nvidia\|triton\)/d; 1i # What this repository is tested with, Python 3.11: "make lock" writes it.' \
+		requirements.lock
+
+# The quick suite with the lowest and the newest versions of the ranges.
+QUICK := tests/scenario tests/space tests/statistics tests/trace tests/test_public_names.py
+oldest := lowest-direct
+newest := highest
+oldest newest: .venv-lock/installed
+	$(PYTHON) -m venv --clear .venv-$@
+	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($@) --output-file .venv-$@/versions
+	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest
+	.venv-$@/bin/python -m pip check
+	.venv-$@/bin/python -m pytest -q -p no:cacheprovider $(QUICK)
+
+# Beside what other people install.
+CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
+crowded:
+	$(PYTHON) -m venv --clear .venv-$@
+	.venv-$@/bin/python $(INSTALL) $(CROWD) .
+	.venv-$@/bin/python -m pip check
+	.venv-$@/bin/python -c "import safety_harness, torch, stable_baselines3, gymnasium, mujoco, pinocchio, rosbags"
+	.venv-$@/bin/safety-harness run scenarios/hand-visits-and-leaves.yaml --out reports/crowded
+
+# The wheel in an empty folder, with each Python that is here.
+installed: wheel
+	.ci/installed.py
+
 # An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.
 release:
 	.ci/release
@@ -86,20 +122,20 @@ setup: $(VENV)/installed
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/installed: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+$(VENV)/installed: pyproject.toml requirements.lock | $(VENV)/bin/python
+	$(HERE) --editable .
 	touch $@
 
-$(VENV)/tested: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[test,learning]' --editable paper
-	touch $@
+$(VENV)/tested: pyproject.toml requirements.lock | $(VENV)/bin/python
+	$(HERE) --editable '.[test,learning]' --editable paper
+	touch $(VENV)/installed $(VENV)/documented $@
 
 $(VENV)/benchmarks: $(VENV)/installed
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[benchmarks]'
+	$(HERE) --editable '.[benchmarks]'
 	touch $@
 
-$(VENV)/documented: pyproject.toml | $(VENV)/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+$(VENV)/documented: pyproject.toml requirements.lock | $(VENV)/bin/python
+	$(HERE) --editable '.[docs]'
 	touch $@
 
 clean:
