@@ -138,10 +138,15 @@ def _write(text: str, name: str) -> None:
         stream.write(text)
         stream.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # what is buffered has to go somewhere
+        give_up(stream)
         if error.errno not in (errno.EPIPE, errno.EBADF):
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
+
+
+def give_up(stream: TextIO) -> None:
+    """Let what is buffered, and what still comes, go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def no_escapes() -> bool:
