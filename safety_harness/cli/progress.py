@@ -111,7 +111,7 @@ def where(done: float, total: float, begun_s: float) -> str:
         return ""
     if done >= total:
         return f", 100 %, {time_words(spent_s)}"
-    return f", {done / total:.0%}, {_time_left(spent_s * (total / done - 1.0))}".replace("%", " %")
+    return f", {int(100 * done / total)} %, {_time_left(spent_s * (total / done - 1.0))}"
 
 
 @dataclass
@@ -181,7 +181,7 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
 def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
     share = tally.done / tally.planned if tally.planned else 1.0
-    head = f"{tally.done}/{tally.planned} episodes ({100 * share:.0f} %), {progress.rate:.1f} a second, "
+    head = f"{tally.done}/{tally.planned} episodes ({int(100 * share)} %), {progress.rate:.1f} a second, "
     head += _time_left(progress.left_s)
     if not progress.crew.size:
         head += "; NO WORKER IS THERE"
