@@ -53,6 +53,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
     session = AttributionSession(confirm)
     try:
         with counting(len(admitted), "runs") as show:
+            show(0)
             for number, one in enumerate(admitted, start=1):
                 session.take(one)
                 show(number)

@@ -30,6 +30,7 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         episodes = violated_episodes(plan, violated, programs=execute)
         try:
             with counting(len(violated.claims), "episodes") as show:
+                show(0)
                 for number, (admitted, claims) in enumerate(episodes, start=1):
                     session.take(admitted, claims)
                     show(number)

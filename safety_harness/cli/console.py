@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import sys
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
@@ -25,6 +26,7 @@ AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 JSON_FORMAT = "safety-harness answer 1"
 NARROW = 70  # columns; below, columns of blanks are closed, and help has no boxes
 _NARROWEST = 20
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 @dataclass
@@ -136,10 +138,15 @@ def _write(text: str, name: str) -> None:
         stream.write(text)
         stream.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # what is buffered has to go somewhere
+        give_up(stream)
         if error.errno not in (errno.EPIPE, errno.EBADF):
             place = "standard output" if name == "stdout" else "standard error"
             raise OutputError.of_option(place, "room for what is printed", str(error)) from error
+
+
+def give_up(stream: TextIO) -> None:
+    """Let what is buffered, and what still comes, go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def no_escapes() -> bool:
@@ -172,20 +179,27 @@ def _parts(line: str, columns: int) -> list[str]:
     indent = " " * min(len(line) - len(line.lstrip()), columns // 4)
     if columns < NARROW:
         words = " ".join(words.split())
-    return textwrap.wrap(
-        words,
+    together = re.sub(r"(?<=\d) (?=[a-z%])", _NO_BREAK, words)  # a number and its unit
+    found = textwrap.wrap(
+        together,
         columns,
         initial_indent=indent,
         subsequent_indent=indent + "  ",
         break_long_words=False,
         break_on_hyphens=False,
     )
+    return [part.replace(_NO_BREAK, " ") for part in found]
 
 
 def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], *, named_by: int = 2, to: str = "stdout"
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    named_by: int = 2,
+    right: range = range(0),
+    to: str = "stdout",
 ) -> list[str]:
-    """Columns as wide as they need be, numbers to the right; no lines without rows.
+    """Columns as wide as they need be, those in ``right`` to the right; no lines without rows.
 
     Where they are wider than what they go ``to``, each row is what it is ``named_by``, its first cells, and
     below it a list of the others.
@@ -197,15 +211,13 @@ def table(
     columns = columns_of(getattr(sys, to))
     if columns is not None and sum(widths) + 2 * len(widths) - 2 > columns:
         return [line for row in cells[1:] for line in _block(head, row, named_by)]
-    numbers = [
-        column >= named_by and all(cell[:1] in "+-0123456789[" for cell in below)
-        for column, below in enumerate(zip(*cells[1:], strict=True))
+    return [
+        "  ".join(
+            f"{cell:{'>' if column in right else '<'}{width}}"
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
     ]
-    return ["  ".join(map(_aligned, row, widths, numbers)).rstrip() for row in cells]
-
-
-def _aligned(cell: str, width: int, number: bool) -> str:
-    return cell.rjust(width) if number else cell.ljust(width)
 
 
 def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:

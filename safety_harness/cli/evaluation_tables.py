@@ -119,4 +119,4 @@ def _mm(length_m: float) -> str:
 
 def titled(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
     """A table below its title."""
-    yield from ("", title, *table(header, rows))
+    yield from ("", title, *table(header, rows, right=range(2, len(header))))

@@ -76,12 +76,15 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
 
     yield entry.example
     columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)
+    if columns < NARROW:
+        yield from (f"  {name}: {text}" for name, text in told(entry))
+        return
     for name, text in told(entry):
         yield from textwrap.wrap(
             text,
             columns,
             initial_indent=f"  {name:<13}",
-            subsequent_indent=" " * (15 if columns >= NARROW else 4),
+            subsequent_indent=" " * 15,
             break_on_hyphens=False,
         )
 

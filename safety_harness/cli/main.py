@@ -13,7 +13,7 @@ import typer
 from safety_harness.cli.campaign import commands as of_campaigns
 from safety_harness.cli.certify import commands as of_reports
 from safety_harness.cli.certify import of_certify
-from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, no_escapes, result
+from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, give_up, no_escapes, result
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
@@ -89,4 +89,8 @@ def main() -> None:
         app(prog_name=NAME, terminal_width=columns if plain else None, color=False if plain else None)
     except SafetyHarnessError as error:
         explain(error)
+        raise SystemExit(BAD_INPUT) from None
+    except OSError as error:  # help that a full disk does not take, completion for a home that is read-only
+        explain(error)
+        give_up(sys.stdout)
         raise SystemExit(BAD_INPUT) from None

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 from rich.console import Console
 from rich.live import Live
@@ -72,22 +73,17 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 def _block() -> Iterator[Callable[[list[str]], None]]:
     """Yields what shows lines on a terminal; elsewhere the first of them, where that is due."""
     if is_live():
-        with Live(
-            console=_console(), refresh_per_second=4, transient=True, redirect_stdout=_redirect()
-        ) as live:
+        with Live(**_shown(), refresh_per_second=4) as live:
             yield lambda lines: live.update(Text("\n".join(lines)))
     else:
         with paced_lines() as tell:
             yield lambda lines: tell(lines[0])
 
 
-def _console() -> Console:
-    return Console(stderr=True)
-
-
-def _redirect() -> bool:
-    """Do results have to be kept from the lines that change?  Not where they go to a file."""
-    return sys.stdout is not None and sys.stdout.isatty()
+def _shown() -> dict[str, Any]:
+    """On standard error, and results above it; those that go to a file are left alone."""
+    results = sys.stdout is not None and sys.stdout.isatty()
+    return {"console": Console(stderr=True), "transient": True, "redirect_stdout": results}
 
 
 @contextmanager
@@ -95,9 +91,7 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
     """Yields what is told how many of ``total`` are done, and in words what comes next: a bar, or lines."""
     if is_live():
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
-        with Progress(
-            *columns, TimeRemainingColumn(), console=_console(), transient=True, redirect_stdout=_redirect()
-        ) as bar:
+        with Progress(*columns, TimeRemainingColumn(), **_shown()) as bar:
             task = bar.add_task("", total=total)
             yield lambda done, words="": bar.update(task, completed=done, description=words)
         return
@@ -107,7 +101,6 @@ def counting(total: int, unit: str) -> Iterator[Callable[..., None]]:
         def told(done: int, words: str = "") -> None:
             tell(f"{words or f'{done:,}/{total:,} {unit}'}{where(done, total, begun_s)}")
 
-        told(0)
         yield told
 
 
@@ -118,7 +111,7 @@ def where(done: float, total: float, begun_s: float) -> str:
         return ""
     if done >= total:
         return f", 100 %, {time_words(spent_s)}"
-    return f", {done / total:.0%}, {_time_left(spent_s * (total / done - 1.0))}".replace("%", " %")
+    return f", {int(100 * done / total)} %, {_time_left(spent_s * (total / done - 1.0))}"
 
 
 @dataclass
@@ -188,7 +181,7 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
 def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
     share = tally.done / tally.planned if tally.planned else 1.0
-    head = f"{tally.done}/{tally.planned} episodes ({100 * share:.0f} %), {progress.rate:.1f} a second, "
+    head = f"{tally.done}/{tally.planned} episodes ({int(100 * share)} %), {progress.rate:.1f} a second, "
     head += _time_left(progress.left_s)
     if not progress.crew.size:
         head += "; NO WORKER IS THERE"

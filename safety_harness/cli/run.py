@@ -238,7 +238,7 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        say(*table(HEADINGS, table_rows(found), named_by=1, to="stderr"))
+        say(*table(HEADINGS, table_rows(found), named_by=1, right=range(1, 7), to="stderr"))
         untested = untested_lines(found)
         if untested:
             say(f"error: {untested[0]}", *untested[1:])

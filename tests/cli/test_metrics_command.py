@@ -81,7 +81,7 @@ def test_models_stand_side_by_side_in_tables_and_whole_in_json(
         assert f"{100 * above['count'] / above['trials']:.1f}%" in doubt
         assert (one["auroc_against_seen"] is None) == one["seen"]
     assert "(floor)" in printed.out
-    assert "drawing 50 TCPs and hands: unseen tcp" in printed.err
+    assert "drawing 50 TCPs and hands: seen" in printed.err
     assert "drawing" not in printed.out
 
 
