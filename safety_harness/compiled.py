@@ -214,14 +214,19 @@ class _Progress(event.Listener):
         self.depth -= 1
         now_s = time.monotonic()
         self.seconds, self.began_s = self.seconds + now_s - self.began_s, now_s
-        self.unwritable = self.unwritable or cache_problem(cache_root())
-        ready = sum(bool(function.signatures) for function in _functions)
         for watcher in watchers:
-            watcher(Compilation(ready, len(_functions), self.seconds, self.depth > 0, self.unwritable))
+            watcher(compilation())
 
 
 _progress = _Progress()
 numba_event.register("numba:compile", _progress)
+
+
+def compilation() -> Compilation:
+    """How far this process has come."""
+    ready = sum(bool(function.signatures) for function in _functions)
+    unwritable = _progress.unwritable or cache_problem(cache_root())
+    return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
 
 
 class _Interpreted(CPUDispatcher):
