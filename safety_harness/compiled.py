@@ -240,9 +240,22 @@ def _with_attributes(value: Any) -> Any:
     """A view of records that has their fields as attributes, as it is for compiled functions."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
-    if isinstance(value, np.void) and value.dtype.names:
-        return np.frombuffer(value.data, value.dtype).view(np.recarray)[0]
-    return value
+    return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
+
+
+class _Record:
+    """A record of an array, which is written where it lies; ``np.record`` of one would be a copy."""
+
+    def __init__(self, record: np.void) -> None:
+        object.__setattr__(self, "_record", record)
+
+    def __getitem__(self, name: Any) -> Any:
+        return _with_attributes(self._record[name])
+
+    def __setitem__(self, name: Any, value: Any) -> None:
+        self._record[name] = value
+
+    __getattr__, __setattr__ = __getitem__, __setitem__
 
 
 def without_compiling(work: Callable[[], _Made]) -> _Made:
