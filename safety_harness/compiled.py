@@ -219,14 +219,19 @@ class _Progress(event.Listener):
         self.depth -= 1
         now_s = time.monotonic()
         self.seconds, self.began_s = self.seconds + now_s - self.began_s, now_s
-        self.unwritable = self.unwritable or cache_problem(cache_root())
-        ready = sum(bool(function.signatures) for function in _functions)
         for watcher in watchers:
-            watcher(Compilation(ready, len(_functions), self.seconds, self.depth > 0, self.unwritable))
+            watcher(compilation())
 
 
 _progress = _Progress()
 numba_event.register("numba:compile", _progress)
+
+
+def compilation() -> Compilation:
+    """How far this process has come."""
+    ready = sum(bool(function.signatures) for function in _functions)
+    unwritable = _progress.unwritable or cache_problem(cache_root())
+    return Compilation(ready, len(_functions), _progress.seconds, _progress.depth > 0, unwritable)
 
 
 class _Interpreted(CPUDispatcher):
@@ -240,9 +245,22 @@ def _with_attributes(value: Any) -> Any:
     """A view of records that has their fields as attributes, as it is for compiled functions."""
     if isinstance(value, np.ndarray) and value.dtype.names:
         return value.view(np.recarray)
-    if isinstance(value, np.void) and value.dtype.names:
-        return np.frombuffer(value.data, value.dtype).view(np.recarray)[0]
-    return value
+    return _Record(value) if isinstance(value, np.void) and value.dtype.names else value
+
+
+class _Record:
+    """A record of an array, which is written where it lies; ``np.record`` of one would be a copy."""
+
+    def __init__(self, record: np.void) -> None:
+        object.__setattr__(self, "_record", record)
+
+    def __getitem__(self, name: Any) -> Any:
+        return _with_attributes(self._record[name])
+
+    def __setitem__(self, name: Any, value: Any) -> None:
+        self._record[name] = value
+
+    __getattr__, __setattr__ = __getitem__, __setitem__
 
 
 def without_compiling(work: Callable[[], _Made]) -> _Made:

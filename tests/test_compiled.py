@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from safety_harness import compiled as module
-from safety_harness.compiled import cache_folder, compiled, njit_no_nrt, source_hash
+from safety_harness.compiled import cache_folder, compiled, njit_no_nrt, source_hash, without_compiling
 from safety_harness.controller import stack
 
 
@@ -168,3 +168,93 @@ def test_a_function_without_arrays_may_call_one_that_makes_them() -> None:
         return 2.0 * total(n)
 
     assert twice(3) == 12.0
+
+
+def test_without_compiling_the_python_runs_and_afterwards_machine_code() -> None:
+    half = compiled(lambda x: x / 2.0)
+    assert without_compiling(lambda: half(3.0)) == 1.5
+    assert not half.signatures
+    assert half(3.0) == 1.5
+    assert half.signatures
+
+
+def test_what_is_defined_without_compiling_is_not_compiled_and_is_later() -> None:
+    half = without_compiling(lambda: compiled(lambda x: x / 2.0))
+    made, answer = without_compiling(lambda: (one := compiled(lambda x: x + 1.0), one(1.0)))
+    assert answer == 2.0
+    assert not made.signatures
+    assert half(3.0) == 1.5
+    assert half.signatures
+
+
+def test_without_compiling_records_are_read_and_written_by_attribute() -> None:
+    @compiled
+    def advance(states: np.ndarray, one: np.void) -> float:
+        states[0].x += one.step
+        one.step = 3.0
+        one.way[1] = 4.0
+        return float(states[0].x)
+
+    states = np.zeros(1, np.dtype([("x", float)]))
+    steps = np.ones(1, np.dtype([("step", float), ("way", float, (2,))]))
+    assert without_compiling(lambda: advance(states, steps[0])) == 1.0
+    assert steps[0].tolist()[0] == 3.0
+    assert steps[0]["way"].tolist() == [1.0, 4.0]
+    assert advance(states, steps[0]) == states["x"][0] == 4.0
+
+
+def test_where_python_refuses_what_machine_code_answers_machine_code_answers() -> None:
+    quotient = compiled(lambda a, b: a / b)
+    assert without_compiling(lambda: quotient(1.0, 0.0)) == np.inf
+    assert quotient.signatures
+
+
+def test_an_error_leaves_machine_code_in_its_place() -> None:
+    half = compiled(lambda x: x / 2.0)
+
+    def work() -> None:
+        raise KeyError
+
+    with pytest.raises(KeyError):
+        without_compiling(work)
+    half(1.0)
+    assert half.signatures
+
+
+@pytest.fixture
+def no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A file in the place of the folder: root may write everywhere else."""
+    file = tmp_path / "file"
+    file.write_text("")
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(file))
+    return file
+
+
+def test_a_cache_that_cannot_be_written_is_named_and_compiled_functions_run(no_folder: Path) -> None:
+    half = compiled(lambda x: x / 2.0)
+    assert half(3.0) == 1.5
+    said = module.compilation().unwritable
+    assert str(no_folder) in said
+    assert "SAFETY_HARNESS_CACHE" in said
+    assert half.stats.cache_path is None  # numba has not looked for a place of its own
+
+
+def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    def home() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in ("SAFETY_HARNESS_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", home)
+    assert module.cache_problem(module.cache_root())
+    assert module.machine_code() == []
+
+
+def test_a_full_disk_costs_the_machine_code_and_not_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module.FunctionCache, "save_overload", full)
+    monkeypatch.setattr(module._progress, "unwritable", "")
+    assert compiled(lambda x: x / 2.0)(3.0) == 1.5
+    assert "No space left" in module.compilation().unwritable

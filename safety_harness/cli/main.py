@@ -17,10 +17,12 @@ from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, g
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
+from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.cli.shipped import commands as of_shipped
+from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
 
 NAME = "safety-harness"
@@ -31,7 +33,7 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest, of_shipped):
+for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest, of_shipped, of_machine):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
@@ -81,6 +83,7 @@ def of_all(
 
 def main() -> None:
     """Entry point: one of our own errors is explained, and never a traceback."""
+    watchers.append(CompilationLine(sys.stderr))
     columns = columns_of(sys.stdout) or 80
     plain = columns < NARROW or no_escapes()
     if plain:  # Rich cuts words where a table is too wide, and draws in bold without colour

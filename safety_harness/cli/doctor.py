@@ -1,0 +1,181 @@
+"""``safety-harness doctor``: what of the installation works, what is missing, and what is wrong."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from importlib import import_module, metadata
+from importlib.util import find_spec
+from operator import eq, ge, gt, le, lt, ne
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import judge, run_kinematic
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, table
+from safety_harness.cli.warm import SHORT_RUN, machine_code_bytes, megabytes
+from safety_harness.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
+from safety_harness.properties.base import Evaluation
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.read import parse_scenario
+from safety_harness.trace.provenance import shared_modules
+
+NAME = "safety-harness"
+# What not everybody needs: the package, a module of it, and what for.
+OPTIONAL = (
+    ("pybullet", "pybullet", "the reference world and rendered images; without it runs are kinematic"),
+    ("opencv-python-headless", "cv2", "hands in rendered images"),
+    ("onnxruntime", "onnxruntime", "avoiders in FILE.onnx"),
+    ("torch", "torch", "safety-harness train and export"),
+    ("pyarrow", "pyarrow", "campaigns as Parquet files"),
+    ("distributed", "distributed", "campaigns on a Dask cluster"),
+)
+_COMPARED = {"==": eq, "!=": ne, ">=": ge, "<=": le, ">": gt, "<": lt}
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*))?")
+
+
+class State(StrEnum):
+    """What a check found."""
+
+    OK = "ok"
+    MISSING = "missing"
+    PROBLEM = "problem"
+
+
+@dataclass(frozen=True)
+class Examined:
+    """One check: ``what`` was looked at, and what was found in ``words``; does every run need it?"""
+
+    what: str
+    state: State
+    words: str
+    needed: bool = True
+
+
+def examine() -> int:
+    """Print what was found; returns the exit code."""
+    found = [*_machine(), *_required(), *_optional(), *_clashes(), _self_check()]
+    wrong = [one for one in found if one.state is State.PROBLEM and one.needed]
+    document(checks=[asdict(one) for one in found], good=not wrong)
+    rows = [(one.state.value, one.what, one.words) for one in found]
+    result(*table(("state", "what", "found"), rows))
+    return DIFFERS if wrong else AS_EXPECTED
+
+
+def _machine() -> Iterator[Examined]:
+    """The machine, Python, and where machine code is kept."""
+    yield Examined("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} processors")
+    python, wanted = platform.python_version(), metadata.metadata(NAME)["Requires-Python"] or ""
+    good = within(python, wanted)
+    words = python if good else f"{python}, which this package is not made for: {wanted}"
+    yield Examined("Python", State.OK if good else State.PROBLEM, words)
+    problem = cache_problem(cache_root())
+    warm = any(cache_folder(PACKAGE / "controller" / "stack.py").rglob("*.nbc"))
+    words = (
+        "warm" if warm else "cold: the first run compiles, a minute or two; safety-harness warm does it now"
+    )
+    words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"
+    yield Examined("machine code", State.PROBLEM if problem else State.OK, problem or words)
+
+
+def _required() -> Iterator[Examined]:
+    """Every package that the installed metadata ask for: there, in its range, and can be imported."""
+    modules: dict[str, list[str]] = {}
+    for module, names in metadata.packages_distributions().items():
+        for name in names:
+            modules.setdefault(name.lower(), []).append(module)
+    for name, wanted in required().items():
+        try:
+            version = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            yield Examined(name, State.PROBLEM, f"not installed; pip install '{name}{wanted}'")
+            continue
+        yield _installed(name, version, wanted, sorted(modules.get(name.lower(), [])))
+
+
+def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Examined:
+    if not within(version, wanted):
+        return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
+    module = name if name in modules else next((one for one in modules if not one.startswith("_")), None)
+    try:
+        if module is not None:
+            import_module(module)
+    except Exception as error:  # whatever a broken package raises
+        return Examined(name, State.PROBLEM, f"{version} cannot be imported: {type(error).__name__}: {error}")
+    return Examined(name, State.OK, version)
+
+
+def _optional() -> Iterator[Examined]:
+    needed = required()
+    for name, module, use in OPTIONAL:
+        if name in needed:
+            continue
+        if find_spec(module) is None:
+            yield Examined(name, State.MISSING, f"for {use}", needed=False)
+        else:
+            yield Examined(name, State.OK, _version(name), needed=False)
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "by another package"  # opencv-python, say, in place of the one without windows
+
+
+def _clashes() -> Iterator[Examined]:
+    """Packages that own one module: whose code runs is not told by what is installed."""
+    needed = required()
+    for module, packages in shared_modules().items():
+        words = f"{' and '.join(packages)} own it; uninstall all of them, install one"
+        base = any(package.split()[0] in needed for package in packages)
+        yield Examined(f"module {module}", State.PROBLEM, words, needed=base)
+
+
+def _self_check() -> Examined:
+    """A short kinematic run with a hand, without compiling, and the claim that is known to hold of it."""
+    try:
+        evaluation = without_compiling(_short_run)
+    except Exception as error:  # whatever is wrong with the installation is what is looked for
+        return Examined("self-check", State.PROBLEM, f"{type(error).__name__}: {error}")
+    good = evaluation.verdict is Verdict.HOLDS
+    words = f"a short kinematic run: {evaluation.sentence}: {evaluation.verdict.value}"
+    return Examined("self-check", State.OK if good else State.PROBLEM, words)
+
+
+def _short_run() -> Evaluation:
+    scenario = replace(parse_scenario(SHORT_RUN), duration_s=0.2)
+    (evaluation,) = judge(run_kinematic(admit(scenario)))
+    return evaluation
+
+
+def required() -> dict[str, str]:
+    """The packages that every installation needs with this Python, and the versions that are good."""
+    found: dict[str, str] = {}
+    for text in metadata.requires(NAME) or ():
+        match = _REQUIREMENT.match(text)
+        assert match is not None, text  # our own
+        name, wanted, marker = match[1], match[2].strip(), match[3] or ""
+        python = re.search(r"python_version\s*([<>=!]+)\s*['\"]([\d.]+)['\"]", marker)
+        if "extra" in marker or (python and not within(platform.python_version(), python[1] + python[2])):
+            continue
+        found[name] = wanted
+    return found
+
+
+def within(version: str, wanted: str) -> bool:
+    """Whether a version is one of a range such as ``>=2.0,<3``: numbers only, as ours are.
+
+    A shorter one means all that begin with it, so 2.4.6 is ``==2.4`` and not ``>2.4``.
+    """
+    for part in filter(None, (one.strip() for one in wanted.split(","))):
+        match = re.fullmatch(r"(==|!=|>=|<=|>|<)\s*([\d.]+)(?:\.\*)?", part)
+        if match is None:
+            return False
+        limit = [int(number) for number in match[2].split(".")]
+        have = [int(number) for number in re.findall(r"\d+", version.partition("+")[0])]
+        if not _COMPARED[match[1]]((have + [0] * len(limit))[: len(limit)], limit):
+            return False
+    return True

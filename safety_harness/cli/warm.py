@@ -1,0 +1,91 @@
+"""``safety-harness warm``: machine code for what runs and their judgement need, before it is needed."""
+
+from __future__ import annotations
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_many, run_trial
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
+from safety_harness.compiled import cache_root, compilation, forget_old_machine_code, machine_code
+from safety_harness.exceptions import InstallationError
+from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.scenario.read import parse_scenario
+from safety_harness.simulation.worlds import KINEMATIC, WORLDS
+
+# A hand comes so near that the tool gives way; of the claims of the catalogue the first is known to hold.
+SHORT_RUN = """
+scenario: one short run of each part
+duration: 2 s
+seed: 1
+tcp start:
+  offset: [30 mm, -60 mm, 60 mm]
+avoider: mc-dropout
+hands:
+  - hand: right hand
+    starts at: [1000 mm, -550 mm, 250 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - move to: [840 mm, -350 mm, 300 mm]
+        speed: 1 m/s
+      - withdraw: 1.6 m/s
+claims:
+  trace finite and monotone: holds
+"""
+WITH_A_SENSOR = """
+hand sensor:
+  kind: overhead
+  rate: 30 Hz
+  latency: 33 ms
+"""
+
+
+def warm_up() -> int:
+    """Run, judge, and say where the machine code lies; returns the exit code."""
+    for text in (SHORT_RUN, SHORT_RUN + WITH_A_SENSOR):
+        admitted = admit(parse_scenario(text))
+        for world in WORLDS:
+            try:
+                trace = run_trial(admitted, world=world)
+            except InstallationError as error:
+                say(f"not for {error}")
+                continue
+            for entry in CATALOGUE:
+                entry.prop.evaluate(trace)
+        list(run_many([admitted], world=KINEMATIC))
+    return _told()
+
+
+def forget_old() -> int:
+    """Remove old machine code, and say how much there was; returns the exit code."""
+    before = machine_code_bytes()
+    count = forget_old_machine_code()
+    freed = before - machine_code_bytes()
+    document(folder=cache_root(), removed_folders=count, removed_bytes=freed)
+    result(f"{count} folders removed, {megabytes(freed)}; {megabytes(before - freed)} left in {cache_root()}")
+    return AS_EXPECTED
+
+
+def _told() -> int:
+    came, kept = compilation(), machine_code_bytes()
+    document(
+        folder=cache_root(),
+        bytes=kept,
+        functions=came.ready,
+        compiling_s=came.seconds,
+        problem=came.unwritable or None,
+    )
+    if came.unwritable:
+        say(f"error: {came.unwritable}")
+        return DIFFERS
+    new = f"compiled in {came.seconds:.0f} s" if came.seconds else "all of them there already"
+    result(f"machine code of {came.ready} functions, {new}: {megabytes(kept)} in {cache_root()}")
+    return AS_EXPECTED
+
+
+def machine_code_bytes() -> int:
+    """How much room the machine code takes, that of other versions with it."""
+    return sum(file.stat().st_size for folder in machine_code() for file in folder.rglob("*.nb?"))
+
+
+def megabytes(size: int) -> str:
+    """As ``12.3 MB``."""
+    return f"{size / 1e6:.1f} MB"
