@@ -42,7 +42,7 @@ _command = partial(
 
 @_command()
 def run(
-    plan: Annotated[Path, Argument(help="A plan file.", metavar="PLAN")],
+    plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     ledger: Annotated[Path | None, Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")] = None,
     workers: _Workers = None,
     cluster: _Cluster = None,

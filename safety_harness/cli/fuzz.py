@@ -26,7 +26,7 @@ commands = Typer()
 
 @command(commands, interrupted="interrupted before anything was tried")
 def fuzz(
-    space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
+    space: Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")],
     avoider: OfAvoider = None,
     against: OfReference = None,
     budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,

@@ -14,7 +14,8 @@ from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, answered_as_json,
 from safety_harness.exceptions import InputError, SafetyHarnessError
 
 Files = Annotated[
-    list[Path], Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
+    list[Path],
+    Argument(help="Scenario files, suites, folders of *.yaml, or shipped:NAME (list).", metavar="FILE..."),
 ]
 Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[

@@ -171,7 +171,7 @@ def show(
 
 @command(commands, interrupted="interrupted: the files that were written are kept")
 def sample(
-    space: Annotated[Path, Argument(help="A scenario space.", metavar="SPACE")],
+    space: Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")],
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),
     count: Annotated[int, Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,

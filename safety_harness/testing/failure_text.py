@@ -16,6 +16,7 @@ from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_spe
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
+from safety_harness.shipped.contents import shipped_name
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 from safety_harness.trace.trace import Trace
@@ -132,11 +133,11 @@ def in_store(scenario: Scenario) -> bool:
 
 
 def near(file: Path) -> Path:
-    """As seen from the working directory, if it is below it."""
+    """As seen from the working directory, if it is below it; by its name, if it is shipped."""
     try:
         return file.resolve().relative_to(Path.cwd())
     except ValueError:
-        return file
+        return Path(shipped_name(file.resolve()) or file)
 
 
 WIDTH, HEIGHT = 60, 10
