@@ -32,8 +32,8 @@ class ClaimTally:
     ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
     ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
     expected a verdict that says something (holds or violated), and in none of those runs was there
-    anything to say; ``nearest`` is then the one of them with the least margin, else the first by name.  A violation
-    counts as a test, whatever the occasions.
+    anything to say; ``nearest`` is then the one of them with the least margin, else the first by name.
+    A violation counts as a test, whatever the occasions.
     """
 
     sentence: str
