@@ -52,6 +52,8 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
+            if claim.standing is ClaimStatus.UNTESTED and claim.exercised_when:
+                text += f"; exercised when: {claim.exercised_when}"
             yield OpenFinding(text, f"claim-{claim.number}")
 
 

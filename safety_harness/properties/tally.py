@@ -41,8 +41,8 @@ class ClaimTally:
     ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
     ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
     expected a verdict that says something (holds or violated), and in none of those runs was there
-    anything to say; ``nearest`` is then the one of them with the least margin, else the first.  A violation
-    counts as a test, whatever the occasions.
+    anything to say; ``nearest`` is then the one of them with the least margin, else the first by name.
+    A violation counts as a test, whatever the occasions.
     """
 
     sentence: str
@@ -93,7 +93,7 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
         violated=verdicts.count(Verdict.VIOLATED),
         inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
         worst=min(finite, key=_margin, default=None),
-        nearest=min(conclusive, key=_margin_or_inf) if untested else None,
+        nearest=min(conclusive, key=_nearness) if untested else None,
     )
 
 
@@ -105,8 +105,11 @@ def _margin(one: Judged) -> float:
     return nan if one.evaluation.margin is None else one.evaluation.margin
 
 
-def _margin_or_inf(one: Judged) -> float:
-    return _margin(one) if isfinite(_margin(one)) else inf
+def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
+    """Sorts outcomes by their margins, if they have one, and others by what they say."""
+    found = one.evaluation
+    margin = _margin(one) if isfinite(_margin(one)) else inf
+    return margin, one.run, found.reason, found.verdict.value, one.expected.value
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:

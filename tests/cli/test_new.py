@@ -75,12 +75,10 @@ def test_two_people_of_whom_nobody_comes_near_are_told_so(tmp_path: Path, capsys
     pytest.importorskip("pybullet")
     file = tmp_path / "two.yaml"
     assert new("two-people", file) == AS_EXPECTED
-    text = (
-        file.read_text()
-        .replace("until: 100 mm", "until: 500 mm")
-        .replace("[1150 mm, 150 mm", "[1390 mm, 190 mm")
+    text = file.read_text().replace("until: 100 mm", "until: 600 mm")
+    file.write_text(
+        text.replace("[1050 mm, -500 mm", "[1350 mm, -800 mm").replace("[1150 mm, 150", "[1390 mm, 190")
     )
-    file.write_text(text)
     assert run([file], tmp_path / "out") == DIFFERS
     told = capsys.readouterr().err
     assert "error: 4 of 4 claims were never exercised, and nothing is shown of:" in told

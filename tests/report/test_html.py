@@ -357,6 +357,7 @@ def test_a_claim_that_was_never_put_to_the_test_is_said_in_a_banner() -> None:
     never = (replace(run.evaluations[0], exercised=0),)
     idle = replace(run, trace=replace(run.trace, scenario=expecting), evaluations=never)
     assert "Never put to the test" in text_for([idle])
+    assert f"{idle.trace.scenario.name}: {never[0].reason}" in text_for([idle])
     knowing = replace(run.trace.scenario, claims=(replace(claim, expected=Verdict.INCONCLUSIVE),))
     silent = replace(idle, trace=replace(run.trace, scenario=knowing))
     assert "Never put to the test" not in text_for([silent])

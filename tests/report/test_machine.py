@@ -72,6 +72,7 @@ def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> No
         "worst_margin_si": first.evaluations[0].margin,
         "worst_scenario": "two-hands",
         "untested": False,
+        "untested_for": None,
     }
 
 
