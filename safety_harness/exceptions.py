@@ -79,6 +79,15 @@ class InputError(SafetyHarnessError):
         return make, ()
 
 
+def refuse_other_type(
+    argument: str, value: object, kind: type | tuple[type, ...], expected: str, hint: str = ""
+) -> None:
+    """InputError unless the ``argument`` of a function is of the ``kind`` that ``expected`` says in words."""
+    if not isinstance(value, kind):
+        got = f"{type(value).__name__} {value!r}"
+        raise InputError.of_option(argument, expected, got if len(got) <= 80 else got[:77] + "...", hint)
+
+
 def explanation(error: BaseException) -> str:
     """The error for people: where, what was expected, what came and the hint, each on a line of its own."""
     if not isinstance(error, InputError):

@@ -68,6 +68,9 @@ def looks_like_formula(sentence: str) -> bool:
     return bool(words) and (words[0] in FIRST or "until" in words or " ".join(words) in names)
 
 
+ALL_CLAIMS = "safety-harness claims"  # the command that lists the catalogue and the signals
+
+
 @dataclass
 class _Parser:
     sentence: str
@@ -224,7 +227,7 @@ class _Parser:
         raise self.error(
             "a signal or an operator",
             got=written,
-            hint=near_miss(written, (*names, *FIRST), most=2) or f"signals: {', '.join(names)}",
+            hint=near_miss(written, (*names, *FIRST), most=3, all_of_them=ALL_CLAIMS),
         )
 
     def quantity(self, dimension: Dimension) -> Quantity:

@@ -20,7 +20,8 @@ from safety_harness.exceptions import RecordingError
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
-from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.files import as_path, read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import (
     JOINED_HAND,
     MAX_HANDS,
@@ -60,12 +61,14 @@ _KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"
 _PROSE = ("scenario", "about", "claims")
 
 
-def read_scenario(path: Path) -> Scenario:
-    """The scenario in a file, with what it extends.
+def read_scenario(path: str | Path) -> Scenario:
+    """The scenario in a file, with what it extends; a text is its path, and its YAML is for ``parse_scenario``.
 
     ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
-    which ``read_all_scenarios`` reads.
+    which ``read_all_scenarios`` reads.  InputError for what is no path.
     """
+    path = as_path(path, "read_scenario(path)", of_text="parse_scenario")
+    refuse_other_kind(path, FileKind.SCENARIO, FileKind.SUITE)
     return scenario_of_variant(only_variant(path, Library(), "one scenario"), path)
 
 
@@ -132,7 +135,7 @@ def refuse_distributions(root: Field) -> None:
             raise field.error(
                 "one scenario",
                 got="a scenario space",
-                hint="safety-harness sample draws scenarios from it",
+                hint="safety-harness fuzz searches it, and sample draws scenarios from it",
             )
         if key not in _PROSE:
             for one in walk(field):

@@ -18,6 +18,7 @@ from functools import lru_cache
 from safety_harness.exceptions import Place, ScenarioError
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+MOST_LISTED = 16  # of what is allowed, in a message
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
 
@@ -152,12 +153,26 @@ def normal_unit(unit: str) -> str:
     return unit.removeprefix("1") if unit.startswith("1/") else unit
 
 
-def near_miss(word: str, allowed: Iterable[str], *, most: int = 1) -> str:
-    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing."""
+def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
+    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing.
+
+    ``all_of_them`` is the command that lists what is allowed: it is told whatever resembles.
+    """
     by_lower = {name.lower(): name for name in allowed}
     close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
     names = " or ".join(f'"{by_lower[name]}"' for name in close)
-    return f"did you mean {names}?" if word and close else ""
+    meant = f"did you mean {names}?" if word and close else ""
+    return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
+
+
+def one_of(names: Iterable[str], what: str) -> str:
+    """``one of the keys a, b, c``, or how many there are of them where they are more than one reads."""
+    listed = list(names)
+    return (
+        f"one of the {what} {', '.join(listed)}"
+        if len(listed) <= MOST_LISTED
+        else f"one of {len(listed)} {what}"
+    )
 
 
 def shown(text: str) -> str:

@@ -13,6 +13,8 @@ from safety_harness.exceptions import ScenarioError
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
 from safety_harness.space.distributions import Choice, InRegion
@@ -27,11 +29,15 @@ _BETWEEN = 0.381966  # of the cube: no round number, so that whole numbers are t
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settings are not read yet
 
 
-def read_space(path: Path, library: Library | None = None) -> ScenarioSpace:
+def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands.
+
+    A text is the file's path, and its YAML is for ``parse_space``.
 
     ``library`` is told of every file that is read.
     """
+    path = as_path(path, "read_space(path)", of_text="parse_space")
+    refuse_other_kind(path, FileKind.SPACE)
     found = only_variant(path, library or Library(), "one scenario space")
     return space_of(found.tree, path, name=found.name)
 

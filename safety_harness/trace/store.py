@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import InputError, Place, TraceError
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
-from safety_harness.scenario.files import refuse_no_file, told
+from safety_harness.scenario.files import as_path, refuse_no_file, told
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
@@ -145,8 +146,10 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
     return data
 
 
-def load_trace(path: Path) -> Trace:
+def load_trace(path: str | Path) -> Trace:
     """Read a trace; TraceError says what is wrong with a file that is none, damaged or contradictory."""
+    path = as_path(path, "load_trace(path)")
+    refuse_other_kind(path, FileKind.TRACE, error=TraceError)
     return _Reader(path).trace()
 
 
