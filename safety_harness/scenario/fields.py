@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeVar
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
-from safety_harness.scenario.units import MOST_LISTED, Dimension, near_miss, one_of, parse_quantity, shown
+from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
 
 LARGEST_COORDINATE_M = 10.0  # beyond it: a slip of the unit, not a workplace
 LARGEST_ANGLE_RAD = 2.0 * pi
@@ -177,10 +177,10 @@ class Field(NamedTuple):
         entries = self.entries(_mapping_with(allowed))
         for key, field in entries:
             if key not in allowed:
-                hint = (hints or {}).get(key) or near_miss(
-                    key, allowed, all_of_them="safety-harness explain" if len(allowed) > MOST_LISTED else ""
+                hint = (hints or {}).get(key) or near_miss(key, allowed)
+                raise field.error(
+                    f"one of the keys {', '.join(allowed)}", got=f'the key "{shown(key)}"', hint=hint
                 )
-                raise field.error(one_of(allowed, "keys"), got=f'the key "{shown(key)}"', hint=hint)
         return Fields(self, dict(entries))
 
 

@@ -24,30 +24,27 @@ class FileKind(Enum):
     """A kind of file or folder: what a message calls it, and what to type for it."""
 
     SCENARIO = "a scenario", "safety-harness run {file}"
-    SPACE = "a scenario space", "safety-harness fuzz {file}; sample {file} draws scenarios that run takes"
+    SPACE = "a scenario space", "safety-harness fuzz {file}, or sample {file} for scenarios that run takes"
     SUITE = "a suite of scenarios", "safety-harness run {file}"
-    PLAN = "a plan", "safety-harness certify {file}, or campaign run {file}"
+    PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone"
     TRACE = "a trace", "safety-harness replay {file}, or judge {file}"
     LEDGER = "the ledger of a campaign", "safety-harness campaign status {file}"
     MODEL = "a model", "safety-harness evaluate {file}, or run FILE --avoider {file}"
     ONNX = "a model in ONNX", "safety-harness evaluate {file}, or run FILE --avoider {file}"
     TORCH = (
         "a model of PyTorch",
-        "write its function in ONNX, torch.onnx.export(..., {onnx}), and then: --avoider {onnx}",
+        'torch.onnx.export(model, example, "{onnx}"), then --avoider {onnx} (docs/avoiders.md)',
     )
     PYTHON = "a Python file", "safety-harness evaluate {file}:{name}, or run FILE --avoider {file}:{name}"
-    PAGE = (
-        "a page to be read in a browser",
-        "the folder of an evidence report: safety-harness verify {folder}",
-    )
-    RUNS = "the figures of a run", "safety-harness judge {folder}/traces/*.trace"
-    EVIDENCE = "the figures of an evidence report", "safety-harness verify {folder}"
+    PAGE = "a page for a browser", "open it there"
+    RUNS = "the figures of runs", ""
+    EVIDENCE = "a part of an evidence report", "safety-harness verify {folder}"
     SCORES = "the figures of an evaluation", "its page is {folder}/evaluation.html"
     SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}"
     DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
     SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
     TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
-    TABLE = "a table", 'a recorded motion is named by a scenario: safety-harness explain "recording"'
+    TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
     REPORT = "the folder of an evidence report", "safety-harness verify {file}"
     DATASET = "the folder of a data set", "safety-harness train mc-dropout --data {file}"
     RUN_FOLDER = "the folder of a run", "safety-harness judge {file}/traces/*.trace"
@@ -114,8 +111,8 @@ def refuse_other_kind(
 ) -> None:
     """``error`` for what is of another kind than ``wanted``: what it is, and the command that takes it.
 
-    ``place`` is what names the file; None is the file itself; ``expected`` may say ``wanted`` otherwise.  What is no kind, or what may be one that
-    is ``wanted`` and damaged, is left to who reads it.
+    ``place`` is what names the file; None is the file itself.  ``expected`` may say ``wanted`` otherwise.
+    What is no kind, or may be one that is ``wanted`` and damaged, is left to who reads it.
     """
     found = kind_of(path)
     damaged = (found is FileKind.BINARY and _BINARIES & {*wanted}) or (
@@ -136,21 +133,18 @@ def command_for(path: Path, found: FileKind, *wanted: FileKind) -> str:
     if found is FileKind.FOLDER:
         inside = _first_in(path, {*wanted})
         return f"name a file in it, such as {shlex.quote(str(inside))}" if inside else ""
-    if found in (FileKind.PAGE, FileKind.EVIDENCE) and kind_of(path.parent) is not FileKind.REPORT:
+    if found is FileKind.EMPTY and not {*wanted} & {*_BY_TITLE.values()}:
         return ""
-    if found is FileKind.EMPTY and not wanted_text(wanted):
-        return ""
+    if found in (FileKind.PAGE, FileKind.RUNS, FileKind.EVIDENCE):
+        beside = kind_of(path.parent)
+        if beside in (FileKind.REPORT, FileKind.RUN_FOLDER):  # whose page or figures these are
+            path, found = path.parent, beside
     return str(found.value[1]).format(
         file=shlex.quote(str(path)),
         folder=shlex.quote(str(path.parent)),
         onnx=shlex.quote(str(path.with_suffix(".onnx"))),
         name=avoider_in(path) if found is FileKind.PYTHON else "",
     )
-
-
-def wanted_text(wanted: tuple[FileKind, ...]) -> bool:
-    """Is a scenario wanted, or what is made of scenarios?"""
-    return bool({*wanted} & {*_BY_TITLE.values()})
 
 
 def _first_in(folder: Path, wanted: set[FileKind]) -> Path | None:

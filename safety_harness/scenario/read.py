@@ -62,8 +62,9 @@ _PROSE = ("scenario", "about", "claims")
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """The scenario in a file, with what it extends; a text is its path, and its YAML is for ``parse_scenario``.
+    """The scenario in a file, with what it extends.
 
+    A text is the file's path; the text of a scenario is for ``parse_scenario``.
     ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
     which ``read_all_scenarios`` reads.  InputError for what is no path.
     """

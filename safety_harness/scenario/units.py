@@ -18,7 +18,6 @@ from functools import lru_cache
 from safety_harness.exceptions import Place, ScenarioError
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-MOST_LISTED = 16  # of what is allowed, in a message
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
 
@@ -163,16 +162,6 @@ def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: 
     names = " or ".join(f'"{by_lower[name]}"' for name in close)
     meant = f"did you mean {names}?" if word and close else ""
     return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
-
-
-def one_of(names: Iterable[str], what: str) -> str:
-    """``one of the keys a, b, c``, or how many there are of them where they are more than one reads."""
-    listed = list(names)
-    return (
-        f"one of the {what} {', '.join(listed)}"
-        if len(listed) <= MOST_LISTED
-        else f"one of {len(listed)} {what}"
-    )
 
 
 def shown(text: str) -> str:

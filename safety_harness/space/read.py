@@ -32,7 +32,7 @@ _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settin
 def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands.
 
-    A text is the file's path, and its YAML is for ``parse_space``.
+    A text is the file's path; the text of a space is for ``parse_space``.
 
     ``library`` is told of every file that is read.
     """
