@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import shlex
 import warnings
-import zipfile
 from enum import Enum
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.files import ALL, TITLES
 
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
+TAIL_BYTES = 100_000
 MOST_ENTRIES = 100  # of a folder
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
 _FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
@@ -95,8 +96,7 @@ def kind_of(path: Path) -> FileKind | None:
             return _folder_kind(path)
         if not path.is_file():
             return None
-        with path.open("rb") as stream:
-            head = stream.read(HEAD_BYTES)
+        head = _head(path)
     except (OSError, ValueError):
         return None
     return _binary_kind(path, head) or _text_kind(path, head.decode("utf-8", "replace"))
@@ -156,10 +156,15 @@ def _first_in(folder: Path, wanted: set[FileKind]) -> Path | None:
     return next((file for file in entries if not file.is_dir() and kind_of(file) in wanted), None)
 
 
+def _head(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(HEAD_BYTES)
+
+
 def _folder_kind(folder: Path) -> FileKind:
     for name, form, kind in _IN_FOLDERS:
         file = folder / name
-        if file.is_file() and _format_of(file.read_bytes()[:HEAD_BYTES].decode("utf-8", "replace")) == form:
+        if file.is_file() and _format_of(_head(file).decode("utf-8", "replace")) == form:
             return kind
     return FileKind.FOLDER
 
@@ -180,14 +185,13 @@ def _binary_kind(path: Path, head: bytes) -> FileKind | None:
 
 
 def _zip_kind(path: Path) -> FileKind:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()[:MOST_ENTRIES]
-    except Exception:  # whatever damaged bytes provoke
-        return FileKind.BINARY
-    if "trace.json" in names:
+    """By the names at its end, which are not unpacked: a stranger's may be any number."""
+    with path.open("rb") as stream:
+        stream.seek(max(stream.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
+        tail = stream.read()
+    if b"trace.json" in tail:
         return FileKind.TRACE
-    return FileKind.TORCH if any(name.endswith("data.pkl") for name in names) else FileKind.BINARY
+    return FileKind.TORCH if b"/data.pkl" in tail else FileKind.BINARY
 
 
 def _text_kind(path: Path, text: str) -> FileKind | None:
@@ -216,7 +220,7 @@ def avoider_in(path: Path) -> str:
     """The first class in a Python file that has a ``propose``; nothing of it is executed."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            tree = ast.parse(path.read_bytes()[:HEAD_BYTES])
+            tree = ast.parse(_head(path))
     except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
         return "NAME"
     for node in tree.body:
