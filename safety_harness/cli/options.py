@@ -15,6 +15,9 @@ from safety_harness.exceptions import InputError, SafetyHarnessError
 Files = Annotated[
     list[Path], Argument(help="Scenario files, suites, or folders of *.yaml.", metavar="FILE...")
 ]
+KeepGoing = Annotated[
+    bool, Option("--keep-going", help="What cannot be used is told and counted, and the rest goes on.")
+]
 Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[
     str | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, result, say
-from safety_harness.cli.options import Files, OfAvoider, OfReference, Out, Seed, command
+from safety_harness.cli.options import Files, KeepGoing, OfAvoider, OfReference, Out, Seed, command
 from safety_harness.exceptions import OutputError, Place
 
 commands = Typer()
@@ -63,7 +63,11 @@ claims:
 
 @command(commands)
 def run(
-    files: Files, out: Out = Path("reports/run"), avoider: OfAvoider = None, against: OfReference = None
+    files: Files,
+    out: Out = Path("reports/run"),
+    avoider: OfAvoider = None,
+    against: OfReference = None,
+    keep_going: KeepGoing = False,
 ) -> int:
     """Run scenario files in PyBullet, judge their claims and write a report.
 
@@ -75,12 +79,12 @@ def run(
     reason, and counted.
     Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
     lost; 1: otherwise, or a run failed, a scenario was skipped, or a claim that was expected to tell
-    something was never put to the test; 2: bad input, nothing was run; 130: interrupted, what was finished
+    something was never put to the test; 2: bad input, nothing was run, or with --keep-going only the rest; 130: interrupted, what was finished
     is kept.
     """
     from safety_harness.cli.run import run as run_files
 
-    return run_files(files, out, avoider, against)
+    return run_files(files, out, avoider, against, keep_going)
 
 
 @command(commands)
@@ -204,6 +208,7 @@ def judge(
             metavar="SENTENCE",
         ),
     ] = None,
+    keep_going: KeepGoing = False,
 ) -> int:
     """Judge stored traces again by their claims, or by others, without simulating.
 
@@ -211,7 +216,7 @@ def judge(
     """
     from safety_harness.cli.replay import judge_again
 
-    return judge_again(traces, claim or ())
+    return judge_again(traces, claim or (), keep_going=keep_going)
 
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")
