@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from safety_harness.exceptions import FormulaError, InputError, Place
+from safety_harness.exceptions import FormulaError, InputError, Place, refuse_other_type
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -47,6 +47,7 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
     """The formula that a sentence says; FormulaError at ``place`` with the column of the wrong word."""
+    refuse_other_type("parse_formula(sentence)", sentence, str, "a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
     formula = parser.claim(0)

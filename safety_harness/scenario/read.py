@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.exceptions import RecordingError
+from safety_harness.exceptions import RecordingError, refuse_other_type
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
@@ -61,13 +61,15 @@ _KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"
 _PROSE = ("scenario", "about", "claims")
 
 
-def read_scenario(path: str | Path) -> Scenario:
+def read_scenario(path: str | Path | Scenario) -> Scenario:
     """The scenario in a file, with what it extends.
 
-    A text is the file's path; the text of a scenario is for ``parse_scenario``.
+    A text is the file's path; the text of a scenario is for ``parse_scenario``.  A Scenario stays what it is.
     ScenarioError or RecordingError when it cannot be used as it stands, and for a matrix or a suite,
     which ``read_all_scenarios`` reads.  InputError for what is no path.
     """
+    if isinstance(path, Scenario):
+        return path
     path = as_path(path, "read_scenario(path)", of_text="parse_scenario")
     refuse_other_kind(path, FileKind.SCENARIO, FileKind.SUITE)
     return scenario_of_variant(only_variant(path, Library(), "one scenario"), path)
@@ -95,6 +97,7 @@ def parse_scenario(
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is
     refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
+    refuse_other_type("parse_scenario(text)", text, str, "a text", "read_scenario(path) reads a file")
     tree = parse_tree(text, file)
     refuse_distributions(Field(tree, file, path="", line=1))
     name = name or (file.stem if file else "unnamed")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.exceptions import ScenarioError, refuse_other_type
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
@@ -50,6 +50,7 @@ def parse_space(
     Every parameter is tried out: its ends, a value between them, every one of its alternatives.  What the
     scenario reader refuses of these is refused here, and so is a value that could not be read back.
     """
+    refuse_other_type("parse_space(text)", text, str, "a text", "read_space(path) reads a file")
     return space_of(parse_tree(text, file), file, recordings)
 
 

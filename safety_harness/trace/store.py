@@ -22,7 +22,7 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InputError, Place, TraceError
+from safety_harness.exceptions import InputError, Place, TraceError, refuse_other_type
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.files import as_path, refuse_no_file, told
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
@@ -73,6 +73,7 @@ def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
     """
+    refuse_other_type("save_trace(trace)", trace, Trace, "a Trace", "run_trial(admitted) makes one")
     text = write_scenario(_portable(trace.scenario), all_settings=True)
     parts: dict[str, bytes] = {"scenario.yaml": text.encode()}
     arrays = {
