@@ -79,13 +79,20 @@ class InputError(SafetyHarnessError):
         return make, ()
 
 
-def refuse_other_type(
-    argument: str, value: object, kind: type | tuple[type, ...], expected: str, hint: str = ""
-) -> None:
-    """InputError unless the ``argument`` of a function is of the ``kind`` that ``expected`` says in words."""
-    if not isinstance(value, kind):
-        got = f"{type(value).__name__} {value!r}"
-        raise InputError.of_option(argument, expected, got if len(got) <= 80 else got[:77] + "...", hint)
+_MADE_BY = {  # of what a caller hands on: where it comes from
+    "Scenario": "read_scenario(path) reads one",
+    "ScenarioSpace": "read_space(path) reads one",
+    "Trace": "load_trace(path) reads one, run_trial(admitted) makes one",
+    "Admitted": "admit(scenario) makes one",
+}
+
+
+def refuse_other_type(argument: str, value: object, *kinds: type, expected: str = "", hint: str = "") -> None:
+    """InputError unless the ``argument`` of a function is of one of the ``kinds``, ``expected`` in words."""
+    if not isinstance(value, kinds):
+        name, got = kinds[0].__name__, f"{type(value).__name__} {value!r}"
+        got = got if len(got) <= 80 else got[:77] + "..."
+        raise InputError.of_option(argument, expected or f"a {name}", got, hint or _MADE_BY.get(name, ""))
 
 
 def explanation(error: BaseException) -> str:

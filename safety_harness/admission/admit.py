@@ -101,9 +101,12 @@ class Admitter:
 
 def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
     """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names."""
-    refuse_other_type("admit(scenario)", scenario, Scenario, "a Scenario", "read_scenario(path) reads one")
+    refuse_other_type("admit(scenario)", scenario, Scenario)
     if avoider is None:
         return Admitter().admit(scenario)
+    if isinstance(avoider, type) or not hasattr(avoider, "propose"):
+        expected, hint = "an object with a propose", "shipped_avoider(name) is one of ours, Mine() of a class"
+        raise InadmissibleError.of_option("admit(avoider)", expected, repr(avoider)[:80], hint)
     answers = answers_at_first(avoider, *first_question(scenario.settings))
     return _admitted(check(scenario), avoider, "", answers)
 

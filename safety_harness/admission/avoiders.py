@@ -22,7 +22,7 @@ from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_se
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.exceptions import InadmissibleError, Place, refuse_other_type
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
@@ -191,6 +191,7 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
     To be wrapped in an ``AvoiderAround``, say.
     """
+    refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
     if name not in NAMES:
         hint = near_miss(name, NAMES, most=3)
         raise InadmissibleError(

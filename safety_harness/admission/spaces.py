@@ -53,9 +53,7 @@ def draw_admissible(
     draws are made.  ``on_draw`` is told how many draws have been made.  ValueError for a count below 1.
     Nothing of a user's is executed.
     """
-    refuse_other_type(
-        "draw_admissible(space)", space, ScenarioSpace, "a ScenarioSpace", "read_space(path) reads one"
-    )
+    refuse_other_type("draw_admissible(space)", space, ScenarioSpace)
     if count < 1:
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()

@@ -47,7 +47,7 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
     """The formula that a sentence says; FormulaError at ``place`` with the column of the wrong word."""
-    refuse_other_type("parse_formula(sentence)", sentence, str, "a sentence")
+    refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
     formula = parser.claim(0)

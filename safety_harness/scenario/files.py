@@ -31,9 +31,12 @@ def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
     InputError, naming the ``argument``, for what is neither, and for a text of several lines, which is
     no path but what ``of_text`` reads.
     """
-    refuse_other_type(argument, source, (str, Path), "a path")
-    if isinstance(source, str) and ("\n" in source or not source.strip()):
-        got = f"a text of {source.count(chr(10)) + 1} lines" if source.strip() else "an empty text"
+    refuse_other_type(argument, source, str, Path, expected="a path")
+    text = str(source)
+    if not text.strip() or "\0" in text:
+        raise InputError.of_option(argument, "a path", repr(text[:80]))
+    if isinstance(source, str) and "\n" in text.strip():
+        got = f"a text of {len(text.strip().splitlines())} lines"
         hint = f"{of_text}(text) reads a text" if of_text else ""
         raise InputError.of_option(argument, "a path", got, hint)
     return Path(source)

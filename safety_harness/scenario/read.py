@@ -97,7 +97,8 @@ def parse_scenario(
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is
     refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
-    refuse_other_type("parse_scenario(text)", text, str, "a text", "read_scenario(path) reads a file")
+    hint = "read_scenario(path) reads a file"
+    refuse_other_type("parse_scenario(text)", text, str, expected="a text", hint=hint)
     tree = parse_tree(text, file)
     refuse_distributions(Field(tree, file, path="", line=1))
     name = name or (file.stem if file else "unnamed")

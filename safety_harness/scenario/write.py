@@ -23,9 +23,7 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
     Only settings that differ from the defaults are written; with ``all_settings`` every one, for
     a text that must outlive a change of the defaults.
     """
-    refuse_other_type(
-        "write_scenario(scenario)", scenario, Scenario, "a Scenario", "read_scenario(path) reads one"
-    )
+    refuse_other_type("write_scenario(scenario)", scenario, Scenario)
     return text_of(tree_of(scenario, all_settings=all_settings))
 
 

@@ -112,9 +112,7 @@ class Trials:
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
-        refuse_other_type(
-            "Trials(space)", self.space, ScenarioSpace, "a ScenarioSpace", "read_space(path) reads one"
-        )
+        refuse_other_type("Trials(space)", self.space, ScenarioSpace)
         simplest = self._completed(self.space.simplest)
         own = not self.sentences and self.reference is None
         given = self.space.simplest.claims if own else ()

@@ -50,7 +50,7 @@ def parse_space(
     Every parameter is tried out: its ends, a value between them, every one of its alternatives.  What the
     scenario reader refuses of these is refused here, and so is a value that could not be read back.
     """
-    refuse_other_type("parse_space(text)", text, str, "a text", "read_space(path) reads a file")
+    refuse_other_type("parse_space(text)", text, str, expected="a text", hint="read_space(path) reads a file")
     return space_of(parse_tree(text, file), file, recordings)
 
 

@@ -15,9 +15,7 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 def write_space(space: ScenarioSpace) -> str:
     """YAML text from which ``parse_space`` gives the same space again, but for its name and places."""
-    refuse_other_type(
-        "write_space(space)", space, ScenarioSpace, "a ScenarioSpace", "read_space(path) reads one"
-    )
+    refuse_other_type("write_space(space)", space, ScenarioSpace)
     return text_of(_tree(space.tree))
 
 

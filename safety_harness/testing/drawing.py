@@ -36,7 +36,7 @@ def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]
         if isinstance(source, ScenarioSpace):
             return drawn(source)
         expected = "a path or a scenario space"
-        refuse_other_type("scenarios(source)", source, (str, Path), expected)
+        refuse_other_type("scenarios(source)", source, str, Path, expected=expected)
         path = as_path(source, "scenarios(source)", of_text="parse_space")
         return _of_files(sought_from(path, asked))
     except InputError as error:

@@ -35,9 +35,7 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
     Of a decision and a tick at the same time it is the decision, which the tick's command follows.
     """
     for trace in (first, second):
-        refuse_other_type(
-            "first_difference(first, second)", trace, Trace, "two Traces", "load_trace(path) reads one"
-        )
+        refuse_other_type("first_difference(first, second)", trace, Trace)
     found = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),

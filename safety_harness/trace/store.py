@@ -67,13 +67,14 @@ class _Run:
     provenance: Provenance
 
 
-def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
+def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
     """Write ``trace`` to ``path``, whole or not at all.  Raises OSError.
 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
     """
-    refuse_other_type("save_trace(trace)", trace, Trace, "a Trace", "run_trial(admitted) makes one")
+    refuse_other_type("save_trace(trace)", trace, Trace)
+    path = as_path(path, "save_trace(path)")
     text = write_scenario(_portable(trace.scenario), all_settings=True)
     parts: dict[str, bytes] = {"scenario.yaml": text.encode()}
     arrays = {
