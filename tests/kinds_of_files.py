@@ -34,7 +34,7 @@ WORDS = {
     "ledger.sqlite": "a ledger",
     "evidence.html": "a page",
     "report.html": "a page",
-    "report.json": "the figures of",
+    "figures.json": "the figures of",
     "model.safetensors": "a model",
     "model.onnx": "a model in ONNX",
     "model.pt": "a model of PyTorch",
@@ -61,7 +61,7 @@ def make_all(folder: Path) -> dict[str, Path]:
     ledger_in(folder, plan).close()
     (folder / "evidence.html").write_text(_PAGE.format("Evidence: plan"))
     (folder / "report.html").write_text(_PAGE.format("Safety verification"))
-    (folder / "report.json").write_text(json.dumps({"format": "safety-harness report 1", "runs": []}))
+    (folder / "figures.json").write_text(json.dumps({"format": "safety-harness report 1", "runs": []}))
     (folder / "times.json").write_text(json.dumps({"format": "safety-harness decision times 1"}))
     (folder / "model.safetensors").write_bytes(shipped_model("deterministic").read_bytes())
     (folder / "model.onnx").write_bytes(b"\x08\x0a\x12\x07pytorch" + bytes(64))

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import warnings
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
@@ -122,7 +123,7 @@ def refuse_other_kind(
         return
     raise error(
         place=place or Place(file=path),
-        expected=expected or " or ".join(dict.fromkeys(one.words for one in wanted)),
+        expected=expected or _either([one.words for one in wanted]),
         got=f"{path}, {found.words}" if place else found.words,
         hint=command_for(path, found, *wanted),
     )
@@ -142,9 +143,14 @@ def command_for(path: Path, found: FileKind, *wanted: FileKind) -> str:
     return str(found.value[1]).format(
         file=shlex.quote(str(path)),
         folder=shlex.quote(str(path.parent)),
-        onnx=shlex.quote(str(path.with_suffix(".onnx"))),
+        onnx=shlex.quote(f"{path.stem}.onnx"),
         name=avoider_in(path) if found is FileKind.PYTHON else "",
     )
+
+
+def _either(words: Sequence[str]) -> str:
+    """``a, b or c``."""
+    return " or ".join([", ".join(words[:-1])] * (len(words) > 1) + [words[-1]])
 
 
 def _first_in(folder: Path, wanted: set[FileKind]) -> Path | None:
