@@ -31,7 +31,7 @@ WORDS = {
     "suite.yaml": "a suite",
     "plan.yaml": "a plan",
     "run.trace": "a trace",
-    "ledger.sqlite": "a ledger",
+    "ledger.sqlite": "the ledger of a campaign",
     "evidence.html": "a page",
     "report.html": "a page",
     "figures.json": "the figures of",
@@ -45,7 +45,7 @@ WORDS = {
     "empty.yaml": "an empty file",
     "notes.txt": "a text",
     "folder": "a folder",
-    "report": "the folder of a report",
+    "report": "the folder of an evidence report",
 }
 
 

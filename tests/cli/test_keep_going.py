@@ -1,4 +1,4 @@
-"""One bad file does not keep the others from running, if asked; it is told, counted, and the end is bad input."""
+"""A bad file does not keep the others from running, if asked; it is told, counted, and the end is bad input."""
 
 from __future__ import annotations
 
