@@ -79,6 +79,22 @@ class InputError(SafetyHarnessError):
         return make, ()
 
 
+_MADE_BY = {  # of what a caller hands on: where it comes from
+    "Scenario": "read_scenario(path) reads one",
+    "ScenarioSpace": "read_space(path) reads one",
+    "Trace": "load_trace(path) reads one, run_trial(admitted) makes one",
+    "Admitted": "admit(scenario) makes one",
+}
+
+
+def refuse_other_type(argument: str, value: object, *kinds: type, expected: str = "", hint: str = "") -> None:
+    """InputError unless the ``argument`` of a function is of one of the ``kinds``, ``expected`` in words."""
+    if not isinstance(value, kinds):
+        name, got = kinds[0].__name__, f"{type(value).__name__} {value!r}"
+        got = got if len(got) <= 80 else got[:77] + "..."
+        raise InputError.of_option(argument, expected or f"a {name}", got, hint or _MADE_BY.get(name, ""))
+
+
 def explanation(error: BaseException) -> str:
     """The error for people: where, what was expected, what came and the hint, each on a line of its own.
 

@@ -22,7 +22,7 @@ from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
-from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError
+from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.scenario.fault_table import fault_table
@@ -101,8 +101,12 @@ class Admitter:
 
 def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
     """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names."""
+    refuse_other_type("admit(scenario)", scenario, Scenario)
     if avoider is None:
         return Admitter().admit(scenario)
+    if isinstance(avoider, type) or not hasattr(avoider, "propose"):
+        expected, hint = "an object with a propose", "shipped_avoider(name) is one of ours, Mine() of a class"
+        raise InadmissibleError.of_option("admit(avoider)", expected, repr(avoider)[:80], hint)
     answers = answers_at_first(avoider, *first_question(scenario.settings))
     return _admitted(check(scenario), avoider, "", answers)
 

@@ -12,7 +12,6 @@ import os
 import shlex
 from collections import ChainMap
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,9 +22,10 @@ from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_se
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.exceptions import InadmissibleError, Place, refuse_other_type
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
+from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
 from safety_harness.scenario.units import near_miss
@@ -121,14 +121,24 @@ def _found(scenario: Scenario, place: Place) -> Path | None:
         return None
     path = _file_of(scenario)
     if path is None:
-        near = get_close_matches(reference, NAMES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else ""
-        if reference.endswith(".py"):
-            hint = f"name the class in it as well: {reference}:NAME"
-        raise InadmissibleError(place=place, expected=FORMS, got=repr(reference), hint=hint)
+        raise _no_avoider(scenario, place)
     if not path.is_file():
         raise InadmissibleError(place=place, expected="a file that can be read", got=f"no such file: {path}")
     return path
+
+
+def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
+    """What is said of a reference that is neither a name nor a kind of file that avoiders come from."""
+    reference = scenario.avoider
+    beside = (folder_of(scenario) or Path()) / os.path.expanduser(reference)
+    path = beside if beside.exists() else Path(os.path.expanduser(reference))
+    kind = kind_of(path)
+    got, hint = repr(reference), near_miss(reference, NAMES, most=3)
+    if kind is not None:
+        got, hint = f"{got}, {kind.words}", command_for(path, kind)
+    if reference.endswith(".py"):
+        hint = f"name the class in it as well: {reference}:{avoider_in(path)}"
+    return InadmissibleError(place=place, expected=FORMS, got=got, hint=hint)
 
 
 def avoider_sha256(scenario: Scenario) -> str:
@@ -183,8 +193,9 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
     To be wrapped in an ``AvoiderAround``, say.
     """
+    refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
     if name not in NAMES:
-        hint = near_miss(name, NAMES)
+        hint = near_miss(name, NAMES, most=3)
         raise InadmissibleError(
             place=Place(field="avoider"), expected=f"one of: {', '.join(NAMES)}", got=repr(name), hint=hint
         )

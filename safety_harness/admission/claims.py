@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import re
-from difflib import get_close_matches
 from functools import lru_cache
 
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.parse import looks_like_formula, parse_formula
+from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
 from safety_harness.properties.base import Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.scenario.units import near_miss
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
@@ -30,13 +30,11 @@ def property_of(claim: Claim, scenario: Scenario) -> Property:
         formula.check(scenario, claim.place)
         return formula
     examples = [entry.example for entry in CATALOGUE]
-    near = get_close_matches(claim.sentence, examples, n=1, cutoff=0.5)
     raise InadmissibleError(
         place=claim.place,
-        expected='a formula such as "always hand distance > 50 mm", or a claim of the catalogue: '
-        + "; ".join(examples),
+        expected='a claim of the catalogue, or a formula such as "always hand distance > 50 mm"',
         got=repr(claim.sentence),
-        hint=f"did you mean {near[0]!r}?" if near else "",
+        hint=near_miss(claim.sentence, examples, most=3, all_of_them=ALL_CLAIMS),
     )
 
 

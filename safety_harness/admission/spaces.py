@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
 from safety_harness.avoidance.avoider import Avoider
-from safety_harness.exceptions import InadmissibleError, InputError, ModelError
+from safety_harness.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
@@ -53,6 +53,7 @@ def draw_admissible(
     draws are made.  ``on_draw`` is told how many draws have been made.  ValueError for a count below 1.
     Nothing of a user's is executed.
     """
+    refuse_other_type("draw_admissible(space)", space, ScenarioSpace)
     if count < 1:
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()

@@ -13,7 +13,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.controller.controller import Controller
-from safety_harness.exceptions import InadmissibleError, InstallationError
+from safety_harness.exceptions import InadmissibleError, InstallationError, refuse_other_type
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.true_motion import refuse_contradictions
@@ -42,6 +42,7 @@ def run_trial(
     ``on_tick`` is told the number of ticks done.  NoAnswerError for an avoider that hangs; InadmissibleError
     for rendered images in a world that has none, InstallationError for a world whose engine is missing.
     """
+    refuse_other_type("run_trial(admitted)", admitted, Admitted)
     start = admitted.scenario, admitted.arm, admitted.joint_position_rad
     with world.open(*start, detector=detector) as episode:
         trace = simulate(
@@ -75,6 +76,7 @@ def run_many(
     chunk: list[Admitted] = []
     ticks = 0
     for admitted in scenarios:
+        refuse_other_type("run_many(scenarios)", admitted, Admitted)
         refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
         if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
             yield from _run_chunk(chunk, world)
@@ -118,6 +120,7 @@ def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
     Nothing is simulated and no avoider is made: a user's own would be executed.  TraceError, naming
     ``file``, if no run can have written the trace.
     """
+    refuse_other_type("judge(trace)", trace, Trace)
     refuse_contradictions(trace, file)
     return tuple(property_of(claim, trace.scenario).evaluate(trace) for claim in trace.scenario.claims)
 

@@ -29,6 +29,7 @@ from safetensors.numpy import save
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
 from safety_harness.settings import Settings, Vector3
 from safety_harness.whole_file import replacing
@@ -193,6 +194,7 @@ def tensor_shapes() -> dict[str, tuple[int, ...]]:
 
 def load_model(path: Path) -> Model:
     """Read and check a model file; ModelError says what is wrong with it and where."""
+    refuse_other_kind(path, FileKind.MODEL, error=ModelError)
     return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
 
 

@@ -15,6 +15,7 @@ from urllib.parse import quote
 
 from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import writing
@@ -28,6 +29,7 @@ unusable = LedgerError.of_file
 
 def refuse_no_ledger(path: Path) -> None:
     """LedgerError for what is no file, no SQLite, no ledger, or shorter than it says that it is."""
+    refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
     refuse_no_file(path, "a ledger", LedgerError)
     try:
         with path.open("rb") as stream:

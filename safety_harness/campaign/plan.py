@@ -19,6 +19,8 @@ from safety_harness.exceptions import Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import LARGEST_SEED, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
@@ -123,13 +125,15 @@ class Plan:
         return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
 
 
-def read_plan(path: Path) -> Plan:
+def read_plan(path: str | Path) -> Plan:
     """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
 
     ``shipped:NAME`` is one of ours, also where a plan names a space.  No avoider is made: a user's own would
     be executed.
     """
-    path, library = located(path), Library()
+    path = as_path(path, "read_plan(path)")
+    refuse_other_kind(path, FileKind.PLAN)
+    library = Library()
     root = Field(library.tree(path), path, path="", line=1)
     given = root.fields(KEYS)
     title = given.required("plan").prose("a title on one line")

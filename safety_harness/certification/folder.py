@@ -29,6 +29,7 @@ from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.page import write_page
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import write_whole
 
@@ -88,6 +89,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
     """Path and hash of every file of a report; InputError for what is no report's folder."""
     file = folder / MANIFEST
     place = Place(file=file)
+    refuse_other_kind(folder, FileKind.REPORT, error=InputError)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
     found = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
     hashes = typed(found.get("sha256"), dict[str, str], file, where="sha256")

@@ -31,6 +31,7 @@ from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import confirming_line
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
+from safety_harness.scenario.kinds import FileKind, command_for, kind_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import PYBULLET
@@ -118,7 +119,9 @@ def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenari
         traces += [path for path in stored if path.with_suffix(".yaml") not in own]
         if not (own or stored):
             expected = f"a folder with scenario files (*.yaml) or traces (*{TRACE})"
-            errors.append(ScenarioError(place=Place(file=folder), expected=expected, got="none in it"))
+            kind = kind_of(folder) or FileKind.FOLDER
+            got, hint = f"{kind.words} without any", command_for(folder, kind)
+            errors.append(ScenarioError(place=Place(file=folder), expected=expected, got=got, hint=hint))
     gathered = gather(files) if files else None
     named = gathered.scenarios if gathered else []
     chosen, refused = usable(named, lambda one: one if avoider is None else with_avoider(one, avoider))

@@ -9,6 +9,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document
 from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, files_of, read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.layout import laid_out
 from safety_harness.whole_file import write_whole
 
@@ -31,6 +32,7 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
 
 def _format(file: Path, *, check: bool) -> bool:
     """Whether the layout of ``file`` was, or would be, another one."""
+    refuse_other_kind(file, FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     before = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
     tree_of(before, file)  # refuses what is not ours

@@ -17,6 +17,9 @@ Files = Annotated[
     list[Path],
     Argument(help="Scenario files, suites, folders of *.yaml, or shipped:NAME (list).", metavar="FILE..."),
 ]
+KeepGoing = Annotated[
+    bool, Option("--keep-going", help="What cannot be used is told and counted, and the rest goes on.")
+]
 Out = Annotated[Path, Option(help="Folder for report.html and traces/.")]
 OfAvoider = Annotated[
     str | None,

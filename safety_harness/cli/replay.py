@@ -10,10 +10,19 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
+from safety_harness.cli.console import (
+    AS_EXPECTED,
+    BAD_INPUT,
+    DIFFERS,
+    INTERRUPTED,
+    document,
+    explain_each,
+    result,
+    say,
+)
 from safety_harness.cli.progress import watching_runs
 from safety_harness.cli.runs import say_results
-from safety_harness.exceptions import InadmissibleError, Place, TraceError
+from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.machine import run_data
@@ -100,20 +109,34 @@ def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
 
 
-def judge_again(paths: Sequence[Path], sentences: Sequence[str] = ()) -> int:
+def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_going: bool = False) -> int:
     """Judge stored traces by their claims, with the present code, without simulating.
 
-    ``sentences`` take the place of the traces' own claims, and are expected to hold.
+    ``sentences`` take the place of the traces' own claims, and are expected to hold.  ``keep_going``: a
+    trace that cannot be judged is told, and the others are judged.
     """
-    runs = []
+    runs: list[JudgedRun] = []
+    refused: list[InputError] = []
     for path in paths:
-        trace = load_trace(path)
-        if sentences:
-            claims = with_expectation(_claims(sentences), trace.scenario)
-            trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
-        runs.append(
-            JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)
-        )
-        say_results(runs[-1])
+        try:
+            run = _judged(path, sentences)
+        except InputError as error:
+            if not keep_going:
+                raise
+            refused.append(error)
+            continue
+        say_results(run)
+        runs.append(run)
     document(runs=[run_data(run) for run in runs])
+    if refused:
+        say(f"{explain_each(refused)} mistakes; {len(runs)} of {len(paths)} traces judged")
+        return BAD_INPUT
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
+
+
+def _judged(path: Path, sentences: Sequence[str]) -> JudgedRun:
+    trace = load_trace(path)
+    if sentences:
+        claims = with_expectation(_claims(sentences), trace.scenario)
+        trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
+    return JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)

@@ -75,11 +75,14 @@ def run(
     out: Path,
     avoider: str | None = None,
     against: str | None = None,
+    *,
     world: WorldEntry = REFERENCE,
+    keep_going: bool = False,
 ) -> int:
     """Run in ``world``, judge, print, save and report; returns the exit code.
 
-    InstallationError for a world that is not installed.
+    InstallationError for a world that is not installed.  ``keep_going``: what cannot be used is told and
+    counted, and the rest is run.
     """
     world.opener()
     say_shared_modules()
@@ -91,17 +94,20 @@ def run(
         return INTERRUPTED
     if skipped and not admitted:
         errors += [one.error for one in skipped]
-    if errors:
-        say(f"{explain_each(errors)} of the inputs cannot be used; nothing was run.")
+    refused = explain_each(errors)
+    if refused and not (keep_going and admitted):
+        go_on = "; --keep-going runs the others" if admitted else ""
+        say(f"{refused} of the inputs cannot be used; nothing was run{go_on}.")
         return BAD_INPUT
     for folder in (TRACES, *[OF_REFERENCE] * (against is not None)):
         with writing(out / folder):
             (out / folder).mkdir(parents=True, exist_ok=True)
     again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
     named = {"--avoider": avoider, "--against": against}
+    again += ["--keep-going"] * keep_going
     again += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
     again += [] if world is REFERENCE else ["--world", world.label]
-    session = RunSession(out, shlex.join(again), len(admitted), skipped, world)
+    session = RunSession(out, shlex.join(again), len(admitted), skipped, refused, world)
     if against is not None:
         mine = "each file's own avoider" if avoider is None else told_avoider(avoider)
         session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
@@ -121,6 +127,7 @@ class RunSession:
     command: str
     planned: int
     skipped: Sequence[NotTaken] = ()
+    refused: int = 0  # inputs that cannot be used, and did not keep the others from running
     world: WorldEntry = REFERENCE
     against: Against | None = None
     differences: list[RunDifference] = field(default_factory=list)
@@ -194,6 +201,7 @@ class RunSession:
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
             f"{len(self.runs)} of {self.planned + len(self.skipped)} scenarios run"
             + (f", {not_taken_words(self.skipped)}" if self.skipped else "")
+            + (f", {self.refused} of the inputs cannot be used" if self.refused else "")
             + (f"; {fallback}" if fallback else "")
         )
         if self.against is not None:
@@ -205,6 +213,8 @@ class RunSession:
             return BAD_INPUT
         if self.interrupted:
             return INTERRUPTED
+        if self.refused:
+            return BAD_INPUT
         good = all(verdicts) if self.against is None else self._as_good()
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS

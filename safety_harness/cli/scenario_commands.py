@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, verbatim
-from safety_harness.cli.options import Files, OfAvoider, OfReference, OfWorld, Out, Seed, command
+from safety_harness.cli.options import Files, KeepGoing, OfAvoider, OfReference, OfWorld, Out, Seed, command
 
 commands = Typer()
 
@@ -20,6 +20,7 @@ def run(
     avoider: OfAvoider = None,
     against: OfReference = None,
     world: OfWorld = "PyBullet",
+    keep_going: KeepGoing = False,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
@@ -31,13 +32,14 @@ def run(
     reason, and counted.
     Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
     lost; 1: otherwise, or a run failed, a scenario was skipped, or a claim that was expected to tell
-    something was never put to the test; 2: bad input, nothing was run; 130: interrupted, what was finished
-    is kept.
+    something was never put to the test; 2: bad input, nothing was run, or with
+    --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
     from safety_harness.cli.run import run as run_files
     from safety_harness.simulation.worlds import world_named
 
-    return run_files(files, out, avoider, against, world_named(world, "--world"))
+    chosen = world_named(world, "--world")
+    return run_files(files, out, avoider, against, world=chosen, keep_going=keep_going)
 
 
 @command(commands)
@@ -141,6 +143,7 @@ def judge(
             metavar="SENTENCE",
         ),
     ] = None,
+    keep_going: KeepGoing = False,
 ) -> int:
     """Judge stored traces again by their claims, or by others, without simulating.
 
@@ -148,7 +151,7 @@ def judge(
     """
     from safety_harness.cli.replay import judge_again
 
-    return judge_again(traces, claim or ())
+    return judge_again(traces, claim or (), keep_going=keep_going)
 
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from safety_harness.exceptions import FormulaError, InputError, Place
+from safety_harness.exceptions import FormulaError, InputError, Place, refuse_other_type
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -47,6 +47,7 @@ MAX_DEPTH = 30  # parentheses and operators within one another
 
 def parse_formula(sentence: str, place: Place | None = None) -> Formula:
     """The formula that a sentence says; FormulaError at ``place`` with the column of the wrong word."""
+    refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
     place = place or Place(field="formula")
     parser = _Parser(sentence, place, tokens_of(sentence, place))
     formula = parser.claim(0)
@@ -66,6 +67,9 @@ def looks_like_formula(sentence: str) -> bool:
     words = sentence.lower().split()
     names = {signal.words.lower() for signal in SIGNALS}
     return bool(words) and (words[0] in FIRST or "until" in words or " ".join(words) in names)
+
+
+ALL_CLAIMS = "safety-harness claims"  # the command that lists the catalogue and the signals
 
 
 @dataclass
@@ -224,7 +228,7 @@ class _Parser:
         raise self.error(
             "a signal or an operator",
             got=written,
-            hint=near_miss(written, (*names, *FIRST), most=2) or f"signals: {', '.join(names)}",
+            hint=near_miss(written, (*names, *FIRST), most=3, all_of_them=ALL_CLAIMS),
         )
 
     def quantity(self, dimension: Dimension) -> Quantity:

@@ -27,6 +27,7 @@ from safety_harness.compiled import compiled
 from safety_harness.exceptions import DatasetError, Place
 from safety_harness.geometry.regions import Region
 from safety_harness.learning.image_error import ImageErrors
+from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Settings
 from safety_harness.space.regions import paper_seen, region_named
 
@@ -55,7 +56,10 @@ def space_named(name: str, settings: Settings) -> Space:
     """The space that a user names; DatasetError with the four names for any other."""
     if name not in SPACES:
         raise DatasetError(
-            place=Place(field="space"), expected=f"one of {', '.join(map(repr, SPACES))}", got=repr(name)
+            place=Place(field="space"),
+            expected=f"one of {', '.join(map(repr, SPACES))}",
+            got=repr(name),
+            hint=near_miss(name, SPACES),
         )
     bounds = paper_seen(settings)
     hand, tcp = (region_named(region, bounds, settings) for region in SPACES[name])

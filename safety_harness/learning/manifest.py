@@ -23,6 +23,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.exceptions import DatasetError, OutputError, Place, RegionError
 from safety_harness.learning.dataset import CompactDataset, Space
 from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.settings import Settings
 from safety_harness.whole_file import replacing, write_whole
@@ -109,6 +110,7 @@ def save_dataset(dataset: CompactDataset, folder: Path) -> None:
 
 def load_dataset(folder: Path) -> CompactDataset:
     """Read what ``save_dataset`` wrote; DatasetError says what is wrong with anything else."""
+    refuse_other_kind(folder, FileKind.DATASET, error=DatasetError)
     file = folder / MANIFEST
     manifest = _read_manifest(file)
     try:

@@ -12,6 +12,7 @@ from typing import Literal
 
 from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
+from safety_harness.scenario.units import near_miss
 
 Target = Literal["eq13", "continuous"]
 SplitKind = Literal["by TCP", "by sample"]
@@ -103,9 +104,10 @@ def recipe_named(name: str) -> Recipe:
     for recipe in RECIPES:
         if recipe.name == name:
             return recipe
+    names = [recipe.name for recipe in RECIPES]
     raise ModelError(
         place=Place(field="recipe"),
         expected="the name of a recipe",
         got=repr(name),
-        hint="there are " + ", ".join(recipe.name for recipe in RECIPES),
+        hint=f"{near_miss(name, names)} there are {', '.join(names)}".strip(),
     )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
+from safety_harness.exceptions import refuse_other_type
 from safety_harness.properties.against import Against
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.proportions import share_words
@@ -41,6 +42,7 @@ from safety_harness.report.words import (
     with_minus,
 )
 from safety_harness.scenario.faults import fault_words
+from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
@@ -51,7 +53,7 @@ Row = dict[str, Any]
 
 
 def write_report(
-    path: Path,
+    path: str | Path,
     runs: Sequence[JudgedRun],
     *,
     title: str,
@@ -71,6 +73,9 @@ def write_report(
     with a reference, ``repeated`` what a second avoider answered to their questions.  Folders that are
     missing are made.  Raises OSError.
     """
+    path = as_path(path, "write_report(path)")
+    for run in runs:
+        refuse_other_type("write_report(runs)", run, JudgedRun)
     page = render(
         runs,
         title=title,

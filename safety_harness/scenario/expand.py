@@ -9,7 +9,8 @@ from pathlib import Path
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import SUITE, Library, Variant, is_space, variants
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import files_of, resolved
+from safety_harness.scenario.files import as_path, files_of, resolved
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.read import scenario_of_variant
@@ -36,9 +37,15 @@ class Gathered:
     _seen: set[Path] = field(default_factory=set)
     _names: dict[str, Path] = field(default_factory=dict)
 
+    @property
+    def _kinds(self) -> tuple[FileKind, ...]:
+        return (FileKind.SCENARIO, FileKind.SUITE, *[FileKind.SPACE] * self._spaces_too)
+
     def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
         """What ``path``, named at ``place`` in the last of ``suites``, leads to."""
         try:
+            if path.is_dir() and not any(path.glob("*.yaml")):
+                refuse_other_kind(path, *self._kinds, FileKind.FOLDER, place=place)
             for file in files_of(path, place):
                 asked_for_itself = resolved(file) in suites and file == located(path)
                 if resolved(file) in self._seen and not asked_for_itself:
@@ -54,6 +61,7 @@ class Gathered:
 
     def _add_file(self, file: Path, place: Place | None, suites: tuple[Path, ...]) -> None:
         try:
+            refuse_other_kind(file, *self._kinds, place=place)
             tree = self._library.tree(file, place)
             if isinstance(tree, Mapping) and any(key.text == SUITE for key, _ in tree.entries):
                 self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
@@ -96,9 +104,9 @@ class Gathered:
         self.scenarios.append(scenario)
 
 
-def read_all_scenarios(path: Path) -> tuple[Scenario, ...]:
+def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
     """Every scenario of a file, a folder or a suite; the first mistake is raised, an InputError."""
-    gathered = gather([path])
+    gathered = gather([as_path(path, "read_all_scenarios(path)")])
     if gathered.errors:
         raise gathered.errors[0]
     return tuple(gathered.scenarios)

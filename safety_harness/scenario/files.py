@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, Place, ScenarioError, refuse_other_type
 from safety_harness.shipped.contents import is_installed, located, shipped_name
 
 TITLES = ("scenario", "scenario space", "suite")
@@ -24,6 +24,23 @@ KEYS = (
 COMMON = ("about", "duration", "seed", "robot", "object", "camera", "settings")  # ours beside a title only
 ALL = (*TITLES, *KEYS, *COMMON)
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?:[ \t]+(\S)|[ \t]*\r?$)", re.MULTILINE)
+
+
+def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
+    """Where a text of a caller becomes a path, also one of ``shipped:NAME``: the one place.
+
+    InputError, naming the ``argument``, for what is neither, and for a text of several lines, which is
+    no path but what ``of_text`` reads.
+    """
+    refuse_other_type(argument, source, str, Path, expected="a path")
+    text = str(source)
+    if not text.strip() or "\0" in text:
+        raise InputError.of_option(argument, "a path", repr(text[:80]))
+    if isinstance(source, str) and "\n" in text.strip():
+        got = f"a text of {len(text.strip().splitlines())} lines"
+        hint = f"{of_text}(text) reads a text" if of_text else ""
+        raise InputError.of_option(argument, "a path", got, hint)
+    return located(source)
 
 
 def read_bytes(path: Path, *, most: int, place: Place, error: type[InputError]) -> bytes:

@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.exceptions import RecordingError
+from safety_harness.exceptions import RecordingError, refuse_other_type
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
-from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.files import as_path, read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import (
     JOINED_HAND,
     MAX_HANDS,
@@ -61,13 +62,17 @@ _KEYS = ({"one of"}, {"one of", "chances"}, {"box"}, {"shell", "from", "to"}, {"
 _PROSE = ("scenario", "about", "claims")
 
 
-def read_scenario(path: Path) -> Scenario:
+def read_scenario(path: str | Path | Scenario) -> Scenario:
     """The scenario in a file, with what it extends.
 
-    ``shipped:NAME`` is one of ours.  ScenarioError or RecordingError when it cannot be used as it stands, and
-    for a matrix or a suite, which ``read_all_scenarios`` reads.
+    A text is the file's path, ``shipped:NAME`` one of ours; the text of a scenario is for ``parse_scenario``.
+    A Scenario stays what it is.  ScenarioError or RecordingError when it cannot be used as it stands, and for
+    a matrix or a suite, which ``read_all_scenarios`` reads.  InputError for what is no path.
     """
-    path = located(path)
+    if isinstance(path, Scenario):
+        return path
+    path = as_path(path, "read_scenario(path)", of_text="parse_scenario")
+    refuse_other_kind(path, FileKind.SCENARIO, FileKind.SUITE)
     return scenario_of_variant(only_variant(path, Library(), "one scenario"), path)
 
 
@@ -93,6 +98,8 @@ def parse_scenario(
     ``recording``: they are used in place of files.  A scenario without claims says nothing and is
     refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
+    hint = "read_scenario(path) reads a file"
+    refuse_other_type("parse_scenario(text)", text, str, expected="a text", hint=hint)
     tree = parse_tree(text, file)
     refuse_distributions(Field(tree, file, path="", line=1))
     name = name or (file.stem if file else "unnamed")
@@ -134,7 +141,7 @@ def refuse_distributions(root: Field) -> None:
             raise field.error(
                 "one scenario",
                 got="a scenario space",
-                hint="safety-harness sample draws scenarios from it",
+                hint="safety-harness fuzz searches it, and sample draws scenarios from it",
             )
         if key not in _PROSE:
             for one in walk(field):

@@ -16,6 +16,7 @@ import msgspec
 
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.kinds import JSON, command_for, kind_of, refuse_other_kind
 
 LARGEST_BYTES = 64 * 2**20
 INSTEAD = {"Invalid": "a value that this version knows", "Number": "a finite number"}  # of msgspec's words
@@ -27,6 +28,7 @@ def read_json(
     path: Path, what: str, *, most: int = LARGEST_BYTES, error: type[InputError] = InputError
 ) -> Any:
     """What the file says; ``error`` for no file, one of more than ``most`` bytes, or no JSON."""
+    refuse_other_kind(path, *JSON, error=error, expected=f"{what}, in JSON")
     data = read_bytes(path, most=most, place=Place(file=path), error=error)
     return parsed(decode(data, most=most, file=path, error=error), path, what, error)
 
@@ -46,7 +48,9 @@ def of_format(found: Any, form: str, file: Path, error: type[InputError] = Input
         raise error(place=Place(file=file), expected=expected, got=type(found).__name__)
     if found.get("format") != form:
         got = repr(found.get("format"))[:80]
-        raise error(place=Place(file=file, field="format"), expected=repr(form), got=got)
+        kind = kind_of(file)
+        hint = command_for(file, kind) if kind in JSON else ""
+        raise error(place=Place(file=file, field="format"), expected=repr(form), got=got, hint=hint)
     return found
 
 

@@ -152,12 +152,16 @@ def normal_unit(unit: str) -> str:
     return unit.removeprefix("1") if unit.startswith("1/") else unit
 
 
-def near_miss(word: str, allowed: Iterable[str], *, most: int = 1) -> str:
-    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing."""
+def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
+    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing.
+
+    ``all_of_them`` is the command that lists what is allowed: it is told whatever resembles.
+    """
     by_lower = {name.lower(): name for name in allowed}
     close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
     names = " or ".join(f'"{by_lower[name]}"' for name in close)
-    return f"did you mean {names}?" if word and close else ""
+    meant = f"did you mean {names}?" if word and close else ""
+    return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
 
 
 def shown(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from safety_harness.exceptions import refuse_other_type
 from safety_harness.scenario.codec import Tree, in_a_line
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
@@ -22,6 +23,7 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
     Only settings that differ from the defaults are written; with ``all_settings`` every one, for
     a text that must outlive a change of the defaults.
     """
+    refuse_other_type("write_scenario(scenario)", scenario, Scenario)
     return text_of(tree_of(scenario, all_settings=all_settings))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
 from safety_harness.exceptions import NoAnswerError, Place, ScenarioError
 from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.units import near_miss
 from safety_harness.scoring.against import findings_against
 from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.findings import findings
@@ -95,7 +96,9 @@ class ScoringSession:
         names = [one.name for one in named]
         for name in self.regions:
             if name not in names:
-                raise ScenarioError.of_option("--region", f"one of {', '.join(names)}", repr(name))
+                raise ScenarioError.of_option(
+                    "--region", f"one of {', '.join(names)}", repr(name), near_miss(name, names)
+                )
         wanted = self.regions or (() if self.spaces else names)
         return [one for one in named if one.name in wanted] + self._space_regions
 

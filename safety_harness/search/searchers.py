@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.exceptions import ScenarioError, refuse_other_type
+from safety_harness.scenario.units import near_miss
 from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
@@ -38,5 +39,8 @@ def searcher_named(name: str) -> MakesSearcher:
     for make in SEARCHERS:
         if make.name == name:
             return make
-    names = ", ".join(make.name for make in SEARCHERS)
-    raise ScenarioError.of_option("searcher", f"one of {names}", repr(name))
+    names = [make.name for make in SEARCHERS]
+    refuse_other_type("searcher_named(name)", name, str, expected=f"one of {', '.join(names)}")
+    raise ScenarioError.of_option(
+        "searcher", f"one of {', '.join(names)}", repr(name), near_miss(name, names)
+    )

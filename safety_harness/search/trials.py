@@ -20,7 +20,7 @@ from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import decision_time_of, described
-from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
+from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError, refuse_other_type
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.answered import (
     DEFAULT_CLAIM,
@@ -112,6 +112,7 @@ class Trials:
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
+        refuse_other_type("Trials(space)", self.space, ScenarioSpace)
         simplest = self._completed(self.space.simplest)
         own = not self.sentences and self.reference is None
         given = self.space.simplest.claims if own else ()

@@ -21,8 +21,9 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.trial import slower_because
 from safety_harness.campaign.pool import pool
 from safety_harness.compiled import source_hash
-from safety_harness.exceptions import Place, SettingsError
+from safety_harness.exceptions import SettingsError
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.units import near_miss
 from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.document import SelfTestRun, document, write_document, write_page
 from safety_harness.selftest.fault import SeededFault
@@ -113,10 +114,8 @@ def numbers_of(words: str | None) -> list[int]:
     """Which of EVERY have these words in their name; SettingsError for none."""
     found = [n for n, one in enumerate(EVERY) if words is None or words.lower() in one.name.lower()]
     if not found:
-        names = ", ".join(one.name for one in EVERY)
-        raise SettingsError(
-            place=Place(field="--fault"), expected=f"words of one of: {names}", got=repr(words)
-        )
+        hint = near_miss(words or "", [one.name for one in EVERY], most=3, all_of_them="docs/selftest.md")
+        raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(words), hint)
     return found
 
 

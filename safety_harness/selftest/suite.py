@@ -16,6 +16,7 @@ from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.units import near_miss
 from safety_harness.seeds import Branch, seed
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import KINEMATIC
@@ -66,7 +67,8 @@ def profile_named(name: str) -> SelfTestProfile:
     """One of them; ScenarioError for any other name."""
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
-        raise ScenarioError(place=Place(field="--profile"), expected=" or ".join(profiles), got=repr(name))
+        hint = near_miss(name, profiles)
+        raise ScenarioError.of_option("--profile", " or ".join(profiles), repr(name), hint)
     return profiles[name]
 
 

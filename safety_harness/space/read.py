@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.exceptions import ScenarioError, refuse_other_type
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Node, parse_tree
-from safety_harness.shipped.contents import located
 from safety_harness.space.distributions import Choice, InRegion
 from safety_harness.space.reading import TemplateReader
 from safety_harness.space.regions import region_named, seen_by
@@ -28,12 +29,14 @@ _BETWEEN = 0.381966  # of the cube: no round number, so that whole numbers are t
 _SOMEWHERE = Region(Box((0.7, -0.3, 0.2), (0.8, -0.2, 0.3)))  # while the settings are not read yet
 
 
-def read_space(path: Path, library: Library | None = None) -> ScenarioSpace:
+def read_space(path: str | Path, library: Library | None = None) -> ScenarioSpace:
     """The scenario space in a file; InputError with its place when it cannot be used as it stands.
 
-    ``shipped:NAME`` is one of ours.  ``library`` is told of every file that is read.
+    A text is the file's path, ``shipped:NAME`` one of ours; the text of a space is for ``parse_space``.
+    ``library`` is told of every file that is read.
     """
-    path = located(path)
+    path = as_path(path, "read_space(path)", of_text="parse_space")
+    refuse_other_kind(path, FileKind.SPACE)
     found = only_variant(path, library or Library(), "one scenario space")
     return space_of(found.tree, path, name=found.name)
 
@@ -46,6 +49,7 @@ def parse_space(
     Every parameter is tried out: its ends, a value between them, every one of its alternatives.  What the
     scenario reader refuses of these is refused here, and so is a value that could not be read back.
     """
+    refuse_other_type("parse_space(text)", text, str, expected="a text", hint="read_space(path) reads a file")
     return space_of(parse_tree(text, file), file, recordings)
 
 

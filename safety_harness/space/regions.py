@@ -31,10 +31,11 @@ from safety_harness.avoidance.model_file import (
     onnx_metadata,
 )
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import ModelError, Place, RegionError
+from safety_harness.exceptions import ModelError, RegionError
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.scenario.typed_json import parsed
+from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Settings, Vector3
 from safety_harness.shipped.contents import located
 
@@ -98,7 +99,7 @@ def region_named(name: str, seen: Seen, settings: Settings) -> Region:
         x, y, z = outer.low_m
         above_table_m = min(max(z, settings.cell.table_height_m), seen.hand.low_m[2])
         return Region(Box((x, y, above_table_m), outer.high_m), seen.hand)
-    raise RegionError(place=Place(field="in"), expected=f"one of {', '.join(REGIONS)}", got=repr(name))
+    raise RegionError.of_option("in", f"one of {', '.join(REGIONS)}", repr(name), near_miss(name, REGIONS))
 
 
 def exported_seen(path: Path) -> SeenSpace | None:

@@ -17,7 +17,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InputError
+from safety_harness.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.model import LARGEST_SEED, Scenario
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.space import ScenarioSpace
@@ -29,6 +29,7 @@ _STEPS = 100  # at least, on the grid of a value
 
 def strategy(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
     """Scenarios of ``space``, each with a seed of its own unless the file fixes it."""
+    refuse_other_type("strategy(space)", space, ScenarioSpace)
     seeds = st.just(0) if space.has_seed else st.integers(min_value=0, max_value=LARGEST_SEED)
     return st.builds(_scenario, st.just(space), values(space), seeds)
 

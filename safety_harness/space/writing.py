@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from safety_harness.exceptions import refuse_other_type
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.write import text_of
@@ -14,6 +15,7 @@ _QUANTITY = re.compile(r"[+-]?[0-9.][A-Za-z0-9./%]*(?: [A-Za-z0-9./%-]+)*")
 
 def write_space(space: ScenarioSpace) -> str:
     """YAML text from which ``parse_space`` gives the same space again, but for its name and places."""
+    refuse_other_type("write_space(space)", space, ScenarioSpace)
     return text_of(_tree(space.tree))
 
 

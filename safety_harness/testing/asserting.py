@@ -10,7 +10,13 @@ from math import isfinite
 from pathlib import Path
 
 from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import InadmissibleError, InputError, Place, SafetyHarnessError
+from safety_harness.exceptions import (
+    InadmissibleError,
+    InputError,
+    Place,
+    SafetyHarnessError,
+    refuse_other_type,
+)
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.formula import Formula
 from safety_harness.properties.against import ClaimDifference
@@ -65,6 +71,7 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     """
     __tracebackhide__ = True
     try:
+        refuse_other_type("assert_holds(trace)", trace, Trace, hint="simulate(scenario) makes one")
         prop = _property(claim, trace.scenario)
         evaluation = prop.evaluate(trace)
     except InputError as error:

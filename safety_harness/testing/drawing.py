@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import inspect
-import os
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 
 from hypothesis import reject
 from hypothesis import strategies as st
 
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.expand import gather
+from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario
-from safety_harness.shipped.contents import is_shipped
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
-from safety_harness.testing.session import session
-from safety_harness.testing.simulating import as_asked, digest_of, looker
+from safety_harness.testing.simulating import as_asked, digest_of, looker, sought_from
 
 _MARK = "_safety_harness_scenarios"
 
@@ -38,23 +35,14 @@ def scenarios(source: str | Path | ScenarioSpace) -> st.SearchStrategy[Scenario]
     try:
         if isinstance(source, ScenarioSpace):
             return drawn(source)
-        if not isinstance(source, str | Path):
-            got = f"{type(source).__name__} {source!r}"
-            place = Place(field="scenarios()")
-            raise ScenarioError(place=place, expected="a path or a scenario space", got=got)
-        return _of_files(_found(Path(source), asked))
+        expected = "a path or a scenario space"
+        refuse_other_type("scenarios(source)", source, str, Path, expected=expected)
+        path = as_path(source, "scenarios(source)", of_text="parse_space")
+        return _of_files(sought_from(path, asked))
     except InputError as error:
         if asked is not None:
             error.add_note(f"asked for at {asked.f_code.co_filename}:{asked.f_lineno}")
         raise
-
-
-def _found(path: Path, asked: FrameType | None) -> Path:
-    """A relative path from the folder of whoever asks, else from the root."""
-    if path.is_absolute() or asked is None or is_shipped(path):
-        return path
-    beside = Path(asked.f_code.co_filename).parent / path
-    return Path(os.path.abspath(beside if beside.exists() else session().root / path))
 
 
 def _of_files(path: Path) -> st.SearchStrategy[Scenario]:

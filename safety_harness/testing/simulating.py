@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import inspect
+import os
 from collections import OrderedDict
 from dataclasses import replace
+from pathlib import Path
+from types import FrameType
 from weakref import WeakKeyDictionary
 
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
@@ -15,7 +19,9 @@ from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.properties.answered import by_default
 from safety_harness.report.decisions import ComputingTime
+from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import RecordedHand, Scenario
+from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import world_named
@@ -58,11 +64,20 @@ looker = Looker()  # what is collected is looked at, and nothing of a user's exe
 admitter = Admitter()  # one for all: an avoider that keeps something of a run is refused as flaky
 
 
+def sought_from(path: Path, asked: FrameType | None) -> Path:
+    """A relative path from the folder of whoever asks, else from pytest's root."""
+    if path.is_absolute() or asked is None:
+        return path
+    beside = Path(asked.f_code.co_filename).parent / path
+    return Path(os.path.abspath(beside if beside.exists() else session().root / path))
+
+
 class Simulate:
     """``simulate(scenario)``: the trace of a run, the same for the same scenario.
 
     It runs in PyBullet, or in the world of ``--safety-world``.
 
+    A path, also as a text, is that of a scenario file; a relative one is sought as ``scenarios`` does.
     The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``.
     InputError for a scenario that cannot be tried; FlakyAvoiderError for an avoider that, asked the
     questions of the run once more, answers otherwise.
@@ -74,10 +89,14 @@ class Simulate:
     def __repr__(self) -> str:
         return "<simulate>"
 
-    def __call__(self, scenario: Scenario, *, avoider: Avoider | None = None) -> Trace:
+    def __call__(self, scenario: Scenario | str | Path, *, avoider: Avoider | None = None) -> Trace:
         """Run ``scenario``, or remember a run of the same."""
         __tracebackhide__ = True
+        frame = inspect.currentframe()
         try:
+            if not isinstance(scenario, Scenario):
+                path = as_path(scenario, "simulate(scenario)", of_text="parse_scenario")
+                scenario = read_scenario(sought_from(path, frame.f_back if frame else None))
             if avoider is not None:
                 trace = _run(admit(scenario, avoider=avoider))
             else:

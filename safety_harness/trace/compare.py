@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.exceptions import refuse_other_type
 from safety_harness.trace.trace import Trace
 
 
@@ -33,6 +34,8 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
 
     Of a decision and a tick at the same time it is the decision, which the tick's command follows.
     """
+    for trace in (first, second):
+        refuse_other_type("first_difference(first, second)", trace, Trace)
     found = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),

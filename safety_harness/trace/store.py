@@ -22,9 +22,10 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InputError, Place, TraceError
+from safety_harness.exceptions import InputError, Place, TraceError, refuse_other_type
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
-from safety_harness.scenario.files import refuse_no_file, told
+from safety_harness.scenario.files import as_path, refuse_no_file, told
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
@@ -67,12 +68,14 @@ class _Run:
     provenance: Provenance
 
 
-def save_trace(trace: Trace, path: Path, recordings: Mapping[str, bytes] | None = None) -> None:
+def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
     """Write ``trace`` to ``path``, whole or not at all.  Raises OSError.
 
     ``recordings`` are the bytes of recorded motions by sha256; those that are not given are read
     from the files that the scenario names.
     """
+    refuse_other_type("save_trace(trace)", trace, Trace)
+    path = as_path(path, "save_trace(path)")
     text = write_scenario(_portable(trace.scenario), all_settings=True)
     parts: dict[str, bytes] = {"scenario.yaml": text.encode()}
     arrays = {
@@ -146,8 +149,10 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
     return data
 
 
-def load_trace(path: Path) -> Trace:
+def load_trace(path: str | Path) -> Trace:
     """Read a trace; TraceError says what is wrong with a file that is none, damaged or contradictory."""
+    path = as_path(path, "load_trace(path)")
+    refuse_other_kind(path, FileKind.TRACE, error=TraceError)
     return _Reader(path).trace()
 
 

@@ -213,8 +213,8 @@ def test_ctrl_c_while_a_file_is_imported_is_not_swallowed(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("reference", "expected", "got", "hint"),
     [
-        ("oposite pose", "opposite pose", "'oposite pose'", "did you mean 'opposite pose'?"),
-        ("mine.py", "FILE.py:NAME", "'mine.py'", "mine.py:NAME"),
+        ("oposite pose", "opposite pose", "'oposite pose'", 'did you mean "opposite pose"?'),
+        ("mine.py", "FILE.py:NAME", "'mine.py'", "mine.py:"),
         ("gone.py:Mine", "a file that can be read", "gone.py", ""),
         ("gone.safetensors", "a file that can be read", "gone.safetensors", ""),
         (".:Mine", "FILE.py:NAME", "'.:Mine'", ""),

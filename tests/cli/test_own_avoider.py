@@ -206,4 +206,4 @@ def test_a_wrong_avoider_is_one_mistake_however_many_files(
     err = capsys.readouterr().err
     assert err.count("error:") == 1
     assert "--avoider" in err
-    assert "did you mean 'mc-dropout'" in err
+    assert 'did you mean "mc-dropout"' in err

@@ -1,0 +1,235 @@
+"""What a file is, told by its content, and the command that takes it: for who gives it to another one."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shlex
+import warnings
+from collections.abc import Sequence
+from enum import Enum
+from pathlib import Path
+
+from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.scenario.files import ALL, TITLES
+
+HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
+TAIL_BYTES = 100_000
+MOST_ENTRIES = 100  # of a folder
+_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
+_FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+class FileKind(Enum):
+    """A kind of file or folder: what a message calls it, and what to type for it."""
+
+    SCENARIO = "a scenario", "safety-harness run {file}"
+    SPACE = "a scenario space", "safety-harness fuzz {file}, or sample {file} for scenarios that run takes"
+    SUITE = "a suite of scenarios", "safety-harness run {file}"
+    PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone"
+    TRACE = "a trace", "safety-harness replay {file}, or judge {file}"
+    LEDGER = "the ledger of a campaign", "safety-harness campaign status {file}"
+    MODEL = "a model", "safety-harness evaluate {file}, or run FILE --avoider {file}"
+    ONNX = "a model in ONNX", "safety-harness evaluate {file}, or run FILE --avoider {file}"
+    TORCH = (
+        "a model of PyTorch",
+        'torch.onnx.export(model, example, "{onnx}"), then --avoider {onnx} (docs/avoiders.md)',
+    )
+    PYTHON = "a Python file", "safety-harness evaluate {file}:{name}, or run FILE --avoider {file}:{name}"
+    PAGE = "a page for a browser", "open it there"
+    RUNS = "the figures of runs", ""
+    EVIDENCE = "a part of an evidence report", "safety-harness verify {folder}"
+    SCORES = "the figures of an evaluation", "its page is {folder}/evaluation.html"
+    SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}"
+    DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
+    SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
+    TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
+    TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
+    REPORT = "the folder of an evidence report", "safety-harness verify {file}"
+    DATASET = "the folder of a data set", "safety-harness train mc-dropout --data {file}"
+    RUN_FOLDER = "the folder of a run", "safety-harness judge {file}/traces/*.trace"
+    FOLDER = "a folder", ""
+    EMPTY = "an empty file", "safety-harness new OTHER.yaml writes a scenario to start from"
+    BINARY = "a binary file", ""
+
+    @property
+    def words(self) -> str:
+        """With its article."""
+        return str(self.value[0])
+
+
+_BY_FORMAT = {
+    "report": FileKind.RUNS,
+    "evidence": FileKind.EVIDENCE,
+    "manifest": FileKind.EVIDENCE,
+    "scores": FileKind.SCORES,
+    "selftest": FileKind.SELFTEST,
+    "declaration": FileKind.DECLARATION,
+    "seal": FileKind.SEAL,
+    "decision times": FileKind.TIMES,
+}
+_BY_TITLE = {
+    "scenario": FileKind.SCENARIO,
+    "scenario space": FileKind.SPACE,
+    "suite": FileKind.SUITE,
+    "plan": FileKind.PLAN,
+}
+_BY_SUFFIX = {".py": FileKind.PYTHON, ".onnx": FileKind.ONNX, ".csv": FileKind.TABLE}
+_IN_FOLDERS = (
+    ("manifest.json", "manifest", FileKind.REPORT),
+    ("manifest.json", "dataset", FileKind.DATASET),
+    ("report.json", "report", FileKind.RUN_FOLDER),
+)
+JSON = frozenset(_BY_FORMAT.values())
+FOLDERS = frozenset({FileKind.REPORT, FileKind.DATASET, FileKind.RUN_FOLDER, FileKind.FOLDER})
+_BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind.ONNX})
+
+
+def kind_of(path: Path) -> FileKind | None:
+    """What is at ``path``; None if there is nothing, or nothing that this package can tell.
+
+    A file that extends another has the kind of that one, which is not looked at.
+    """
+    try:
+        if path.is_dir():
+            return _folder_kind(path)
+        if not path.is_file():
+            return None
+        head = _head(path)
+    except (OSError, ValueError):
+        return None
+    return _binary_kind(path, head) or _text_kind(path, head.decode("utf-8", "replace"))
+
+
+def refuse_other_kind(
+    path: Path,
+    *wanted: FileKind,
+    error: type[InputError] = ScenarioError,
+    place: Place | None = None,
+    expected: str = "",
+) -> None:
+    """``error`` for what is of another kind than ``wanted``: what it is, and the command that takes it.
+
+    ``place`` is what names the file; None is the file itself.  ``expected`` may say ``wanted`` otherwise.
+    What is no kind, or may be one that is ``wanted`` and damaged, is left to who reads it.
+    """
+    found = kind_of(path)
+    damaged = (found is FileKind.BINARY and _BINARIES & {*wanted}) or (
+        found is FileKind.FOLDER and FOLDERS & {*wanted}
+    )
+    if found is None or found in wanted or damaged:
+        return
+    raise error(
+        place=place or Place(file=path),
+        expected=expected or _either([one.words for one in wanted]),
+        got=f"{path}, {found.words}" if place else found.words,
+        hint=command_for(path, found, *wanted),
+    )
+
+
+def command_for(path: Path, found: FileKind, *wanted: FileKind) -> str:
+    """What to type for a file of the kind ``found`` where ``wanted`` was asked for; empty for nothing."""
+    if found is FileKind.FOLDER:
+        inside = _first_in(path, {*wanted})
+        return f"name a file in it, such as {shlex.quote(str(inside))}" if inside else ""
+    if found is FileKind.EMPTY and not {*wanted} & {*_BY_TITLE.values()}:
+        return ""
+    if found in (FileKind.PAGE, FileKind.RUNS, FileKind.EVIDENCE):
+        beside = kind_of(path.parent)
+        if beside in (FileKind.REPORT, FileKind.RUN_FOLDER):  # whose page or figures these are
+            path, found = path.parent, beside
+    return str(found.value[1]).format(
+        file=shlex.quote(str(path)),
+        folder=shlex.quote(str(path.parent)),
+        onnx=shlex.quote(f"{path.stem}.onnx"),
+        name=avoider_in(path) if found is FileKind.PYTHON else "",
+    )
+
+
+def _either(words: Sequence[str]) -> str:
+    """``a, b or c``."""
+    return " or ".join([", ".join(words[:-1])] * (len(words) > 1) + [words[-1]])
+
+
+def _first_in(folder: Path, wanted: set[FileKind]) -> Path | None:
+    """The first file of a folder that is ``wanted``."""
+    try:
+        entries = sorted(folder.iterdir())[:MOST_ENTRIES]
+    except OSError:
+        return None
+    return next((file for file in entries if not file.is_dir() and kind_of(file) in wanted), None)
+
+
+def _head(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(HEAD_BYTES)
+
+
+def _folder_kind(folder: Path) -> FileKind:
+    for name, form, kind in _IN_FOLDERS:
+        file = folder / name
+        if file.is_file() and _format_of(_head(file).decode("utf-8", "replace")) == form:
+            return kind
+    return FileKind.FOLDER
+
+
+def _binary_kind(path: Path, head: bytes) -> FileKind | None:
+    """Of a file that is not text."""
+    if head.startswith(b"PK\3\4"):
+        return _zip_kind(path)
+    if head.startswith(b"SQLite format 3\0"):
+        return FileKind.LEDGER
+    if head[8:10] == b'{"' and int.from_bytes(head[:8], "little") < HEAD_BYTES:
+        return FileKind.MODEL
+    if head[:1] == b"\x80" and head[1:2] in b"\2\3\4\5" and path.suffix in (".pt", ".pth", ".bin", ".ckpt"):
+        return FileKind.TORCH
+    if b"\0" in head and not head.startswith(_UTF_16):
+        return FileKind.ONNX if path.suffix == ".onnx" else FileKind.BINARY
+    return None
+
+
+def _zip_kind(path: Path) -> FileKind:
+    """By the names at its end, which are not unpacked: a stranger's may be any number."""
+    with path.open("rb") as stream:
+        stream.seek(max(stream.seek(0, os.SEEK_END) - TAIL_BYTES, 0))
+        tail = stream.read()
+    if b"trace.json" in tail:
+        return FileKind.TRACE
+    return FileKind.TORCH if b"/data.pkl" in tail else FileKind.BINARY
+
+
+def _text_kind(path: Path, text: str) -> FileKind | None:
+    if not text.strip():
+        return FileKind.EMPTY
+    if path.suffix in _BY_SUFFIX:
+        return _BY_SUFFIX[path.suffix]
+    begin = text.lstrip()[:20].lower()
+    if begin.startswith(("<!doctype html", "<html")):
+        return FileKind.PAGE
+    form = _format_of(text) if begin.startswith("{") else None
+    if form is not None:
+        return _BY_FORMAT.get(form)
+    keys = {*_KEY.findall(text)}
+    titles = keys & {*TITLES, "plan"}
+    return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
+
+
+def _format_of(text: str) -> str | None:
+    """The format that a JSON document of ours says it has."""
+    said = _FORMAT.search(text)
+    return said[1] if said else None
+
+
+def avoider_in(path: Path) -> str:
+    """The first class in a Python file that has a ``propose``; nothing of it is executed."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            tree = ast.parse(_head(path))
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError):
+        return "NAME"
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef) and "propose" in {getattr(one, "name", "") for one in node.body}:
+            return node.name
+    return "NAME"

@@ -1,0 +1,73 @@
+"""A bad file does not keep the others from running, if asked; it is told and counted, and ends as bad input."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.scenario_commands import judge, run
+from tests.kinds_of_files import SCENARIO
+
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two files that run between two that cannot be used."""
+    texts = {
+        "a-bad": SCENARIO.replace("-60 mm", "-60"),
+        "b-good": SCENARIO,
+        "c-plan": "plan: a plan\nstrata: []\n",
+        "d-good": SCENARIO,
+    }
+    for name, text in texts.items():
+        (tmp_path / f"{name}.yaml").write_text(text)
+    return tmp_path
+
+
+def test_the_others_are_run_and_the_end_is_bad_input(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert run([folder], tmp_path / "out", keep_going=True) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out.count("ok   holds") == 2
+    assert f"{folder / 'a-bad.yaml'}:3: tcp start.offset[1]" in err
+    assert f"safety-harness certify {folder / 'c-plan.yaml'}" in err
+    assert "2 of 2 scenarios run, 2 of the inputs cannot be used" in err
+    assert sorted(one.name for one in (tmp_path / "out" / "traces").iterdir()) == [
+        "b-good.trace",
+        "d-good.trace",
+    ]
+    assert "--keep-going" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_without_the_option_nothing_is_run_and_the_option_is_named(
+    folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    assert run([folder], tmp_path / "out") == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "2 of the inputs cannot be used; nothing was run; --keep-going runs the others." in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_with_nothing_bad_the_option_changes_nothing(folder: Path, tmp_path: Path) -> None:
+    assert run([folder / "b-good.yaml"], tmp_path / "out", keep_going=True) == AS_EXPECTED
+
+
+def test_with_nothing_good_nothing_is_run(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    assert run([folder / "a-bad.yaml"], tmp_path / "out", keep_going=True) == BAD_INPUT
+    assert "1 of the inputs cannot be used; nothing was run." in capsys.readouterr().err
+
+
+def test_traces_that_can_be_judged_are_judged(folder: Path, tmp_path: Path, capsys: Captured) -> None:
+    run([folder / "b-good.yaml"], tmp_path / "out")
+    good, bad = tmp_path / "out" / "traces" / "b-good.trace", tmp_path / "bad.trace"
+    bad.write_bytes(good.read_bytes()[:300])
+    capsys.readouterr()
+    assert judge([bad, good]) == BAD_INPUT
+    assert capsys.readouterr().out == ""
+    assert judge([bad, good], keep_going=True) == BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out.startswith("ok   holds")
+    assert "1 of 2 traces judged" in err
