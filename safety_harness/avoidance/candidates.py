@@ -19,6 +19,7 @@ from safety_harness.exceptions import Place, SettingsError
 from safety_harness.settings import Settings
 
 NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
+SAME_PLACE_M = 1e-9  # nearer than this a direction is rounding, or the solver's noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +130,11 @@ def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> 
     sideways = np.linalg.norm(aside, axis=1)
     fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     fixed /= np.linalg.norm(fixed)
+    there = distance <= SAME_PLACE_M
     with np.errstate(invalid="ignore"):  # 0/0 is replaced
-        direct = np.where(distance[:, None] > 0.0, way / distance[:, None], axis)
+        direct = np.where(there[:, None], axis, way / distance[:, None])
         beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
-    in_cap = (distance == 0.0) | (np.arctan2(sideways, along) <= cap.cone_rad)
+    in_cap = there | (np.arctan2(sideways, along) <= cap.cone_rad)
     rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
     optimum: NDArray[np.float64] = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
     return optimum

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.candidates import CandidateCap
+from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.exceptions import SettingsError
 from safety_harness.settings import DEFAULTS, Settings
 
@@ -109,3 +109,15 @@ def test_one_generator_may_serve_many_sets() -> None:
     first, second = CAP.draw_many([rng, rng])
     assert not np.isin(first, second).any()
     assert first == pytest.approx(drawn(CAP, 3), abs=1e-15)
+
+
+def test_at_the_desired_position_rounding_does_not_choose_the_optimum() -> None:
+    """Two ways to compute one pose differ by 1e-16 m, two worlds by 1e-11: both get the axis."""
+    desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
+    for size in (0.0, 1e-16, 1e-11):
+        tcps = desired + size * np.vstack((np.eye(3), -np.eye(3)))
+        np.testing.assert_allclose(
+            continuous_optimum(DEFAULTS, tcps) - tcps,
+            np.tile(CAP.radius_m * CAP.axis_in_base, (6, 1)),
+            atol=1e-15,
+        )
