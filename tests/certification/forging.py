@@ -60,6 +60,7 @@ def report_in(folder: Path) -> Path:
         "searcher": "default",
         "interrupted": False,
         "distinct": ["one"],
+        "confirmed in PyBullet": 1,
         "not confirmed in PyBullet": [],
         "counterexamples": ["one.yaml"],
     }

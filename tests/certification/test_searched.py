@@ -32,6 +32,7 @@ FOUND: dict[str, Any] = {
     "searcher": "default",
     "interrupted": False,
     "distinct": [{}, {}],
+    "confirmed in PyBullet": 1,
     "not confirmed in PyBullet": [{}],
     "counterexamples": ["a.yaml"],
 }
