@@ -149,12 +149,32 @@ def test_an_output_that_takes_no_more_is_no_traceback(line: str, code: int) -> N
     assert ("No space left" in done.stderr) is (code == BAD_INPUT)
 
 
-def test_a_run_whose_reader_is_gone_goes_on_to_its_report(tmp_path: Path) -> None:
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
     file = tmp_path / "short.yaml"
     claims = "  joint speeds within limits: holds\n  joint positions within limits: holds\n"
     start = "tcp start:\n  offset: [0 mm, -60 mm, 20 mm]\n"
     file.write_text(f"scenario: short\nduration: 300 ms\n{start}claims:\n{claims}")
-    done = in_shell(f"HARNESS run {file} --out {tmp_path / 'out'} | true")
+    return file
+
+
+def test_json_of_a_run_is_what_its_report_has_and_judge_says_the_same_again(
+    short: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    ran = CliRunner().invoke(app, ["run", str(short), "--out", str(out), "--json"])
+    whole = json.loads(ran.stdout)["result"]
+    assert whole.pop("failed") == []
+    assert whole == json.loads((out / "report.json").read_text("utf-8"))
+    again = CliRunner().invoke(app, ["judge", str(out / "traces" / "short.trace"), "--json"])
+    (one,) = json.loads(again.stdout)["result"]["runs"]
+    assert one["claims"] == whole["runs"][0]["claims"]
+    replayed = CliRunner().invoke(app, ["replay", str(out / "traces" / "short.trace"), "--json"])
+    assert json.loads(replayed.stdout)["result"]["identical"] is True
+
+
+def test_a_run_whose_reader_is_gone_goes_on_to_its_report(short: Path, tmp_path: Path) -> None:
+    done = in_shell(f"HARNESS run {short} --out {tmp_path / 'out'} | true")
     assert done.returncode == 0
     assert "2 of 2 verdicts as expected" in done.stderr
     assert (tmp_path / "out" / "report.html").is_file()
