@@ -12,7 +12,7 @@ import safety_harness
 PACKAGE = Path(safety_harness.__file__).parent
 ORDER = [
     {"exceptions"},
-    {"compiled", "geometry", "interrupts", "proportions", "seeds", "settings", "whole_file"},
+    {"compiled", "compiling", "geometry", "interrupts", "proportions", "seeds", "settings", "whole_file"},
     {"scenario"},
     {"trace"},
     {"robot"},
