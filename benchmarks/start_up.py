@@ -1,7 +1,7 @@
 """How long commands take from start to exit, with no machine code and with it, into START_UP.md.
 
 Cold is a cache of its own, empty, for each command; warm the same command again, the best of five.  Seconds
-of the processor are of the process and of those that it starts: on a busy machine they say more than the clock.
+of the processor are of the process and of those that it starts: on a busy machine they say more.
 """
 
 from __future__ import annotations
