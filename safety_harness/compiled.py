@@ -251,6 +251,8 @@ def _with_attributes(value: Any) -> Any:
 class _Record:
     """A record of an array, which is written where it lies; ``np.record`` of one would be a copy."""
 
+    _record: np.void
+
     def __init__(self, record: np.void) -> None:
         object.__setattr__(self, "_record", record)
 

@@ -14,6 +14,7 @@ ORDER = [
     {"exceptions"},
     {
         "compiled",
+        "compiling",
         "extras",
         "geometry",
         "interrupts",

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -16,6 +17,7 @@ from safety_harness.cli import doctor, warm
 from safety_harness.cli.doctor import State, required, within
 from safety_harness.cli.main import app
 from safety_harness.compiled import cache_root
+from safety_harness.scenario.model import Verdict
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HEAVY = (
@@ -144,11 +146,14 @@ def test_a_cache_that_cannot_be_written_is_a_problem(tmp_path: Path, monkeypatch
 def test_the_self_check_sees_a_run_that_fails_and_a_verdict_that_differs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert doctor._self_check().state is State.OK
+    good = doctor._self_check()
+    assert good.state is State.OK, good.words
     monkeypatch.setattr(doctor, "SHORT_RUN", warm.SHORT_RUN.replace("finite and monotone", "nonsense"))
     assert doctor._self_check().state is State.PROBLEM
-    far = "hand distance never below 9000 mm"
-    monkeypatch.setattr(doctor, "SHORT_RUN", warm.SHORT_RUN.replace("trace finite and monotone", far))
+    monkeypatch.setattr(
+        doctor, "_short_run", lambda: SimpleNamespace(sentence="it", verdict=Verdict.VIOLATED)
+    )
+    assert doctor._self_check().words == "a short kinematic run: it: violated"
     assert doctor._self_check().state is State.PROBLEM
 
 
