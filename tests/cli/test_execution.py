@@ -79,6 +79,9 @@ LOOKS: dict[str, tuple[str, int]] = {
     "dataset": ("--help", AS_EXPECTED),
     "train": ("--help", AS_EXPECTED),
     "reproduce": ("--help", AS_EXPECTED),
+    "list": ("", AS_EXPECTED),
+    "copy": ("shipped:own_avoider copied", AS_EXPECTED),
+    "docs": ("--help", AS_EXPECTED),
 }
 # ... and those that execute; of None another test sees, or it takes minutes.
 EXECUTES: dict[str, str | None] = {
