@@ -216,8 +216,8 @@ class Converged:
             depth_m = desired_m[2] - settings.object.position_in_base_m[2]
             margin = min(margin, -excess_rad * depth_m)
         if margin < 0.0 and had_s < needed_s:
-            lacked = f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s"
-            return inconclusive(self, f"{lacked}: {longer(trace, needed_s - had_s)}")
+            needed = f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s"
+            return inconclusive(self, f"{needed}: {longer(trace, needed_s - had_s)}")
         reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off"
 
         def lacked() -> str:

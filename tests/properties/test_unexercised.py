@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -82,7 +83,7 @@ def followed(now: Situation, reason: str) -> Situation:
         f"came to {NUMBER} mm of .* at {NUMBER} s; within {NUMBER} mm exercises it", reason
     ):
         return replace(now, hand=approaching(now, *(float(number) for number in found.groups())))
-    for advice, changed in {
+    advised: dict[str, dict[str, Any]] = {
         "in this scenario; one within": {"hand": visit()},
         "a decision time in the settings exercises it": {"settings": SLOW},
         "a hand that leaves earlier": {"hand": visit()},
@@ -94,7 +95,8 @@ def followed(now: Situation, reason: str) -> Situation:
         "one usable answer exercises it": {"avoider": CERTAIN},
         "neither within reach exercises it": {"avoider": OUT_OF_REACH, "settings": TOO_FAR},
         "beyond .* mm.* exercises it": {"hand": visit(stays_s=0.1), "duration_s": 3.0},
-    }.items():
+    }
+    for advice, changed in advised.items():
         if re.search(advice, reason):
             return replace(now, **changed)
     if found := re.search(f"a duration of {NUMBER} s exercises it if no hand comes near again", reason):
@@ -108,7 +110,9 @@ def followed(now: Situation, reason: str) -> Situation:
 def approaching(now: Situation, came_mm: float, time_s: float, within_mm: float) -> MovingHand:
     """The visiting hand, its way that much longer."""
     assert now.hand is not None
-    place = np.array(now.hand.moves[0].position_in_base_m)
+    first = now.hand.moves[0]
+    assert isinstance(first, MoveTo)
+    place = np.array(first.position_in_base_m)
     trace = now.trace()
     tick = round(time_s / trace.scenario.settings.clock.control_period_s)
     way = trace.ticks["transform_tcp_to_base"][tick, :3, 3] - place
