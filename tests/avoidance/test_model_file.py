@@ -306,7 +306,7 @@ def test_a_pickle_is_refused_and_not_executed(tmp_path: Path) -> None:
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path / "none.safetensors").expected == "a file that can be read"
-    assert refusal(tmp_path).expected == "a file that can be read"
+    assert refusal(tmp_path).got == "a folder"
 
 
 def test_a_file_too_large_to_be_a_model_is_refused(tmp_path: Path) -> None:

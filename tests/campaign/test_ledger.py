@@ -211,7 +211,7 @@ def test_what_is_no_ledger_is_refused(tmp_path: Path, plan: Plan) -> None:
         (other, "something else"),
         (text, "another file"),
         (tmp_path / "none", "no such file"),
-        (tmp_path, "not a regular file"),
+        (tmp_path, "a folder"),
         (newer, f"version {opening.VERSION + 1}, of a newer program"),
         (older, f"version {opening.VERSION - 1}, of an older program"),
     ):

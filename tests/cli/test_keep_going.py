@@ -1,4 +1,4 @@
-"""A bad file does not keep the others from running, if asked; it is told and counted, and ends as bad input."""
+"""A bad file does not keep others from running, if asked: it is told, counted, and bad input at the end."""
 
 from __future__ import annotations
 

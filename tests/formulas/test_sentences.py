@@ -172,7 +172,7 @@ def test_a_sentence_says_what_python_says(sentence: str, formula: Formula) -> No
         ("servoing) and stopped", 9, ")", ""),
         ("always (servoing", None, "the end", ""),
         ("whenever servoing", None, "the end", ""),
-        ("always", None, "the end", "signals: hand distance"),
+        ("always", None, "the end", "all of them: safety-harness claims"),
         ("always servoing 5", 17, "5", ""),
         ("always + servoing", 8, "+", ""),
         ("not " * 40 + "servoing", 161, "servoing", ""),
