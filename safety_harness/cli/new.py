@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.units import near_miss
@@ -75,6 +75,7 @@ def new(
     Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
     """
     if listed:
+        document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
     if template is None:
@@ -83,6 +84,7 @@ def new(
     scenario = _scenario_file(template, file)
     written = _texts(template, chosen, scenario)
     _write(written)
+    document(files=list(written))
     result(*(f"wrote {path}" for path in written))
     say("next:", *(f"  {line}" for line in _next(template, scenario)))
     return AS_EXPECTED

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, result, say
+from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 from safety_harness.exceptions import OutputError, Place
 from safety_harness.shipped.contents import PREFIX, ShippedKind, contents, is_shipped, located, shipped_files
@@ -24,7 +24,6 @@ REFERRING = ("avoider", "extends", "recording", "scenarios", "space")
 @command(commands, "list")
 def list_shipped(
     kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None,
-    as_json: Annotated[bool, Option("--json", help="For programs: kind, name, about, file.")] = False,
 ) -> int:
     """List the scenarios, spaces, plans, examples and recordings that come with the package, one a line.
 
@@ -32,16 +31,13 @@ def list_shipped(
     and so on for their folders.
     Exit code 0.
     """
-    import json
-
     found = [one for one in shipped_files() if kind in (None, one.kind)]
-    if as_json:
-        told = [
-            {"kind": one.kind, "name": PREFIX + one.name, "about": one.about, "file": str(one.path)}
+    document(
+        files=[
+            {"kind": one.kind, "name": PREFIX + one.name, "about": one.about, "file": one.path}
             for one in found
         ]
-        result(json.dumps(told, indent=1, ensure_ascii=False))
-        return AS_EXPECTED
+    )
     for number, each in enumerate(ShippedKind if kind is None else (kind,)):
         of_kind = [one for one in found if one.kind is each]
         width = max((len(PREFIX + one.name) for one in of_kind), default=0)
@@ -77,6 +73,7 @@ def copy(
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         result(str(path))
+    document(files=list(copies))
     return AS_EXPECTED
 
 
@@ -129,6 +126,7 @@ def docs(
     if not path.is_file():
         raise missing()
     place = f"#{anchor}" if anchor else ""
+    document(file=path, section=anchor or None)
     result(f"{path}{place}")
     if not where and sys.stdout.isatty():
         _open(path.as_uri() + place)
