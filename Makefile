@@ -7,8 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean \
-	lock oldest newest crowded installed
+.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -83,6 +82,7 @@ bounds: $(VENV)/tested
 		tests/controller tests/perception tests/robot tests/servoing tests/simulation tests/avoidance/test_gate.py
 
 # The newest versions of the ranges in pyproject.toml, for this repository.  Not kept: what torch brings for a GPU.
+.PHONY: lock oldest newest crowded installed
 COMPILE := .venv-lock/bin/uv pip compile --quiet --python-version 3.11 --no-annotate --no-header pyproject.toml
 lock: .venv-lock/installed
 	$(COMPILE) --all-extras --upgrade --output-file requirements.lock

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.campaign.plan import read_plan
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, answered_as_json
 from safety_harness.cli.shipped import copy, list_shipped
 from safety_harness.scenario.expand import gather, read_all_scenarios
 from safety_harness.shipped.contents import ShippedKind, located, shipped_files
@@ -23,8 +23,8 @@ def test_everything_is_listed_once_a_line(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_one_kind_alone_and_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert list_shipped(ShippedKind.SPACES, as_json=True) == AS_EXPECTED
-    told = json.loads(capsys.readouterr().out)
+    assert answered_as_json(lambda: list_shipped(ShippedKind.SPACES)) == AS_EXPECTED
+    told = json.loads(capsys.readouterr().out)["result"]["files"]
     assert {one["kind"] for one in told} == {"spaces"}
     assert all(Path(one["file"]) == located(one["name"]) for one in told)
 

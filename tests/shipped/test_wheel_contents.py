@@ -72,7 +72,8 @@ def test_the_wheel_holds_everything_that_has_a_name(wheel: Path) -> None:
 
 
 def test_an_installation_lists_the_same_and_finds_it_in_itself(installed: Path, tmp_path: Path) -> None:
-    told = json.loads(in_installation(installed, tmp_path, "-m", "safety_harness", "list", "--json"))
+    answer = json.loads(in_installation(installed, tmp_path, "-m", "safety_harness", "list", "--json"))
+    told = answer["result"]["files"]
     assert [one["name"] for one in told] == [PREFIX + one.name for one in shipped_files()]
     assert all(installed in Path(one["file"]).parents for one in told)
 
