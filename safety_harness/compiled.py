@@ -257,10 +257,10 @@ class _Record:
         object.__setattr__(self, "_record", record)
 
     def __getitem__(self, name: Any) -> Any:
-        return _with_attributes(self._record[name])
+        return _with_attributes(object.__getattribute__(self, "_record")[name])
 
     def __setitem__(self, name: Any, value: Any) -> None:
-        self._record[name] = value
+        object.__getattribute__(self, "_record")[name] = value
 
     __getattr__, __setattr__ = __getitem__, __setitem__
 
