@@ -54,7 +54,8 @@ def first_steps(pybullet: bool) -> Iterator[tuple[str, int]]:
     yield "safety-harness run shipped:hand-visits-and-leaves --out run" + run, AS_EXPECTED
     yield "safety-harness copy shipped:hand-visits-and-leaves .", AS_EXPECTED
     yield "python -m pytest -q -p no:cacheprovider hand-visits-and-leaves.yaml" + test, AS_EXPECTED
-    yield "safety-harness certify plan.yaml --workers 1 --out certified", AS_EXPECTED
+    # Of the kinematic world nothing is shown without doubt.
+    yield "safety-harness certify plan.yaml --workers 1 --out certified", FOUND
     yield "safety-harness verify certified", AS_EXPECTED
     yield "safety-harness evaluate mc-dropout --questions 20 --search 0 --out evaluated", FOUND
     yield "safety-harness fuzz shipped:unseen-both --budget 8 --out fuzzed", AS_EXPECTED
