@@ -11,6 +11,7 @@ import hashlib
 import os
 import shlex
 from collections import ChainMap
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -162,10 +163,13 @@ def told_avoider(reference: str) -> str:
     return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
 
 
-def replay_command(scenario: Scenario, trace: Path, *others: Path, by: str = "replay") -> str:
+def replay_command(
+    scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
+) -> str:
     """The command that repeats runs with one avoider; a user's program has to be named anew to be executed.
 
-    ``by`` is another command that repeats runs.
+    ``by`` is another command that repeats runs.  ``told`` names files; what is kept nowhere may name them as
+    they are.
     """
     command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
     if is_a_program(scenario.avoider):

@@ -227,7 +227,8 @@ class RunSession:
                 wrong.setdefault(command_line_reference(one.trace.scenario), []).append(one)
         for runs in wrong.values():
             files = [one.trace_file for one in runs if one.trace_file is not None]
-            say(f"whose fault: {replay_command(runs[0].trace.scenario, *files, by='attribute')}")
+            command = replay_command(runs[0].trace.scenario, *files, by="attribute", told=Path)
+            say(f"whose fault: {command}")
 
     def _as_good(self) -> bool:
         """Was every run held against the reference's, and none found worse?"""
