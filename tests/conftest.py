@@ -37,8 +37,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """No deadlines: whoever calls a kernel first compiles it, and machines are busy.
 
-    A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves.
+    A shell that starts tests in the background has Ctrl-C ignored; some tests send it to themselves.  Workers
+    of pytest-xdist are told of 80 columns, at which what is printed would be folded.
     """
+    os.environ.pop("COLUMNS", None)
     if NO_PYBULLET and os.environ.get("SAFETY_HARNESS_REQUIRE_PYBULLET"):
         pytest.exit("PyBullet is not installed, and SAFETY_HARNESS_REQUIRE_PYBULLET asks for it", 1)
     if NO_PYBULLET:

@@ -155,7 +155,7 @@ def test_a_restart_before_the_longest_stop_is_over_is_refused() -> None:
 def test_an_unknown_avoider_gets_the_list_and_a_suggestion() -> None:
     error = refusal(scenario(avoider="oposite pose"))
     assert "opposite pose" in error.expected
-    assert error.hint == "did you mean 'opposite pose'?"
+    assert error.hint == 'did you mean "opposite pose"?'
 
 
 def test_the_given_avoider_takes_the_place_of_the_named_one() -> None:

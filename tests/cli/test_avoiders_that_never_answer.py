@@ -12,8 +12,9 @@ from safety_harness.cli import campaign
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.new import new
 from safety_harness.cli.scenario_commands import judge as judge_again
-from safety_harness.cli.scenario_commands import new, run
+from safety_harness.cli.scenario_commands import run
 from safety_harness.search import session as search_session
 from tests.campaign.plans import plan_in
 from tests.cli.test_own_avoider import VISIT
@@ -114,7 +115,7 @@ def test_where_it_answers_or_is_never_asked_there_is_no_line_more(
 
 
 def test_the_file_of_new_claims_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert new(Path("mine.yaml")) == AS_EXPECTED
+    assert new("reaching", Path("mine.yaml")) == AS_EXPECTED
     assert "\n  the avoider answered: holds\n" in Path("mine.yaml").read_text()
 
 
