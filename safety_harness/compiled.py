@@ -4,7 +4,8 @@ Numba's own file cache notices a change of the file that *defines* a function, n
 whose functions it calls: after an edit in ``geometry`` an old ``controller`` would go on running.
 For a tool that gives evidence that is not acceptable, so the machine code of a file lies in a
 folder named by a hash over that file and every file of the package that it imports, directly or
-not (and the versions of numba and numpy): a change in any of them compiles afresh, a change elsewhere does not.
+not (and the versions of numba and numpy): a change in any of them compiles afresh, a change
+elsewhere does not.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _package_of(file: Path) -> Path:
 
 
 def _hash(files: Iterable[Path]) -> str:
-    """Sixteen hex digits over the versions of numba and numpy, and names and contents of the package's files."""
+    """Sixteen hex digits over the versions of numba and numpy, and names and contents of files."""
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path in sorted(files):
         digest.update(path.relative_to(_package_of(path)).as_posix().encode())

@@ -163,7 +163,7 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
         python=made.python,
         platform=made.platform,
         machine=machine or f"{platform.machine()}, {os.cpu_count()} cores",
-        libraries=made.libraries,
+        libraries=libraries_of(ledger),
         command=command,
         commands=(
             command,
@@ -174,6 +174,13 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
         ended_at=in_words(datetime.now(UTC)),
         run_seconds_s=spent_s,
     )
+
+
+def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
+    """The libraries of the declared runs and their versions."""
+    prefix = "the library "
+    parts = ledger.declared.identity.parts
+    return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:

@@ -27,7 +27,13 @@ from safety_harness.certification.counterexamples import SEARCH
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
-from safety_harness.certification.gather import GatheredEvidence, drawn_with, put_together, sessions_of
+from safety_harness.certification.gather import (
+    GatheredEvidence,
+    drawn_with,
+    libraries_of,
+    put_together,
+    sessions_of,
+)
 from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
 from safety_harness.certification.stored import Stored
@@ -186,14 +192,13 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
     """As the ledger has it; when and by which command the report was made, nothing else says."""
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
-    libraries = ((name.removeprefix("the library "), version) for name, version in parts.items())
     return replace(
         recorded,
         package_version=provenance("", "").package_version if same else recorded.package_version,
         source_hash=parts.get("the source of this package", ""),
         python=parts.get("Python", ""),
         platform=parts.get("the platform", ""),
-        libraries=tuple(pair for pair in libraries if f"the library {pair[0]}" in parts),
+        libraries=libraries_of(ledger),
         machine=machine or recorded.machine,
         began_at=began_at,
         run_seconds_s=spent_s,
