@@ -71,12 +71,12 @@ def test_a_claim_that_no_run_puts_to_the_test_is_named_and_ends_with_1(
     good.write_text(f"{GOOD}  {never}: holds\n")
     assert run([good], tmp_path / "out") == DIFFERS
     err = capsys.readouterr().err
-    assert f"no run put this to the test, and it was expected to tell: {never}" in err
+    assert f"claims were never exercised, and nothing is shown of:\n  {never}\n" in err
     assert any(line.startswith(never) and "NEVER" in line for line in err.splitlines())
     good.write_text(f"{GOOD}  {never}: inconclusive\n")
     assert run([good], tmp_path / "out") == AS_EXPECTED
     err = capsys.readouterr().err
-    assert "put this to the test" not in err
+    assert "nothing is shown of" not in err
     assert any(line.startswith(never) for line in err.splitlines())
 
 
@@ -149,7 +149,7 @@ def test_judging_again_gives_the_same_lines_without_simulating(
 def test_what_is_no_trace_ends_with_2(good: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert replay(good) == BAD_INPUT
     assert judge_again([good]) == BAD_INPUT
-    assert "expected a trace file" in capsys.readouterr().err
+    assert "expected a trace\n  got      a scenario" in capsys.readouterr().err
 
 
 def test_an_unwritable_folder_is_a_clear_error(good: Path, tmp_path: Path) -> None:

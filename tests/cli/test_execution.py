@@ -57,7 +57,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "fmt": ("--check scenario.yaml space.yaml", 1),
     "explain": ("avoider", AS_EXPECTED),
     "claims": ("distance", AS_EXPECTED),
-    "new": ("another.yaml", AS_EXPECTED),
+    "new": ("reaching another.yaml", AS_EXPECTED),
     "schema": ("", AS_EXPECTED),
     "replay": (TRACE, BAD_INPUT),  # without --avoider, which names the program anew
     "judge": (TRACE, 1),
@@ -82,6 +82,8 @@ LOOKS: dict[str, tuple[str, int]] = {
     "list": ("", AS_EXPECTED),
     "copy": ("shipped:own_avoider copied", AS_EXPECTED),
     "docs": ("--help", AS_EXPECTED),
+    "doctor": ("--help", AS_EXPECTED),
+    "warm": ("--help", AS_EXPECTED),
 }
 # ... and those that execute; of None another test sees, or it takes minutes.
 EXECUTES: dict[str, str | None] = {

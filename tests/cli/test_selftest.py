@@ -74,7 +74,7 @@ def test_a_users_own_avoider_is_put_on_trial(
     ("options", "words"),
     [
         (["--profile", "weekly"], "quick or nightly"),
-        (["--fault", "no such thing"], "overspeed"),
+        (["--fault", "overspeet"], "overspeed"),
         (["--jobs", "0"], "at least 1"),
         (["--scenarios", "nowhere"], "no such folder"),
     ],

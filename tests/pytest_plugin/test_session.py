@@ -114,7 +114,7 @@ def test_another_avoider_takes_the_place_of_what_files_name(run, project: Path) 
 @pytest.mark.parametrize(
     ("avoider", "said"),
     [
-        ("oposite pose", "did you mean 'opposite pose'?"),
+        ("oposite pose", 'did you mean "opposite pose"?'),
         ("avoiders.py:Sideways", "something called 'Sideways'"),
         ("broken.py:X", "ModuleNotFoundError*(broken.py:1)"),
     ],
