@@ -114,7 +114,8 @@ def numbers_of(words: str | None) -> list[int]:
     """Which of EVERY have these words in their name; SettingsError for none."""
     found = [n for n, one in enumerate(EVERY) if words is None or words.lower() in one.name.lower()]
     if not found:
-        hint = near_miss(words or "", [one.name for one in EVERY], most=3, all_of_them="safety-harness docs selftest#what-was-caught")
+        every, page = [one.name for one in EVERY], "safety-harness docs selftest#what-was-caught"
+        hint = near_miss(words or "", every, most=3, all_of_them=page)
         raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(words), hint)
     return found
 
