@@ -57,8 +57,9 @@ def first_steps(pybullet: bool) -> Iterator[tuple[str, int]]:
     # Of the kinematic world nothing is shown without doubt.
     yield "safety-harness certify plan.yaml --workers 1 --out certified", FOUND
     yield "safety-harness verify certified", AS_EXPECTED
-    yield "safety-harness evaluate mc-dropout --questions 20 --search 0 --out evaluated", FOUND
-    yield "safety-harness fuzz shipped:unseen-both --budget 8 --out fuzzed", AS_EXPECTED
+    yield "safety-harness evaluate mc-dropout --questions 20 --search 0 --out evaluated", AS_EXPECTED
+    # Eight runs do not find what the space says is violated.
+    yield "safety-harness fuzz shipped:unseen-both --budget 8 --out fuzzed", FOUND
     yield "safety-harness docs --where", AS_EXPECTED
 
 
