@@ -96,7 +96,7 @@ newest := highest
 oldest newest: .venv-lock/installed
 	$(PYTHON) -m venv --clear .venv-$@
 	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($@) --output-file .venv-$@/versions
-	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema
+	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema mypy
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/python -m pytest -q -p no:cacheprovider $(QUICK)
 

@@ -18,6 +18,8 @@ from importlib import import_module, metadata
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
+
 from safety_harness.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
@@ -25,7 +27,7 @@ from safety_harness.whole_file import write_whole
 
 # Each with the compiled module that does its work.
 LIBRARIES = {
-    "numpy": "numpy._core._multiarray_umath",
+    "numpy": f"numpy.{'_core' if np.__version__[0] != '1' else 'core'}._multiarray_umath",
     "numba": "numba._dispatcher",
     "pybullet": "pybullet",
     "cv2": "cv2",

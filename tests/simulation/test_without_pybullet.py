@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ from safety_harness.search.session import NO_REFERENCE
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.testing.session import Session, begin
 from safety_harness.testing.simulating import Simulate
+from safety_harness.trace.provenance import provenance
 from tests.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
 
@@ -40,10 +42,13 @@ NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
 
 
 @pytest.fixture(autouse=True)
-def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> None:
+def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     for name in ("pybullet_world", "cell", "engine"):
         monkeypatch.delitem(sys.modules, f"safety_harness.simulation.{name}", raising=False)
+    provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
+    yield
+    provenance.cache_clear()
 
 
 @pytest.fixture
