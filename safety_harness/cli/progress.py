@@ -12,20 +12,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.runner import CampaignRunner
-from safety_harness.cli.campaign_lines import worst_lines
 from safety_harness.cli.console import no_escapes, say
 from safety_harness.scenario.model import Scenario
-from safety_harness.search.findings import Findings
-from safety_harness.search.session import nearest_lines, summary
+
+if TYPE_CHECKING:  # searches and campaigns take a second to import
+    from safety_harness.campaign.plan import Plan
+    from safety_harness.campaign.runner import CampaignRunner
+    from safety_harness.search.findings import Findings
 
 EVERY_S = 10.0
 
@@ -150,6 +150,8 @@ def watching_runs(scenarios: Sequence[Scenario]) -> Iterator[RunsShown]:
 @contextmanager
 def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
     """Yields what is told of the findings after every batch."""
+    from safety_harness.search.session import nearest_lines, summary
+
     begun_s = time.monotonic()
     with _block() as show:
         show([f"tried 0/{budget}"])
@@ -172,6 +174,8 @@ def watching_steps() -> Iterator[Callable[[str, float], None]]:
 @contextmanager
 def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yields what is told of the progress: rate, time left, worst margins, violations."""
+    from safety_harness.cli.campaign_lines import worst_lines
+
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)
     with _block() as show:
