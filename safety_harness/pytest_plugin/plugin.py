@@ -5,6 +5,7 @@ A session without a scenario file and without a test that uses ``safety_harness.
 
 from __future__ import annotations
 
+import io
 import os
 import random
 import sys
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
 from safety_harness.scenario.files import is_titled
 from safety_harness.testing.session import (
@@ -101,6 +103,8 @@ def pytest_configure(config: pytest.Config) -> None:
         from safety_harness.pytest_plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
+        watchers.append(line := CompilationLine(_PastCapture(config)))
+        config.add_cleanup(lambda: watchers.remove(line))
         if not config.option.help:
             _refuse_unusable_avoiders(make=False)
 
@@ -189,6 +193,22 @@ def pytest_make_collect_report(
     if report.failed and call is not None and isinstance(call.excinfo.value, SafetyHarnessError):
         report.longrepr = explained(call.excinfo.value)
     return report
+
+
+class _PastCapture(io.StringIO):
+    """Lines on the terminal, in the midst of a test whose output is captured; its progress stays."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        super().__init__()
+        self._plugins = config.pluginmanager
+
+    def write(self, text: str) -> int:
+        """A whole line."""
+        capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
+        if capture and reporter:
+            with capture.global_and_fixture_disabled():
+                reporter.write_line(text.rstrip("\n"))
+        return len(text)
 
 
 TEST: pytest.StashKey[TestRun] = pytest.StashKey()

@@ -226,3 +226,20 @@ def test_an_avoider_that_hangs_fails_its_test_and_has_no_verdict(run, project: P
     result.assert_outcomes(failed=1, deselected=1)
     result.stdout.fnmatch_lines(["the avoider 'upwards' gave no answer within 0.5 s of wall time"])
     result.stdout.no_fnmatch_line("*holds*")
+
+
+def test_what_is_compiled_in_a_captured_test_is_said_on_the_terminal(run, pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        from safety_harness.compiling import Compilation, watchers
+
+        def test_compiles():
+            for watcher in watchers:
+                watcher(Compilation(ready=3, known=50, seconds=2.0, going_on=True))
+        """
+    )
+    result = run()
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(["compiling the control stack for this machine, once: 3 of at most 50 *"])
+    run("-s").stdout.fnmatch_lines(["compiling the control stack *"])
+    run("-p", "no:terminal").stdout.no_fnmatch_line("compiling*")
