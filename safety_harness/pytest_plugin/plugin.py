@@ -196,7 +196,7 @@ def pytest_make_collect_report(
 
 
 class _PastCapture(io.StringIO):
-    """Lines on the terminal, in the midst of a test whose output is captured; its progress stays."""
+    """Lines on the terminal, in the midst of a test whose output is captured, by itself or by pytest."""
 
     def __init__(self, config: pytest.Config) -> None:
         super().__init__()
@@ -206,8 +206,10 @@ class _PastCapture(io.StringIO):
         """A whole line."""
         capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
         if capture and reporter:
+            streams = sys.stdin, sys.stdout, sys.stderr  # of the test, perhaps
             with capture.global_and_fixture_disabled():
                 reporter.write_line(text.rstrip("\n"))
+            sys.stdin, sys.stdout, sys.stderr = streams
         return len(text)
 
 

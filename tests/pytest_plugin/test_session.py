@@ -231,11 +231,15 @@ def test_an_avoider_that_hangs_fails_its_test_and_has_no_verdict(run, project: P
 def test_what_is_compiled_in_a_captured_test_is_said_on_the_terminal(run, pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
+        import contextlib, io
         from safety_harness.compiling import Compilation, watchers
 
         def test_compiles():
-            for watcher in watchers:
-                watcher(Compilation(ready=3, known=50, seconds=2.0, going_on=True))
+            with contextlib.redirect_stdout(io.StringIO()) as own:
+                for watcher in watchers:
+                    watcher(Compilation(ready=3, known=50, seconds=2.0, going_on=True))
+                print("still its own")
+            assert own.getvalue() == "still its own\\n"
         """
     )
     result = run()
