@@ -17,6 +17,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -24,7 +25,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numpy as np
 from numba.core import config, event
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.registry import CPUDispatcher
 
 from safety_harness.compiling import Compilation, watchers
@@ -35,6 +36,7 @@ _Made = TypeVar("_Made")
 njit: Any = numba.njit  # one of its options is not in its stubs
 numba_config: Any = config  # its settings are made at run time, unknown to type checkers
 numba_event: Any = event
+_cache_impl: Any = CompileResultCacheImpl
 
 PACKAGE = Path(__file__).parent
 # A test holds the package to this one form of import, so that none is overlooked.
@@ -125,16 +127,16 @@ def cache_problem(root: Path) -> str:
 
 def _cannot_keep(root: Path, error: OSError) -> str:
     return (
-        f"machine code cannot be kept in {root} ({error.strerror or error}), and is made again by every "
-        "process, which takes minutes; SAFETY_HARNESS_CACHE names another folder"
+        f"machine code cannot be kept in {root} ({error.strerror or error}), and what is missing there is "
+        "made again by every process, which takes minutes; SAFETY_HARNESS_CACHE names another folder"
     )
 
 
 @lru_cache
 def cache_folder(file: Path) -> Path:
-    """The folder for the machine code of ``file``; marked as used today if it is there."""
+    """The folder for the machine code of ``file``; marked as used today if it is there, where it can be."""
     folder = cache_root() / _hash(sources_of(file))
-    if folder.is_dir():
+    with suppress(OSError):
         os.utime(folder)
     return folder
 
@@ -178,13 +180,11 @@ def inlined(function: F) -> F:
 def _compiled(function: F, **options: bool) -> F:
     before = numba_config.CACHE_DIR
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
-    kept = not cache_problem(cache_root())  # else numba would look for a place of its own
     try:
-        made = njit(cache=kept, error_model="numpy", **options)(function)
+        made = njit(error_model="numpy", **options)(function)
+        made._cache = _Cache(function)  # type: ignore[no-untyped-call]
     finally:
         numba_config.CACHE_DIR = before
-    if kept:
-        made._cache.__class__ = _Cache
     made.__class__ = _kind
     _functions.append(made)
     return cast(F, made)
@@ -194,14 +194,34 @@ _functions: list[Any] = []  # all that are compiled here
 _kind: Any = CPUDispatcher  # theirs
 
 
+class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
+    """The folder that is given, also where it can only be read: else numba looks for one of its own."""
+
+    @classmethod
+    def from_function(cls, function: Any, file: str) -> _Locator | None:
+        return cls(function, file) if os.path.exists(file) else None
+
+
+class _CacheImpl(_cache_impl):  # type: ignore[misc]
+    _locator_classes = (_Locator, *_cache_impl._locator_classes[1:])
+
+
 class _Cache(FunctionCache):
-    """Numba's own; a disk that is full costs no more than that the next process compiles again."""
+    """Numba's own; a place that is read-only or full costs no more than that a process compiles again."""
+
+    _impl_class = _CacheImpl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        with suppress(OSError):
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError as error:
-            _progress.unwritable = _cannot_keep(cache_root(), error)
+            if not cache_problem(cache_root()):
+                _progress.unwritable = _cannot_keep(cache_root(), error)
 
 
 class _Progress(event.Listener):

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numba
@@ -222,7 +222,15 @@ def test_an_error_leaves_machine_code_in_its_place() -> None:
 
 
 @pytest.fixture
-def no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def fresh() -> Iterator[None]:
+    """Nothing is known of this file's folder."""
+    module.cache_folder.cache_clear()
+    yield
+    module.cache_folder.cache_clear()
+
+
+@pytest.fixture
+def no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fresh: None) -> Path:
     """A file in the place of the folder: root may write everywhere else."""
     file = tmp_path / "file"
     file.write_text("")
@@ -236,7 +244,33 @@ def test_a_cache_that_cannot_be_written_is_named_and_compiled_functions_run(no_f
     said = module.compilation().unwritable
     assert str(no_folder) in said
     assert "SAFETY_HARNESS_CACHE" in said
-    assert half.stats.cache_path is None  # numba has not looked for a place of its own
+    assert half.stats.cache_path.startswith(str(no_folder))  # numba has not looked for a place of its own
+
+
+@pytest.mark.usefixtures("fresh")
+def test_a_cache_that_can_only_be_read_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_only(*_: object, **__: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    def half(x: float) -> float:
+        return x / 2.0
+
+    def third(x: float) -> float:
+        return x / 3.0
+
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path))
+    monkeypatch.setattr(module._progress, "unwritable", "")
+    compiled(half)(3.0)
+    before = sorted(tmp_path.rglob("*"))
+    module.cache_problem.cache_clear()
+    for name in ("TemporaryFile", "NamedTemporaryFile"):
+        monkeypatch.setattr(module.tempfile, name, read_only)
+    monkeypatch.setattr(module.os, "utime", read_only)
+    again, other = compiled(half), compiled(third)
+    assert (again(3.0), other(3.0)) == (1.5, 1.0)
+    assert (again.stats.cache_hits, other.stats.cache_hits) == ({(numba.float64,): 1}, {})
+    assert sorted(tmp_path.rglob("*")) == before
+    assert "Read-only file system" in module.compilation().unwritable
 
 
 def test_a_user_without_a_home_has_no_cache(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,11 +73,10 @@ def _machine() -> Iterator[Examined]:
     yield Examined("Python", State.OK if good else State.PROBLEM, words)
     problem = cache_problem(cache_root())
     warm = any(cache_folder(PACKAGE / "controller" / "stack.py").rglob("*.nbc"))
-    words = (
-        "warm" if warm else "cold: the first run compiles, a minute or two; safety-harness warm does it now"
-    )
+    words = "cold: the first run compiles, a minute or two; safety-harness warm does it now"
+    words = f"warm{', read-only' if problem else ''}" if warm else problem or words
     words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"
-    yield Examined("machine code", State.PROBLEM if problem else State.OK, problem or words)
+    yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, words)
 
 
 def _required() -> Iterator[Examined]:

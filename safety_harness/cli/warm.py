@@ -73,7 +73,7 @@ def _told() -> int:
         compiling_s=came.seconds,
         problem=came.unwritable or None,
     )
-    if came.unwritable:
+    if came.unwritable and (came.seconds or not kept):
         say(f"error: {came.unwritable}")
         return DIFFERS
     new = f"compiled in {came.seconds:.0f} s" if came.seconds else "all of them there already"

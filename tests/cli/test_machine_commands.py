@@ -143,6 +143,17 @@ def test_a_cache_that_cannot_be_written_is_a_problem(tmp_path: Path, monkeypatch
     assert "cannot be kept" in str(checks["machine code"]["words"])
 
 
+def test_machine_code_that_can_only_be_read_is_no_problem(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stack.nbc").touch()
+    monkeypatch.setattr(doctor, "cache_folder", lambda _: tmp_path)
+    monkeypatch.setattr(doctor, "cache_problem", lambda _: "it cannot be kept")
+    _, checks = examined(monkeypatch)
+    assert checks["machine code"]["state"] == "ok"
+    assert str(checks["machine code"]["words"]).endswith("warm, read-only")
+
+
 def test_the_self_check_sees_a_run_that_fails_and_a_verdict_that_differs(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
