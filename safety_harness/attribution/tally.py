@@ -59,7 +59,7 @@ class AttributionTally:
         return {
             "violations": len(self.attributions),
             "groups": self.groups,
-            "would have helped": self.would_help,
+            "would_have_helped": self.would_help,
             "attributions": [as_json_of(one) for one in self.attributions],
         }
 
@@ -76,14 +76,14 @@ def as_json_of(one: Attribution) -> dict[str, object]:
         "claim": one.claim.sentence,
         "answer": one.answer.value,
         "ingredients": [ingredient.value for ingredient in one.cause],
-        "least sets": [[ingredient.value for ingredient in replay.ingredients] for replay in one.helping],
+        "least_sets": [[ingredient.value for ingredient in replay.ingredients] for replay in one.helping],
         "why": one.why,
-        "margin": one.margin,
+        "margin_si": one.margin,
         "replays": [
             {
                 "changes": list(map(str, replay.changes)),
                 "outcome": replay.outcome.value,
-                "margin": replay.margin,
+                "margin_si": replay.margin,
             }
             for replay in one.replays
         ],

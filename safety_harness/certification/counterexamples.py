@@ -133,8 +133,8 @@ class Found(Struct, frozen=True, kw_only=True):
     searcher: str
     interrupted: bool
     distinct: list[Any]
-    confirmed: int = field(name="confirmed in PyBullet")
-    unconfirmed: list[Any] = field(name="not confirmed in PyBullet")
+    confirmed: int = field(name="confirmed_in_pybullet")
+    unconfirmed: list[Any] = field(name="not_confirmed_in_pybullet")
     counterexamples: tuple[str, ...]
     attribution: FaultsFound | None = None
 

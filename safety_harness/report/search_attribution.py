@@ -44,7 +44,7 @@ class FaultsOfSearch:
 
     def as_json(self) -> dict[str, object]:
         """As a tally's, with how many of how many."""
-        counts = {"groups of violations": self.groups, "attributed": self.attributed}
+        counts = {"groups_of_violations": self.groups, "attributed": self.attributed}
         return {"words": self.words} | counts | self.tally.as_json()
 
 

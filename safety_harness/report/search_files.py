@@ -124,16 +124,16 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "space": evidence.space,
         "avoider": trials.avoider,
         "against": None if trials.against is None else _held(trials.against),
-        "computing time": evidence.computing_time,
+        "computing_time": evidence.computing_time,
         "searcher": findings.searcher,
         "seed": evidence.seed,
         "budget": evidence.budget,
         "tried": findings.tried,
         "refused": dict(findings.refused.most_common()),
         "interrupted": findings.interrupted,
-        "nearest hand in m": evidence.nearest_hand_m if isfinite(evidence.nearest_hand_m) else None,
-        "runs in which a hand touched the arm": evidence.coverage.touching,
-        "expected to be violated and not found": list(evidence.not_found),
+        "nearest_hand_m": evidence.nearest_hand_m if isfinite(evidence.nearest_hand_m) else None,
+        "runs_with_contact": evidence.coverage.touching,
+        "expected_and_not_found": list(evidence.not_found),
         "decisions": trials.decisions,
         "unanswered": trials.unanswered,
         "overruling": evidence.overruling.named,
@@ -146,15 +146,15 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
             _of_group(trials, group) | {"counterexample": _file_of(group, evidence)}
             for group in findings.groups
         ],
-        f"confirmed in {PYBULLET.label}": evidence.confirmed,
-        f"not confirmed in {PYBULLET.label}": [_of_group(trials, one.group) for one in evidence.unconfirmed],
+        "confirmed_in_pybullet": evidence.confirmed,
+        "not_confirmed_in_pybullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
-        "attribution of counterexamples": {
+        "attribution_of_counterexamples": {
             name: as_json_of(one) for name, one in evidence.attributed.items()
         },
         "attribution": None if evidence.faults is None else evidence.faults.as_json(),
         "coverage": {str(cell): count for cell, count in sorted(trials.coverage.counts.items())},
-        "violations by cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
+        "violations_by_cell": {str(cell): count for cell, count in sorted(trials.violations.counts.items())},
     }
 
 
@@ -172,11 +172,13 @@ def _of_claims(findings: Findings) -> list[dict[str, object]]:
     return [
         {
             "sentence": goal.sentence,
-            "with a verdict": int(findings.evidence[k]),
+            "with_a_verdict": int(findings.evidence[k]),
             "violated": int(findings.violated[k]),
-            "first violation after": int(findings.first_violation[k]) or None,
-            "least margin": None if near is None or _leads(goal, near.margins[k]) else float(near.margins[k]),
-            "least margins so far": [one for one in findings.improvements[k] if not _leads(goal, one[1])],
+            "first_violation_after": int(findings.first_violation[k]) or None,
+            "least_margin_si": None
+            if near is None or _leads(goal, near.margins[k])
+            else float(near.margins[k]),
+            "least_margins_so_far_si": [one for one in findings.improvements[k] if not _leads(goal, one[1])],
         }
         for k, (goal, near) in enumerate(zip(findings.goals, findings.nearest, strict=True))
     ]
@@ -192,7 +194,7 @@ def _of_group(trials: Trials, group: Group) -> dict[str, object]:
         "complaint": complaint_of(trials, group).sentence,
         "kind": group.kind,
         "runs": group.count,
-        "worst margin": None if group.claim is None else group.worst_margin(),
-        "worst point": group.worst.point.tolist(),
+        "worst_margin_si": None if group.claim is None else group.worst_margin(),
+        "worst_point": group.worst.point.tolist(),
         "number": group.worst.number,
     }

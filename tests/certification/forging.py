@@ -60,8 +60,8 @@ def report_in(folder: Path) -> Path:
         "searcher": "default",
         "interrupted": False,
         "distinct": ["one"],
-        "confirmed in PyBullet": 1,
-        "not confirmed in PyBullet": [],
+        "confirmed_in_pybullet": 1,
+        "not_confirmed_in_pybullet": [],
         "counterexamples": ["one.yaml"],
     }
     (found / "findings.json").write_text(json.dumps(findings))

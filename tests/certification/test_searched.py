@@ -32,8 +32,8 @@ FOUND: dict[str, Any] = {
     "searcher": "default",
     "interrupted": False,
     "distinct": [{}, {}],
-    "confirmed in PyBullet": 1,
-    "not confirmed in PyBullet": [{}],
+    "confirmed_in_pybullet": 1,
+    "not_confirmed_in_pybullet": [{}],
     "counterexamples": ["a.yaml"],
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,15 @@ def found(text: str, claim: str, budget: int, avoider: str | None = None) -> dic
     return read
 
 
+def names_in(value: object, but: tuple[str, ...]) -> set[str]:
+    """The names of all fields, down to those ``but`` which have other things for names."""
+    if isinstance(value, list):
+        return set().union(*(names_in(one, but) for one in value))
+    if not isinstance(value, dict):
+        return set()
+    return set(value).union(*(names_in(one, but) for name, one in value.items() if name not in but))
+
+
 def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -57,7 +67,7 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     assert comment.startswith("# whose fault: avoider (")
     assert "# in PyBullet, avoider (" in file.read_text()
     assert comment.removeprefix("# ") in out
-    attributed, all_of_them = data["attribution of counterexamples"], data["attribution"]
+    attributed, all_of_them = data["attribution_of_counterexamples"], data["attribution"]
     assert isinstance(attributed, dict)
     assert isinstance(all_of_them, dict)
     assert attributed[file.name]["ingredients"] == ["avoider"]
@@ -66,6 +76,17 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     assert isinstance(distinct, list)
     assert all_of_them["groups"] == {"avoider": len(distinct)}
     assert f"of {len(distinct)} violations that lie apart: {len(distinct)} avoider" in err
+    by_what_is_told = (
+        "refused",
+        "groups",
+        "would_have_helped",
+        "coverage",
+        "violations_by_cell",
+        "overruling",
+    )
+    names = names_in(data, but=(*maps, "attribution_of_counterexamples"))
+    assert {"nearest_hand_m", "groups_of_violations", "least_sets"} <= names
+    assert [name for name in names if not re.fullmatch("[a-z0-9_]+", name)] == []
     page = Path("out/fuzz.html").read_text()
     assert page.count("whose fault: avoider (") >= 2  # in the section, and in the file's text
     assert f"{len(distinct)} avoider" in page  # the picture's description
@@ -89,7 +110,7 @@ def test_of_many_violations_some_are_attributed_and_that_is_said(
     assert isinstance(attribution, dict)
     assert isinstance(distinct, list)
     assert len(distinct) > 1
-    assert (attribution["attributed"], attribution["groups of violations"]) == (1, len(distinct))
+    assert (attribution["attributed"], attribution["groups_of_violations"]) == (1, len(distinct))
     assert f"whose fault, of 1 of {len(distinct)} violations" in capsys.readouterr().err
 
 

@@ -205,8 +205,8 @@ def findings_bytes() -> bytes:
         "complaint": "a",
         "kind": "b",
         "runs": 1,
-        "worst margin": -0.1,
-        "worst point": [0.5],
+        "worst_margin_si": -0.1,
+        "worst_point": [0.5],
         "number": 3,
     }
     found = {
@@ -221,11 +221,11 @@ def findings_bytes() -> bytes:
         "claims": [],
         "baseline": None,
         "distinct": [point],
-        "confirmed in PyBullet": 1,
-        "not confirmed in PyBullet": [point],
+        "confirmed_in_pybullet": 1,
+        "not_confirmed_in_pybullet": [point],
         "counterexamples": ["a.yaml"],
         "coverage": {},
-        "violations by cell": {},
+        "violations_by_cell": {},
     }
     return json.dumps(found, indent=1).encode()
 

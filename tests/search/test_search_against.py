@@ -118,8 +118,8 @@ def test_an_avoider_that_is_worse_beyond_a_plane_is_found_there_within_128_runs(
     distinct = [group for group in found["distinct"] if group["complaint"].startswith("hand distance")]
     assert distinct
     for group in distinct:  # the second coordinate is where the hand starts, from 700 mm to 900 mm
-        assert 0.7 + 0.2 * group["worst point"][1] > PLANE_M - 0.02
-        assert group["worst margin"] < 0.0
+        assert 0.7 + 0.2 * group["worst_point"][1] > PLANE_M - 0.02
+        assert group["worst_margin_si"] < 0.0
     (file,) = sorted((folder / "out").glob("*.yaml"))
     text = file.read_text()
     assert "against opposite pose" in text
@@ -141,7 +141,7 @@ def test_an_equal_of_the_reference_has_nothing_that_it_does_not_do_as_well(
     assert said.out == ""
     found = json.loads((folder / "out" / "findings.json").read_text())
     assert found["distinct"] == []
-    assert [claim["least margin"] for claim in found["claims"]] == [None, None]
+    assert [claim["least_margin_si"] for claim in found["claims"]] == [None, None]
     assert fuzz(space, out=Path("alone"), avoider=mine, budget=12) == DIFFERS
 
 

@@ -107,7 +107,7 @@ def test_fuzz_works_and_says_everywhere_that_nothing_was_confirmed(
     assert f"run {found} --world kinematic" in said
     assert NO_REFERENCE in found.read_text()
     assert "world kinematic" in found.read_text()
-    assert json.loads((out / "findings.json").read_text())["confirmed in PyBullet"] == 0
+    assert json.loads((out / "findings.json").read_text())["confirmed_in_pybullet"] == 0
     page = (out / "fuzz.html").read_text()
     assert NO_REFERENCE in page
     assert "confirmed in pybullet" not in page
