@@ -76,14 +76,7 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     assert isinstance(distinct, list)
     assert all_of_them["groups"] == {"avoider": len(distinct)}
     assert f"of {len(distinct)} violations that lie apart: {len(distinct)} avoider" in err
-    by_what_is_told = (
-        "refused",
-        "groups",
-        "would_have_helped",
-        "coverage",
-        "violations_by_cell",
-        "overruling",
-    )
+    maps = ("refused", "groups", "would_have_helped", "coverage", "violations_by_cell", "overruling")
     names = names_in(data, but=(*maps, "attribution_of_counterexamples"))
     assert {"nearest_hand_m", "groups_of_violations", "least_sets"} <= names
     assert [name for name in names if not re.fullmatch("[a-z0-9_]+", name)] == []
