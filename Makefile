@@ -60,10 +60,10 @@ docs: $(VENV)/documented
 wheel: docs
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
-# The largest disagreement with each independent oracle, into docs/oracles.json and docs/selftest.md.
+# The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.
 oracles: $(VENV)/tested
 	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
-		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles docs/oracles.json
+		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.

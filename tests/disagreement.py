@@ -1,6 +1,6 @@
 """The largest disagreement with each independent oracle, noted where a test compares with it.
 
-``make oracles`` runs those tests with ``--oracles docs/oracles.json`` and writes what was seen.
+``make oracles`` runs those tests with ``--oracles plans/oracles.json`` and writes what was seen.
 """
 
 from __future__ import annotations

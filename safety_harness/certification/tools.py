@@ -16,6 +16,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.search.coverage import CoverageCell
+from safety_harness.shipped.contents import located
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,6 +212,7 @@ def read_selftest(path: Path) -> SelfTest:
 
 def read_oracles(path: Path) -> tuple[Oracle, ...]:
     """The table that ``make oracles`` writes; InputError for what is none."""
+    path = located(path)
     found = typed(read_json(path, "a table of oracles"), list[_Oracle], path, others=True)
     return tuple(
         Oracle(part=one.what, against=one.oracle, largest=f"{one.largest:.2g} {one.unit}") for one in found

@@ -55,7 +55,7 @@ def certify(
     ] = None,
     oracles: Annotated[
         Path | None,
-        Option(help="Independent oracles (docs/oracles.json of the repository), likewise."),
+        Option(help="Independent oracles, likewise; of this version: shipped:plans/oracles.json."),
     ] = None,
     declared: Annotated[
         Path | None,

@@ -324,7 +324,7 @@ FORMATS = [
     Format("ledger", "ledger.sqlite", ledger_bytes, _ledger_read, text=False),
     Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),
     Format("trial of the harness", "selftest.json", selftest_bytes, read_selftest),
-    Format("table of oracles", "oracles.json", (ROOT / "docs" / "oracles.json").read_bytes, read_oracles),
+    Format("table of oracles", "oracles.json", (ROOT / "plans" / "oracles.json").read_bytes, read_oracles),
     Format(
         "manifest of a report",
         MANIFEST_OF_REPORT,

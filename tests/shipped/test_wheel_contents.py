@@ -67,6 +67,7 @@ def test_the_wheel_holds_everything_that_has_a_name(wheel: Path) -> None:
             if "__pycache__" not in file.parts:
                 assert f"safety_harness/shipped/{file.relative_to(contents()).as_posix()}" in held
     assert "safety_harness/shipped/site/index.html" in held
+    assert "safety_harness/shipped/plans/oracles.json" in held
     assert "safety_harness/shipped/scenarios/recordings/LICENSE" in held
     assert not [name for name in held if name.startswith(("scenarios", "tests"))]
 
