@@ -11,6 +11,7 @@ from safety_harness.geometry.transforms import inverse_transform, transform_from
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.scenario.model import Robot
 from safety_harness.servoing.control import DesiredView, desired_view
 from safety_harness.settings import Settings
 
@@ -22,15 +23,17 @@ def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
     return transform_from(DOWN, np.array(settings.cell.desired_tcp_position_in_base_m))
 
 
-def reachable(positions_in_base_m: ArrayNx3, settings: Settings) -> NDArray[np.bool_]:
-    """(n,): has the position inverse kinematics within the joint limits, in the desired orientation?
+def reachable(
+    positions_in_base_m: ArrayNx3, settings: Settings, robot: Robot = Robot.UR10
+) -> NDArray[np.bool_]:
+    """(n,): has the position inverse kinematics within the robot's limits, in the desired orientation?
 
     ``positions_in_base_m`` is (n, 3).  The end alone; the gate looks at the straight way there as well.
     """
     poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
     poses[:, :3, 3] = positions_in_base_m
     preferred = np.array(settings.cell.preferred_joint_position_rad)
-    solutions = InverseKinematics(load_arm()).nearest_of_each(poses, preferred)
+    solutions = InverseKinematics(load_arm(robot.arm_name)).nearest_of_each(poses, preferred)
     has: NDArray[np.bool_] = ~np.isnan(solutions[:, 0])
     return has
 

@@ -10,6 +10,7 @@ from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_
 from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.proportions import LEVEL, Proportion
+from safety_harness.scenario.model import Robot
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.scoring.scorecard import Figure, RegionScore, ScoredQuestion, Spreads
@@ -76,7 +77,7 @@ def region_score(
     """Everything that is said of the answers to ``questions``; without any question every figure is None."""
     given = answers.given
     asked, said = questions[given], answers[given]
-    figures = _figures(asked, said, settings) if given.any() else dict.fromkeys(_NAMES)
+    figures = _figures(asked, said, settings, region.robot) if given.any() else dict.fromkeys(_NAMES)
     return RegionScore(
         region=region.name,
         about=region.about
@@ -111,7 +112,7 @@ _NAMES = (
 )
 
 
-def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, object]:
+def _figures(asked: Questions, said: Answers, settings: Settings, robot: Robot) -> dict[str, object]:
     """Those of ``_NAMES``, of answers that were given."""
     hands, tcps, proposed = asked.hands_in_base_m, asked.tcps_in_base_m, said.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
@@ -123,7 +124,7 @@ def _figures(asked: Questions, said: Answers, settings: Settings) -> dict[str, o
     sure, has_threshold = is_sure(said.spreads_m, said.thresholds_m), np.isfinite(said.thresholds_m)
     values = (
         Proportion.of(gained >= 0.0),
-        Proportion.of(in_reach(proposed, settings)),
+        Proportion.of(in_reach(proposed, settings, robot)),
         (quantile(gained, 0.5), quantile(gained, 0.05)),
         float(gained.min()),
         (quantile(angle, 0.5), quantile(angle, 0.95)),
@@ -151,10 +152,10 @@ def _most_alike(proposed: ArrayNx3) -> NDArray[np.bool_]:
     return found
 
 
-def in_reach(positions_in_base_m: ArrayNx3, settings: Settings) -> NDArray[np.bool_]:
+def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: Robot) -> NDArray[np.bool_]:
     """(n,) has the position inverse kinematics, and is it above the table by the clearance?"""
     lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
-    reached: NDArray[np.bool_] = reachable(positions_in_base_m, settings) & (
+    reached: NDArray[np.bool_] = reachable(positions_in_base_m, settings, robot) & (
         positions_in_base_m[:, 2] >= lowest_m
     )
     return reached

@@ -26,7 +26,7 @@ from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
-from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Scenario, Verdict
+from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Robot, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
@@ -57,12 +57,14 @@ def seed_of(scenario_seed: int) -> int:
     return leaf(scenario_seed, Branch.DECISION, 0)
 
 
-def begins_clear(settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> bool:
+def begins_clear(
+    settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: Robot = Robot.UR10
+) -> bool:
     """Is the hand, its forearm away from the TCP, outside the arm when the TCP starts there?"""
-    arm, capsules = load_arm("ur10"), cell_capsules(load_capsules("ur10"), settings)
+    arm, capsules = load_arm(robot.arm_name), cell_capsules(load_capsules(robot.arm_name), settings)
     target = desired_transform_tcp_to_base(settings)
     target[:3, 3] = tcp_in_base_m
-    joints = kinematics().nearest(target, np.array(settings.cell.preferred_joint_position_rad))
+    joints = kinematics(robot.arm_name).nearest(target, np.array(settings.cell.preferred_joint_position_rad))
     if joints is None:
         return False
     transforms, ends = np.empty((FRAMES, 4, 4)), np.empty((len(capsules.names), 2, 3))
@@ -86,6 +88,7 @@ def question_file(
     about: str,
     claims: tuple[str, ...],
     settings: Settings = DEFAULTS,
+    robot: Robot = Robot.UR10,
 ) -> QuestionFile:
     """The scenario for ``path``, not written yet: tried in the kinematic world with ``avoider``.
 
@@ -103,6 +106,7 @@ def question_file(
         avoider="",
         claims=tuple(Claim(sentence=sentence, expected=Verdict.VIOLATED) for sentence in claims),
         settings=settings,
+        robot=robot,
         file=path,
     )
     for scenario in _ways(with_avoider(bare, reference), hand_in_base_m, tcp_in_base_m):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.regions import Region
+from safety_harness.scenario.model import Robot
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
 from safety_harness.space.regions import Seen, region_named
@@ -48,6 +49,7 @@ class QuestionRegion:
     holds: Callable[[ArrayNx3, ArrayNx3], Flags]
     asked_in_runs: bool
     settings: Settings
+    robot: Robot = Robot.UR10
 
     def draw(self, rng: Generator, count: int) -> Questions:
         """``count`` independent questions; fewer, or none, where pairs that belong to it are too rare."""
@@ -57,7 +59,7 @@ class QuestionRegion:
             more = self.pairs(rng, max(count, AT_ONCE))
             drawn += max(count, AT_ONCE)
             kept = np.flatnonzero(self.holds(*more))[: count - len(hands)]
-            kept = kept[reachable(more[1][kept], self.settings)]
+            kept = kept[reachable(more[1][kept], self.settings, self.robot)]
             hands, tcps = np.concatenate([hands, more[0][kept]]), np.concatenate([tcps, more[1][kept]])
         return Questions(hands, tcps, rng.integers(0, 2**63, len(hands), dtype=np.uint64))
 

@@ -170,18 +170,18 @@ class ScoringSession:
                 one.searches.append(ledger)
                 if ledger.interrupted:
                     raise KeyboardInterrupt
-        self._write_worst(one, subject, told)
+        self._write_worst(one, subject, regions, told)
 
     def _write_worst(
         self,
         one: ScoredAvoider,
         subject: Subject,
+        regions: list[QuestionRegion],
         told: Callable[[str], None],
     ) -> None:
         """The worst questions with which a run can begin, as files; the others are counted."""
         slug = _slug(one.reference) + (f"-{len(self.scored.avoiders)}" if len(self.references) > 1 else "")
-        names = [region.region for region in one.card.regions]
-        settings = dict(zip(names, one.settings, strict=True))
+        by_name = {region.name: region for region in regions}
         for objective, tried in worst_questions(one.searches, MOST_TRIED):
             number = len(one.worst) + 1
             told(f"trying worst question {number}")
@@ -195,7 +195,8 @@ class ScoringSession:
                 title=f"worst question {number}: {objective.value}",
                 about=_about(objective, tried, self.seed),
                 claims=CLAIMS,
-                settings=settings[tried.region],
+                settings=by_name[tried.region].settings,
+                robot=by_name[tried.region].robot,
             )
             if file.path is None:
                 one.left_out.append(file.remark)

@@ -64,6 +64,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
         holds=lambda hand, tcp: near(hand, tcp, near_m),
         asked_in_runs=True,
         settings=settings,
+        robot=space.simplest.robot,
     )
 
 

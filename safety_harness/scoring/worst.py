@@ -122,7 +122,7 @@ class _Searching:
         tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
         held = self.region.holds(hands, tcps)
         held[held] = [
-            begins_clear(self.region.settings, hand, tcp)
+            begins_clear(self.region.settings, hand, tcp, self.region.robot)
             for hand, tcp in zip(hands[held], tcps[held], strict=True)
         ]
         numbers = self.which.interval_of(points[:, 6])[held]

@@ -13,7 +13,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import resolve_avoider, scenario_of_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, AvoiderAround, Proposal
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scoring.question_file import QuestionFile, question_file, seed_of
 from safety_harness.scoring.session import CLAIMS
@@ -50,6 +50,26 @@ def test_a_run_of_the_file_asks_the_question_first_with_its_seed(tmp_path: Path)
     found = {one.sentence: one.evaluate(trace).verdict for one in admit(scenario).properties}
     assert expected == found
     assert set(expected.values()) <= {Verdict.HOLDS, Verdict.VIOLATED}
+
+
+def test_a_question_of_a_ur5_s_cell_is_asked_by_a_ur5(tmp_path: Path) -> None:
+    scenario = read_scenario(Path(__file__).parents[2] / "scenarios" / "robot-ur5.yaml")
+    file = question_file(
+        tmp_path / "worst.yaml",
+        "opposite pose",
+        resolve_avoider(scenario_of_avoider("opposite pose")),
+        np.array([0.62, -0.25, 0.2]),
+        np.array([0.5, 0.0, 0.28]),
+        5,
+        title="a question",
+        about="for a test",
+        claims=CLAIMS,
+        settings=scenario.settings,
+        robot=scenario.robot,
+    )
+    assert file.path is not None, file.remark
+    file.path.write_text(file.text)
+    assert read_scenario(file.path).robot is Robot.UR5
 
 
 def test_an_avoider_that_takes_its_time_is_asked_the_question_all_the_same(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.controller.desired import reachable
+from safety_harness.scenario.model import Robot
 from safety_harness.scoring.regions import FAR, NAMED, named_regions
 from safety_harness.scoring.space_region import space_region
 from safety_harness.settings import DEFAULTS
@@ -61,3 +63,22 @@ def test_a_space_leads_to_hands_of_its_programs_near_tcps_about_its_way() -> Non
     grown = tcps.grown(1.0 + 2.0 * radius_m / min(np.subtract(tcps.high_m, tcps.low_m)))
     assert grown.contains(drawn.tcps_in_base_m).all()
     assert not region_named("seen tcp", SEEN, DEFAULTS).contains(drawn.tcps_in_base_m).all()
+
+
+AHEAD_M = np.linspace(0.2, 1.4, 13)
+PLACES = np.stack([AHEAD_M, 0.0 * AHEAD_M, np.full(13, 0.25)], axis=1)
+
+
+@pytest.mark.parametrize(("robot", "farthest_m"), [(Robot.UR3, 0.5), (Robot.UR5, 0.8), (Robot.UR10, 1.2)])
+def test_what_can_be_reached_is_a_matter_of_the_robot(robot: Robot, farthest_m: float) -> None:
+    assert AHEAD_M[reachable(PLACES, DEFAULTS, robot)].max() == pytest.approx(farthest_m)
+
+
+def test_questions_of_a_space_are_within_the_reach_of_its_robot(tmp_path: Path) -> None:
+    text = (SPACES.parent / "robot-ur5.yaml").read_text().replace("scenario:", "scenario space:", 1)
+    (tmp_path / "space.yaml").write_text(
+        text.replace("seed: 71\n", "").replace("[40 mm,", "[from 0 mm to 40 mm,")
+    )
+    region = space_region(read_space(tmp_path / "space.yaml"), seed=1, draws=5)
+    drawn = replace(region, pairs=lambda *_: (PLACES, PLACES)).draw(np.random.default_rng(0), 13)
+    assert drawn.tcps_in_base_m[:, 0].max() == pytest.approx(0.8)
