@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
 from safety_harness.exceptions import MissingPackageError, Place
 
@@ -35,8 +36,10 @@ class Extra:
         return "; ".join(filter(None, (get, self.instead)))
 
     @contextmanager
-    def needed(self, by: str) -> Iterator[None]:
+    def needed(self, by: str, file: Path | None = None) -> Iterator[None]:
         """Import its packages within; MissingPackageError if one is not installed, and ``by`` needs it.
+
+        ``file`` is what asks for ``by``, if that is a file.
 
         Any other module that is missing is somebody's mistake, and raised as it is.
         """
@@ -47,12 +50,12 @@ class Extra:
             if module not in self.modules:
                 raise
             raise MissingPackageError(
-                place=Place(field=by), expected=module, got="no such package", hint=self.hint
+                place=Place(file=file, field=by), expected=module, got="no such package", hint=self.hint
             ) from error
 
-    def require(self, by: str) -> None:
+    def require(self, by: str, file: Path | None = None) -> None:
         """Look for its first package without importing it; MissingPackageError as of ``needed``."""
-        with self.needed(by):
+        with self.needed(by, file):
             if find_spec(self.modules[0]) is None:
                 raise ModuleNotFoundError(name=self.modules[0])
 

@@ -49,7 +49,7 @@ def attribute_runs(paths: Sequence[Path], avoider: str | None, out: Path | None,
     scenarios, errors = _scenarios(paths, avoider)
     admitted, refused = usable(scenarios, Admitter().admit)
     if errors or refused:
-        say(f"{explain_each([*errors, *refused])} of the inputs cannot be used; nothing was run.")
+        say(f"{len(explain_each([*errors, *refused]))} of the inputs cannot be used; nothing was run.")
         return BAD_INPUT
     session = AttributionSession(confirm)
     try:

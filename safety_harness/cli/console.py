@@ -253,12 +253,12 @@ def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list
     return made, errors
 
 
-def explain_each(errors: Sequence[InputError]) -> int:
-    """Each once, and how many: what is wrong in a file that others extend is the same mistake for all."""
-    once = {str(error): error for error in errors}
-    for error in once.values():
+def explain_each(errors: Sequence[InputError]) -> list[InputError]:
+    """Each once, and which: what is wrong in a file that others extend is the same mistake for all."""
+    once = list({str(error): error for error in errors}.values())
+    for error in once:
         explain(error)
-    return len(once)
+    return once
 
 
 def say_shared_modules() -> None:

@@ -25,7 +25,7 @@ from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.machine import run_data
+from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import shown
@@ -127,9 +127,9 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_go
             continue
         say_results(run)
         runs.append(run)
-    document(runs=[run_data(run) for run in runs])
+    document(runs=[run_data(run) for run in runs], refused=refused_data(refused))
     if refused:
-        say(f"{explain_each(refused)} mistakes; {len(runs)} of {len(paths)} traces judged")
+        say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} traces judged")
         return BAD_INPUT
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import command_line_reference, replay_command, told_avoider
@@ -44,7 +45,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
@@ -54,15 +55,23 @@ TRACES, OF_REFERENCE = "traces", "traces-against"
 
 
 def read_all(
-    paths: Sequence[Path], avoider: str | None = None, against: str | None = None
+    paths: Sequence[Path],
+    avoider: str | None = None,
+    against: str | None = None,
+    world: WorldEntry = REFERENCE,
 ) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
     """Read and admit everything, with another avoider if one is given, and with the reference as well.
 
     All mistakes, not only the first, and what the avoiders given here cannot take.
     """
+
+    def take(one: Scenario) -> list[Admitted] | NotTaken:
+        world.refuse(one)
+        return taken(one, avoiders, admit)
+
     gathered = gather(paths)
     avoiders = [(avoider, "--avoider")] + ([] if against is None else [(against, "--against")])
-    found, errors = usable(gathered.scenarios, lambda one: taken(one, avoiders, admit))
+    found, errors = usable(gathered.scenarios, take)
     return (
         [one for one in found if not isinstance(one, NotTaken)],
         [one for one in found if isinstance(one, NotTaken)],
@@ -87,8 +96,7 @@ def run(
     world.opener()
     say_shared_modules()
     try:
-        admitted, skipped, errors = read_all(paths, avoider, against)
-        errors += usable(admitted, lambda each: world.refuse(each[0].scenario))[1]
+        admitted, skipped, errors = read_all(paths, avoider, against, world)
     except KeyboardInterrupt:
         say("interrupted: nothing was run")
         return INTERRUPTED
@@ -97,7 +105,7 @@ def run(
     refused = explain_each(errors)
     if refused and not (keep_going and admitted):
         go_on = "; --keep-going runs the others" if admitted else ""
-        say(f"{refused} of the inputs cannot be used; nothing was run{go_on}.")
+        say(f"{len(refused)} of the inputs cannot be used; nothing was run{go_on}.")
         return BAD_INPUT
     for folder in (TRACES, *[OF_REFERENCE] * (against is not None)):
         with writing(out / folder):
@@ -127,7 +135,7 @@ class RunSession:
     command: str
     planned: int
     skipped: Sequence[NotTaken] = ()
-    refused: int = 0  # inputs that cannot be used, and did not keep the others from running
+    refused: Sequence[InputError] = ()  # of inputs that did not keep the others from running
     world: WorldEntry = REFERENCE
     against: Against | None = None
     differences: list[RunDifference] = field(default_factory=list)
@@ -201,7 +209,7 @@ class RunSession:
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
             f"{len(self.runs)} of {self.planned + len(self.skipped)} scenarios run"
             + (f", {not_taken_words(self.skipped)}" if self.skipped else "")
-            + (f", {self.refused} of the inputs cannot be used" if self.refused else "")
+            + (f", {len(self.refused)} of the inputs cannot be used" if self.refused else "")
             + (f"; {fallback}" if fallback else "")
         )
         if self.against is not None:
@@ -262,7 +270,13 @@ class RunSession:
         from safety_harness.report.machine import report_data, write_json
 
         path = self.out / REPORT
-        interrupted = len(self.runs) < self.planned or self.interrupted
+        of_all: dict[str, Any] = {
+            "interrupted": len(self.runs) < self.planned or self.interrupted,
+            "skipped": self.skipped,
+            "refused": self.refused,
+            "against": self.against,
+            "repeated": self.repeated,
+        }
         try:
             remark = f"writing {path}; Ctrl-C once more gives it up"
             with writing(path), one_more_ctrl_c(say, remark) as asked:
@@ -272,18 +286,9 @@ class RunSession:
                     title="Safety verification of a hand-avoiding robot arm",
                     command=self.command,
                     generated_at=datetime.now(UTC),
-                    interrupted=interrupted,
-                    skipped=self.skipped,
-                    against=self.against,
-                    repeated=self.repeated,
+                    **of_all,
                 )
-                found = report_data(
-                    self.runs,
-                    interrupted=interrupted,
-                    skipped=self.skipped,
-                    against=self.against,
-                    repeated=self.repeated,
-                )
+                found = report_data(self.runs, **of_all)
                 document(**found, failed=self.failed)
                 write_json(self.out / DATA, found)
         except OutputError as error:

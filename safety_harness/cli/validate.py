@@ -61,7 +61,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
     document(usable=usable_files)
     if errors:
-        mistakes = _count(explain_each(errors), "mistake")
+        mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
         say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
-from safety_harness.exceptions import refuse_other_type
+from safety_harness.exceptions import InputError, refuse_other_type
 from safety_harness.properties.against import Against
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.proportions import share_words
@@ -30,6 +30,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
 )
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.timeline import thinning, timeline
@@ -62,16 +63,17 @@ def write_report(
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
+    refused: Sequence[InputError] = (),
     against: Against | None = None,
     repeated: RepeatabilityResult | None = None,
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
-    ``command`` is the command line that made the report; ``interrupted`` says that more runs were
-    planned than are here.  ``coverage`` is how often each claim was put to the test, where that was in
-    more runs than are shown; ``skipped`` is what an avoider could not take, ``against`` what is worse than
-    with a reference, ``repeated`` what a second avoider answered to their questions.  Folders that are
-    missing are made.  Raises OSError.
+    ``command`` is the command line that made the report; ``interrupted`` says that more runs were planned
+    than are here.  ``coverage`` is how often each claim was put to the test, where that was in more runs than
+    are shown; ``skipped`` is what an avoider could not take, ``refused`` what could not be used at all,
+    ``against`` what is worse than with a reference, ``repeated`` what a second avoider answered to their
+    questions.  Folders that are missing are made.  Raises OSError.
     """
     path = as_path(path, "write_report(path)")
     for run in runs:
@@ -84,6 +86,7 @@ def write_report(
         generated_at=generated_at,
         coverage=coverage,
         skipped=skipped,
+        refused=refused,
         against=against,
         repeated=repeated,
     )
@@ -99,6 +102,7 @@ def render(
     generated_at: datetime,
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
+    refused: Sequence[InputError] = (),
     against: Against | None = None,
     repeated: RepeatabilityResult | None = None,
 ) -> str:
@@ -115,6 +119,7 @@ def render(
         sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
         coverage=tallies(runs) if coverage is None else coverage,
         skipped=skipped,
+        refused=refused_data(refused),
         against=against,
         repeated=repeated,
         most_decisions=MOST_DECISION_ROWS,

@@ -12,6 +12,7 @@ from typing import Any
 
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
+from safety_harness.exceptions import InputError
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
@@ -47,6 +48,7 @@ def report_data(
     interrupted: bool,
     coverage: Sequence[ClaimTally] | None = None,
     skipped: Sequence[NotTaken] = (),
+    refused: Sequence[InputError] = (),
     against: Against | None = None,
     repeated: RepeatabilityResult | None = None,
 ) -> dict[str, Any]:
@@ -54,12 +56,12 @@ def report_data(
 
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
-    ``skipped``, ``against`` and ``repeatability`` (what a second avoider answered to questions of the runs;
-    null if none was asked); each run says what was run, whether its ``avoider_answered``, and has its
-    ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each claim over
-    all runs how often it was put to the test; ``coverage``, ``skipped`` and ``against`` as for
-    ``write_report``.  Margins are in SI units, in full precision, null where there is none; one that is not
-    finite is the text "inf", "-inf" or "nan", since JSON has no such number.
+    ``skipped``, ``refused``, ``against`` and ``repeatability`` (what a second avoider answered to questions
+    of the runs; null if none was asked); each run says what was run, whether its ``avoider_answered``, and
+    has its ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each
+    claim over all runs how often it was put to the test; ``coverage``, ``skipped``, ``refused`` and
+    ``against`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
+    none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
     return {
@@ -73,9 +75,24 @@ def report_data(
         "skipped": [
             {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
         ],
+        "refused": refused_data(refused),
         "against": None if against is None else against.as_json(),
         "repeatability": None if repeated is None else asdict(repeated),
     }
+
+
+def refused_data(refused: Sequence[InputError]) -> list[dict[str, Any]]:
+    """Where each input that cannot be used is wrong, and the reason."""
+    return [
+        {
+            "file": None if one.place.file is None else str(told(one.place.file)),
+            "line": one.place.line,
+            "field": one.place.field,
+            "reason": f"expected {one.expected}; got {one.got}",
+            "hint": one.hint or None,
+        }
+        for one in refused
+    ]
 
 
 def run_data(run: JudgedRun) -> dict[str, Any]:

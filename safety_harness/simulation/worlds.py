@@ -108,7 +108,7 @@ class WorldEntry:
 
             refuse_rendered(scenario, self.label)
         if has_rendered_images(scenario):
-            IMAGES.require("rendered images")
+            IMAGES.require("rendered images", scenario.file)
 
 
 def _pybullet() -> OpensWorld:

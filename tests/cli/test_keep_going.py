@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,7 +40,37 @@ def test_the_others_are_run_and_the_end_is_bad_input(folder: Path, tmp_path: Pat
         "b-good.trace",
         "d-good.trace",
     ]
-    assert "--keep-going" in (tmp_path / "out" / "report.html").read_text()
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "--keep-going" in page
+    assert "Refused." in page
+    assert "As expected." not in page
+    refused = json.loads((tmp_path / "out" / "report.json").read_text())["refused"]
+    assert [(Path(one["file"]).name, one["line"]) for one in refused] == [
+        ("a-bad.yaml", 3),
+        ("c-plan.yaml", None),
+    ]
+    assert refused[0]["reason"].endswith("got -60, which has no unit")
+    assert all(one["file"] in page for one in refused)
+    assert str(tmp_path) not in page
+
+
+def test_a_scenario_that_needs_a_package_keeps_others_from_running_only_without_the_option(
+    folder: Path, tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    folder = tmp_path / "two"
+    folder.mkdir()
+    (folder / "good.yaml").write_text(SCENARIO)
+    (folder / "rendered.yaml").write_text(SCENARIO + "hand sensor: {kind: overhead, detector: rendered}\n")
+    assert run([folder], tmp_path / "out") == BAD_INPUT
+    err = capsys.readouterr().err
+    assert f"{folder / 'rendered.yaml'}: rendered images: needs cv2, which is not installed" in err
+    assert "nothing was run; --keep-going runs the others." in err
+    assert run([folder], tmp_path / "out", keep_going=True) == BAD_INPUT
+    assert "1 of 1 scenarios run, 1 of the inputs cannot be used" in capsys.readouterr().err
+    (refused,) = json.loads((tmp_path / "out" / "report.json").read_text())["refused"]
+    assert Path(refused["file"]).name == "rendered.yaml"
+    assert "pip install 'safety-harness[images]'" in refused["hint"]
 
 
 def test_without_the_option_nothing_is_run_and_the_option_is_named(
