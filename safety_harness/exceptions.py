@@ -9,6 +9,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -77,6 +79,18 @@ class InputError(SafetyHarnessError):
         """On its way between processes: exceptions with keywords are not pickled by themselves."""
         make = partial(type(self), place=self.place, expected=self.expected, got=self.got, hint=self.hint)
         return make, ()
+
+
+def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
+    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing.
+
+    ``all_of_them`` is the command that lists what is allowed: it is told whatever resembles.
+    """
+    by_lower = {name.lower(): name for name in allowed}
+    close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
+    names = " or ".join(f'"{by_lower[name]}"' for name in close)
+    meant = f"did you mean {names}?" if word and close else ""
+    return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
 
 
 _MADE_BY = {  # of what a caller hands on: where it comes from

@@ -23,13 +23,12 @@ from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_se
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.exceptions import InadmissibleError, Place, refuse_other_type
+from safety_harness.exceptions import InadmissibleError, Place, near_miss, refuse_other_type
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
-from safety_harness.scenario.units import near_miss
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import is_shipped, located
 from safety_harness.space.regions import exported_seen

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from safety_harness.exceptions import InadmissibleError
+from safety_harness.exceptions import InadmissibleError, near_miss
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
 from safety_harness.properties.base import Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Claim, Scenario
-from safety_harness.scenario.units import near_miss
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from safety_harness.cli.console import AS_EXPECTED, NARROW, columns_of, document, result, say
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
-from safety_harness.scenario.units import Dimension, near_miss
+from safety_harness.scenario.units import Dimension
 
 if TYPE_CHECKING:
     from safety_harness.properties.entry import CatalogueEntry

@@ -15,8 +15,7 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
-from safety_harness.exceptions import InputError, OutputError, Place
-from safety_harness.scenario.units import near_miss
+from safety_harness.exceptions import InputError, OutputError, Place, near_miss
 
 commands = Typer()
 FOLDER = Path(__file__).parent / "templates"

@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from safety_harness.exceptions import FormulaError, InputError, Place, refuse_other_type
+from safety_harness.exceptions import FormulaError, InputError, Place, near_miss, refuse_other_type
 from safety_harness.formulas.formula import (
     Always,
     And,
@@ -38,7 +38,7 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.quantities import NOW, Quantity, Span, read_quantity
 from safety_harness.formulas.signal import Signal
 from safety_harness.formulas.signals import SIGNALS
-from safety_harness.scenario.units import TIME, Dimension, near_miss
+from safety_harness.scenario.units import TIME, Dimension
 
 FIRST = ("always", "eventually", "whenever", "within", "initially", "not")
 KEYWORDS = (*FIRST, "and", "or", "until", "then", "for", "from", "to")

@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.compiled import compiled
-from safety_harness.exceptions import DatasetError, Place
+from safety_harness.exceptions import DatasetError, Place, near_miss
 from safety_harness.geometry.regions import Region
 from safety_harness.learning.image_error import ImageErrors
-from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Settings
 from safety_harness.space.regions import paper_seen, region_named
 

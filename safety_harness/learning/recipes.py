@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from safety_harness.avoidance.model_file import Dropout
-from safety_harness.exceptions import ModelError, Place
-from safety_harness.scenario.units import near_miss
+from safety_harness.exceptions import ModelError, Place, near_miss
 
 Target = Literal["eq13", "continuous"]
 SplitKind = Literal["by TCP", "by sample"]

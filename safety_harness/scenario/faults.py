@@ -13,6 +13,7 @@ from enum import Enum, IntEnum
 from math import inf
 from typing import Any, ClassVar, get_args
 
+from safety_harness.exceptions import near_miss
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -29,7 +30,7 @@ from safety_harness.scenario.codec import (
     vector_of,
 )
 from safety_harness.scenario.fields import Field, Fields
-from safety_harness.scenario.units import LENGTH, TIME, near_miss
+from safety_harness.scenario.units import LENGTH, TIME
 from safety_harness.settings import Vector3
 
 MOST_FAULTS = 16  # a trace has a bit for each

@@ -17,9 +17,9 @@ from math import pi
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
-from safety_harness.scenario.units import Dimension, near_miss, parse_quantity, shown
+from safety_harness.scenario.units import Dimension, parse_quantity, shown
 
 LARGEST_COORDINATE_M = 10.0  # beyond it: a slip of the unit, not a workplace
 LARGEST_ANGLE_RAD = 2.0 * pi

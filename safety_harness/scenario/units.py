@@ -7,15 +7,14 @@ literal ``0.08``.  Degrees are the exception, since pi is no fraction: they go t
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
@@ -150,18 +149,6 @@ def normal_unit(unit: str) -> str:
     """One spelling for the ways to write a unit: ``m/s^2``, ``m/s²`` and ``m / s2`` are ``m/s2``."""
     unit = "".join(unit.split()).replace("²", "2").replace("^2", "2").replace("°", "deg")
     return unit.removeprefix("1") if unit.startswith("1/") else unit
-
-
-def near_miss(word: str, allowed: Iterable[str], *, most: int = 1, all_of_them: str = "") -> str:
-    """``did you mean "..."?`` with at most ``most`` of ``allowed`` that resemble ``word``, else nothing.
-
-    ``all_of_them`` is the command that lists what is allowed: it is told whatever resembles.
-    """
-    by_lower = {name.lower(): name for name in allowed}
-    close = difflib.get_close_matches(word.lower(), by_lower, n=most, cutoff=0.5)
-    names = " or ".join(f'"{by_lower[name]}"' for name in close)
-    meant = f"did you mean {names}?" if word and close else ""
-    return f"{meant} all of them: {all_of_them}".strip() if all_of_them else meant
 
 
 def shown(text: str) -> str:

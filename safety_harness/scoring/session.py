@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
-from safety_harness.exceptions import NoAnswerError, Place, ScenarioError
+from safety_harness.exceptions import NoAnswerError, Place, ScenarioError, near_miss
 from safety_harness.scenario.references import file_and_name
-from safety_harness.scenario.units import near_miss
 from safety_harness.scoring.against import findings_against
 from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.findings import findings

@@ -21,9 +21,8 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.trial import slower_because
 from safety_harness.campaign.pool import pool
 from safety_harness.compiled import source_hash
-from safety_harness.exceptions import SettingsError
+from safety_harness.exceptions import SettingsError, near_miss
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.units import near_miss
 from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.document import SelfTestRun, document, write_document, write_page
 from safety_harness.selftest.fault import SeededFault

@@ -12,11 +12,10 @@ from pathlib import Path
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, Place, ScenarioError, near_miss
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.scenario.units import near_miss
 from safety_harness.seeds import Branch, seed
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import KINEMATIC

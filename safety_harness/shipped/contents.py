@@ -8,7 +8,6 @@ other holds in both.  ``located`` is the one place that knows the names.
 from __future__ import annotations
 
 import ast
-import difflib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from enum import StrEnum
 from functools import lru_cache
 from pathlib import Path, PurePath
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 
 PREFIX = "shipped:"
 PACKED = Path(__file__).resolve().parent
@@ -132,15 +131,12 @@ def _found(name: str) -> Path | None:
 
 
 def _unknown(name: str, place: Place | None) -> ScenarioError:
-    near = difflib.get_close_matches(
-        name, [*FOLDERS, *(one.name for one in shipped_files())], n=3, cutoff=0.3
-    )
-    words = f"did you mean {' or '.join(PREFIX + one for one in near)}? " if near else ""
+    names = (PREFIX + one for one in (*FOLDERS, *(file.name for file in shipped_files())))
     return ScenarioError(
         place=place or Place(field=PREFIX + name),
         expected="the name of something shipped",
         got=repr(name),
-        hint=f"{words}all of them: safety-harness list",
+        hint=near_miss(PREFIX + name, names, most=3, all_of_them="safety-harness list"),
     )
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.shipped.contents import contents, is_installed
 
 COMMAND = "safety-harness docs"
@@ -59,12 +58,11 @@ def section_named(words: str) -> Section:
     for one in known:
         if asked and (asked in one.title.lower() or asked.replace(" ", "-") in one.name.lower()):
             return one
-    near = difflib.get_close_matches(asked, [one.name for one in known], n=3, cutoff=0.3)
     raise ScenarioError(
         place=Place(field="docs"),
         expected="a page, page#section, or words of a heading",
         got=repr(words),
-        hint=f"did you mean {' or '.join(near)}?" if near else "without any the first page is opened",
+        hint=near_miss(asked, (one.name for one in known), most=3) or "without any the first page is opened",
     )
 
 

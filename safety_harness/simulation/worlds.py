@@ -12,12 +12,11 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from safety_harness.exceptions import InstallationError, Place, ScenarioError, TraceError
+from safety_harness.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
 from safety_harness.extras import IMAGES
 from safety_harness.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.geometry.arrays import Array6
 from safety_harness.scenario.references import ONNX_SUFFIX
-from safety_harness.scenario.units import near_miss
 from safety_harness.settings import DetectorKind, ImageSource
 
 if TYPE_CHECKING:

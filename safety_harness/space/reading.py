@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.exceptions import ScenarioError, near_miss
 from safety_harness.scenario.compose import SPACE_KEY
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
-from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Vector3
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.regions import REGIONS

@@ -31,11 +31,10 @@ from safety_harness.avoidance.model_file import (
     onnx_metadata,
 )
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import ModelError, RegionError
+from safety_harness.exceptions import ModelError, RegionError, near_miss
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.scenario.typed_json import parsed
-from safety_harness.scenario.units import near_miss
 from safety_harness.settings import Settings, Vector3
 from safety_harness.shipped.contents import located
 

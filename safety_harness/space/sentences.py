@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 
+from safety_harness.exceptions import near_miss
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.units import DIMENSIONS, NUMBER, near_miss, normal_unit, parse_quantity, shown
+from safety_harness.scenario.units import DIMENSIONS, NUMBER, normal_unit, parse_quantity, shown
 from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform
 
 MOST_OPTIONS = 100

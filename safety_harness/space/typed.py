@@ -18,14 +18,13 @@ from collections.abc import Sequence as Values
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.compose import SPACE_KEY
 from safety_harness.scenario.fields import Field, walk
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
 from safety_harness.scenario.nodes import Sequence as SequenceNode
-from safety_harness.scenario.units import near_miss
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.distributions import InBox, InRegion, InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import space_of

@@ -105,7 +105,7 @@ def test_a_section_is_found_and_without_a_terminal_only_told(
 
 def test_an_unknown_section_gets_the_nearest(small_site: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert docs(["clams"]) == BAD_INPUT
-    assert "did you mean claims" in capsys.readouterr().err
+    assert 'did you mean "claims' in capsys.readouterr().err
 
 
 def test_without_a_site_it_says_where_the_markdown_is(
