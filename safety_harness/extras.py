@@ -18,10 +18,15 @@ from safety_harness.exceptions import MissingPackageError, Place
 
 @dataclass(frozen=True)
 class Extra:
-    """An optional part of this package: its ``modules``, and what else to do where it cannot be had."""
+    """An optional part of this package: its ``modules``, what for, and what to do where it cannot be had.
+
+    ``package`` is what installs the first of its modules, if that is of another name.
+    """
 
     name: str
     modules: tuple[str, ...]
+    use: str
+    package: str = ""
     instead: str = ""
     newest_wheel: tuple[int, int] | None = None  # of Python; None: there are wheels for all
 
@@ -63,11 +68,24 @@ class Extra:
 PYBULLET = Extra(
     "pybullet",
     ("pybullet",),
+    "the reference world and rendered images; without it runs are kinematic",
     instead="the kinematic world does without: --world kinematic (pytest: --safety-world; a plan: world:)",
     newest_wheel=(3, 11),
 )
-IMAGES = Extra("images", ("cv2",), instead="exact and raster images need none")
-ONNX = Extra("onnx", ("onnxruntime",))
-LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"))
-EXPORT = Extra("export", ("pyarrow",), instead="a .csv needs none")
-CLUSTER = Extra("cluster", ("distributed", "dask"), instead="without --cluster it runs on this machine")
+IMAGES = Extra(
+    "images",
+    ("cv2",),
+    "hands in rendered images",
+    package="opencv-python-headless",
+    instead="exact and raster images need none",
+)
+ONNX = Extra("onnx", ("onnxruntime",), "avoiders in FILE.onnx")
+LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"), "safety-harness train and export")
+EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="a .csv needs none")
+CLUSTER = Extra(
+    "cluster",
+    ("distributed", "dask"),
+    "campaigns on a Dask cluster",
+    instead="without --cluster it runs on this machine",
+)
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, EXPORT, CLUSTER)

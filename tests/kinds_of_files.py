@@ -22,6 +22,22 @@ tcp start: {offset: [0 mm, -60 mm, 20 mm]}
 avoider: opposite pose
 claims: {joint speeds within limits: holds}
 """
+VISIT = """\
+scenario: a hand passes
+duration: 1.6 s
+tcp start:
+  offset: [40 mm, -120 mm, 60 mm]
+hands:
+  - hand: right hand
+    starts at: [1100 mm, -750 mm, 200 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - move to: [840 mm, -350 mm, 250 mm]
+        speed: 1 m/s
+      - withdraw: 1 m/s
+claims:
+  joint speeds within limits: holds
+"""
 PYTHON = "class Mine:\n    name = 'mine'\n\n    def propose(self, **question):\n        return None\n"
 _PAGE = "<!DOCTYPE html>\n<html><head><title>{}</title></head></html>\n"
 # The words by which a message calls each, by the name of the file.

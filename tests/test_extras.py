@@ -15,11 +15,9 @@ from safety_harness.campaign.cluster import connected
 from safety_harness.campaign.exporting import export as export_ledger
 from safety_harness.cli.learning import export, train
 from safety_harness.exceptions import InputError, MissingPackageError, explanation
-from safety_harness.extras import CLUSTER, EXPORT, IMAGES, LEARNING, ONNX, PYBULLET, Extra
+from safety_harness.extras import CLUSTER, EXPORT, EXTRAS, IMAGES, LEARNING, ONNX, PYBULLET, Extra
 from safety_harness.perception.detector import opencv
 from tests.campaign.plans import ledger_in, plan_in
-
-EVERY = (PYBULLET, IMAGES, ONNX, LEARNING, EXPORT, CLUSTER)
 
 
 def missing(monkeypatch: pytest.MonkeyPatch, *extras: Extra) -> None:
@@ -95,7 +93,7 @@ def test_parquet_and_a_cluster_name_their_extras_and_what_does_without(
 
 
 def test_no_module_of_the_package_imports_an_extra_before_it_is_used() -> None:
-    packages = [module for extra in EVERY for module in extra.modules]
+    packages = [module for extra in EXTRAS for module in extra.modules]
     code = f"""
 import pkgutil, sys
 from importlib import import_module

@@ -191,40 +191,6 @@ def _parts(line: str, columns: int) -> list[str]:
     return [part.replace(_NO_BREAK, " ") for part in found]
 
 
-def table(
-    head: Sequence[str],
-    rows: Iterable[Sequence[str]],
-    *,
-    named_by: int = 2,
-    right: range = range(0),
-    to: str = "stdout",
-) -> list[str]:
-    """Columns as wide as they need be, those in ``right`` to the right; no lines without rows.
-
-    Where they are wider than what they go ``to``, each row is what it is ``named_by``, its first cells, and
-    below it a list of the others.
-    """
-    cells = [tuple(head), *map(tuple, rows)]
-    if len(cells) == 1:
-        return []
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    columns = columns_of(getattr(sys, to))
-    if columns is not None and sum(widths) + 2 * len(widths) - 2 > columns:
-        return [line for row in cells[1:] for line in _block(head, row, named_by)]
-    return [
-        "  ".join(
-            f"{cell:{'>' if column in right else '<'}{width}}"
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    ]
-
-
-def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:
-    others = zip(head[named_by:], row[named_by:], strict=True)
-    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in others)}"
-
-
 def explain(error: Exception) -> None:
     """A user's mistake: where, what was expected, what came, and the hint on a line of its own."""
     if (answer := _as_json.get()) is not None:

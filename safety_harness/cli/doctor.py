@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
@@ -14,24 +15,17 @@ from operator import eq, ge, gt, le, lt, ne
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, table
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, columns_of, document, result
 from safety_harness.cli.warm import SHORT_RUN, machine_code_bytes, megabytes
 from safety_harness.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
+from safety_harness.extras import EXTRAS
 from safety_harness.properties.base import Evaluation
+from safety_harness.properties.tally import table
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.trace.provenance import shared_modules
 
 NAME = "safety-harness"
-# What not everybody needs: the package, a module of it, and what for.
-OPTIONAL = (
-    ("pybullet", "pybullet", "the reference world and rendered images; without it runs are kinematic"),
-    ("opencv-python-headless", "cv2", "hands in rendered images"),
-    ("onnxruntime", "onnxruntime", "avoiders in FILE.onnx"),
-    ("torch", "torch", "safety-harness train and export"),
-    ("pyarrow", "pyarrow", "campaigns as Parquet files"),
-    ("distributed", "distributed", "campaigns on a Dask cluster"),
-)
 _COMPARED = {"==": eq, "!=": ne, ">=": ge, "<=": le, ">": gt, "<": lt}
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*))?")
 
@@ -60,7 +54,7 @@ def examine() -> int:
     wrong = [one for one in found if one.state is State.PROBLEM and one.needed]
     document(checks=[asdict(one) for one in found], good=not wrong)
     rows = [(one.state.value, one.what, one.words) for one in found]
-    result(*table(("state", "what", "found"), rows))
+    result(*table(("state", "what", "found"), rows, columns_of(sys.stdout)))
     return DIFFERS if wrong else AS_EXPECTED
 
 
@@ -109,11 +103,13 @@ def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Exam
 
 def _optional() -> Iterator[Examined]:
     needed = required()
-    for name, module, use in OPTIONAL:
+    for extra in EXTRAS:
+        module = extra.modules[0]
+        name = extra.package or module
         if name in needed:
             continue
         if find_spec(module) is None:
-            yield Examined(name, State.MISSING, f"for {use}", needed=False)
+            yield Examined(name, State.MISSING, f"for {extra.use}", needed=False)
         else:
             yield Examined(name, State.OK, _version(name), needed=False)
 

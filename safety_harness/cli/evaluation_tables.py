@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from safety_harness.cli.console import table
+from safety_harness.cli.console import columns_of
 from safety_harness.learning.dataset import LabelFloor
 from safety_harness.learning.evaluation import LEVELS, Figures
 from safety_harness.learning.metrics import RESIDUALS, Errors, IntervalCoverage
+from safety_harness.properties.tally import table
 from safety_harness.proportions import Proportion
 
 NONE = "-"
@@ -119,4 +121,4 @@ def _mm(length_m: float) -> str:
 
 def titled(title: str, header: Row, rows: Iterable[Row]) -> Iterator[str]:
     """A table below its title."""
-    yield from ("", title, *table(header, rows, right=range(2, len(header))))
+    yield from ("", title, *table(header, rows, columns_of(sys.stdout), right=range(2, len(header))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,13 +21,13 @@ from safety_harness.cli.console import (
     BAD_INPUT,
     DIFFERS,
     INTERRUPTED,
+    columns_of,
     document,
     explain,
     explain_each,
     result,
     say,
     say_shared_modules,
-    table,
     usable,
 )
 from safety_harness.cli.progress import RunsShown, watching_runs
@@ -34,7 +35,7 @@ from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import HEADINGS, table_rows, untested_lines
+from safety_harness.properties.tally import table_lines, untested_lines
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -257,7 +258,7 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        say(*table(HEADINGS, table_rows(found), named_by=1, right=range(1, 7), to="stderr"))
+        say(*table_lines(found, columns_of(sys.stderr)))
         untested = untested_lines(found)
         if untested:
             say(f"error: {untested[0]}", *untested[1:])

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say, table
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
 from safety_harness.cli.options import OfAvoider, command
 from safety_harness.exceptions import Place, SettingsError
 
@@ -39,10 +39,12 @@ def selftest(
     fault applies; 2: bad input; 130: interrupted.
     """
     import shlex
+    import sys
     import time
 
     from safety_harness.certification.tools import FaultState
     from safety_harness.cli.progress import paced_lines, where
+    from safety_harness.properties.tally import table
     from safety_harness.selftest.outcome import (
         HARMLESS_HEAD,
         HEAD,
@@ -88,7 +90,7 @@ def selftest(
         faults, harmless = in_table(session.tried)
         tables = (HEAD, list(map(row, faults))), (HARMLESS_HEAD, list(map(harmless_row, harmless)))
         for head, rows in tables:
-            result(*table(head, rows), "")
+            result(*table(head, rows, columns_of(sys.stdout)), "")
         result(summary(tally_of(session.tried)))
         document(**session.document)
         session.write()

@@ -124,25 +124,45 @@ def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
     return lines
 
 
-def table_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """The tallies as lines of text of a terminal; what was never put to the test is marked."""
-    if not tallies:
-        return []
-    rows = [HEADINGS, *table_rows(tallies)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS) - 1)]
-    lines = []
-    for first, *numbers, worst in rows:
-        aligned = "  ".join(number.rjust(width) for number, width in zip(numbers, widths[1:], strict=True))
-        lines.append(f"{first:<{widths[0]}}  {aligned}  {worst}")
-    return lines
-
-
-def table_rows(tallies: Sequence[ClaimTally]) -> list[tuple[str, ...]]:
-    """Under HEADINGS; what was never put to the test is marked."""
-    return [_cells(tally) for tally in tallies]
+def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[str]:
+    """The tallies as a ``table``; what was never put to the test is marked."""
+    return table(HEADINGS, map(_cells, tallies), most, named_by=1, right=range(1, 7))
 
 
 def _cells(tally: ClaimTally) -> tuple[str, ...]:
     counts = (tally.runs, tally.exercised, tally.occasions, tally.holds, tally.violated, tally.inconclusive)
     worst = "NEVER PUT TO THE TEST" if tally.untested else tally.worst_words
     return (tally.sentence, *(str(count) for count in counts), worst)
+
+
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    most: int | None = None,
+    *,
+    named_by: int = 2,
+    right: range = range(0),
+) -> list[str]:
+    """Columns as wide as they need be, those in ``right`` to the right; no lines without rows.
+
+    Where they are wider than ``most`` characters, each row is what it is ``named_by``, its first cells, and
+    below it a list of the others.
+    """
+    cells = [tuple(head), *map(tuple, rows)]
+    if len(cells) == 1:
+        return []
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    if most is not None and sum(widths) + 2 * len(widths) - 2 > most:
+        return [line for row in cells[1:] for line in _block(head, row, named_by)]
+    return [
+        "  ".join(
+            f"{cell:{'>' if column in right else '<'}{width}}"
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in cells
+    ]
+
+
+def _block(head: Sequence[str], row: Sequence[str], named_by: int) -> tuple[str, str]:
+    others = zip(head[named_by:], row[named_by:], strict=True)
+    return ", ".join(row[:named_by]), f"  {'; '.join(f'{name} {cell}'.strip() for name, cell in others)}"

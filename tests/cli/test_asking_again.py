@@ -20,24 +20,9 @@ from safety_harness.trace.store import load_trace
 from tests.admission.remembering import NO_FUNCTIONS
 from tests.admission.remembering import TEXT as MINE
 from tests.campaign.plans import PLAN
+from tests.kinds_of_files import VISIT
 from tests.search.short_space import TEXT as SPACE
 
-VISIT = """\
-scenario: a hand passes
-duration: 1.6 s
-tcp start:
-  offset: [40 mm, -120 mm, 60 mm]
-hands:
-  - hand: right hand
-    starts at: [1100 mm, -750 mm, 200 mm]
-    elbow towards: [1600 mm, -1200 mm, 300 mm]
-    moves:
-      - move to: [840 mm, -350 mm, 250 mm]
-        speed: 1 m/s
-      - withdraw: 1 m/s
-claims:
-  joint speeds within limits: holds
-"""
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 HARMLESS = "joint speeds within limits"
 REFUSAL = "episodes are not independent, no bound is stated"

@@ -24,7 +24,6 @@ from safety_harness.cli.console import (
     explain,
     folded,
     result,
-    table,
 )
 from safety_harness.cli.main import app
 from safety_harness.cli.progress import EVERY_S, PacedLines, where
@@ -232,18 +231,6 @@ def test_lines_are_folded_at_a_narrow_width_between_words_and_not_in_pipes() -> 
     assert not any(re.match(r"\s*(mm|s)\b", part) for part in parts)
     path = "/a/very/long/path/that/somebody/wants/to/copy/whole.yaml"
     assert path in folded(f"page: {path}", 40).split()
-
-
-def test_a_table_that_does_not_fit_is_a_block_for_each_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    head, rows = ("region", "avoider", "mean", "worst"), [("seen", "mine", "1.5", "10.25")]
-    monkeypatch.setenv("COLUMNS", "80")
-    assert table(head, rows, right=range(2, 4)) == [
-        "region  avoider  mean  worst",
-        "seen    mine      1.5  10.25",
-    ]
-    monkeypatch.setenv("COLUMNS", "27")
-    assert table(head, rows) == ["seen, mine", "  mean 1.5; worst 10.25"]
-    assert table(head, []) == []
 
 
 @pytest.mark.parametrize(("asked", "columns"), [("40", 40), ("3", 20), ("", None), ("x", None), ("0", None)])

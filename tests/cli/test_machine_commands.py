@@ -17,6 +17,7 @@ from safety_harness.cli import doctor, warm
 from safety_harness.cli.doctor import State, required, within
 from safety_harness.cli.main import app
 from safety_harness.compiled import cache_root
+from safety_harness.extras import EXTRAS, Extra
 from safety_harness.scenario.model import Verdict
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -100,7 +101,7 @@ def examined(monkeypatch: pytest.MonkeyPatch) -> tuple[int, dict[str, dict[str, 
 
 def test_doctor_says_what_is_there_and_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(metadata, "requires", lambda _: ["numpy>=2", "numba"])
-    monkeypatch.setattr(doctor, "OPTIONAL", (("none", "none_such", "nothing"),))
+    monkeypatch.setattr(doctor, "EXTRAS", (Extra("no", ("none_such",), "nothing", package="none"),))
     monkeypatch.setattr(doctor, "shared_modules", dict)
     code, checks = examined(monkeypatch)
     assert code == 0
@@ -138,9 +139,16 @@ def test_two_packages_with_one_module_are_a_problem_and_fatal_if_every_run_needs
 def test_a_cache_that_cannot_be_written_is_a_problem(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(doctor, "cache_folder", doctor.cache_folder.__wrapped__)  # of this root
     code, checks = examined(monkeypatch)
     assert code == 1
     assert "cannot be kept" in str(checks["machine code"]["words"])
+
+
+def test_doctor_looks_for_every_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metadata, "requires", lambda _: [])
+    _, checks = examined(monkeypatch)
+    assert {extra.package or extra.modules[0] for extra in EXTRAS} <= set(checks)
 
 
 def test_machine_code_that_can_only_be_read_is_no_problem(

@@ -13,24 +13,9 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import DecisionOutcome
+from tests.kinds_of_files import VISIT
 
 ROOT = Path(__file__).parents[2]
-VISIT = """\
-scenario: a hand passes
-duration: 1.6 s
-tcp start:
-  offset: [40 mm, -120 mm, 60 mm]
-hands:
-  - hand: right hand
-    starts at: [1100 mm, -750 mm, 200 mm]
-    elbow towards: [1600 mm, -1200 mm, 300 mm]
-    moves:
-      - move to: [840 mm, -350 mm, 250 mm]
-        speed: 1 m/s
-      - withdraw: 1 m/s
-claims:
-  joint speeds within limits: holds
-"""
 MINE = """\
 from pathlib import Path
 from safety_harness import Proposal

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.tally import Judged, table_lines, tally_claims, untested_lines
+from safety_harness.properties.tally import Judged, table, table_lines, tally_claims, untested_lines
 from safety_harness.scenario.model import Verdict
 
 SENTENCE = "hand distance never below 50 mm"
@@ -128,3 +128,14 @@ def test_columns_of_the_table_stand_below_each_other() -> None:
     head, first, second = table_lines(tallies)
     end = head.index("occasions") + len("occasions")
     assert (first[:end].split()[-1], second[:end].split()[-1]) == ("12345", "1")
+
+
+def test_a_table_that_does_not_fit_is_a_block_for_each_row() -> None:
+    head, rows = ("region", "avoider", "mean", "worst"), [("seen", "mine", "1.5", "10.25")]
+    assert table(head, rows, 80, right=range(2, 4)) == [
+        "region  avoider  mean  worst",
+        "seen    mine      1.5  10.25",
+    ]
+    assert table(head, rows, 27) == ["seen, mine", "  mean 1.5; worst 10.25"]
+    assert table(head, []) == []
+    assert table(head, rows, 28) == table(head, rows)
