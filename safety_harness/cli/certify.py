@@ -79,7 +79,7 @@ def certify(
     from safety_harness.certification.evidence import ClaimStatus
     from safety_harness.certification.folder import PAGE
     from safety_harness.certification.verdicts import overruling_line, percent
-    from safety_harness.cli.progress import watching_campaign, watching_search
+    from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
     from safety_harness.scenario.files import told
     from safety_harness.scenario.typed_json import plain
     from safety_harness.search.session import SearchOutput
@@ -91,7 +91,9 @@ def certify(
     again = shlex.join(words + ["--pdf"] * pdf)
     job = Certification.of(plan, out, again, selftest=selftest, oracles=oracles, declared=declared, pdf=pdf)
     # Standard output is kept for the verdicts.
-    evidence, complete = job.run(workers, watching_campaign, SearchOutput(say, say, watching_search))
+    evidence, complete = job.run(
+        workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)
+    )
     document(**plain(evidence), page=job.folder / PAGE)
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")

@@ -59,7 +59,7 @@ def fuzz(
     none of what it does, or an avoider that gave no answer, or answered otherwise when asked again; 2: bad
     input, or a place that cannot be written; 130: interrupted.
     """
-    from safety_harness.cli.progress import watching_search
+    from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.report.search_attribution import SearchAttribution
     from safety_harness.report.search_files import write_search
     from safety_harness.search.against import Reference
@@ -92,7 +92,7 @@ def fuzz(
         make,
         out=out,
         budget=budget,
-        output=SearchOutput(say, result, watching_search),
+        output=SearchOutput(say, result, watching_search, watching_words),
         write_page=partial(write_search, attribution=attribution, on_data=document),
         baseline=baseline,
         explain=attribution.explain,

@@ -164,6 +164,13 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
 
 
 @contextmanager
+def watching_words() -> Iterator[Callable[[str], None]]:
+    """Yields what is told in words what comes next, where nobody knows how much that is."""
+    with _block() as show:
+        yield lambda words: show([words])
+
+
+@contextmanager
 def watching_steps() -> Iterator[Callable[[str, float], None]]:
     """Yields what is told which step comes next, and what share of all is done."""
     begun_s = time.monotonic()

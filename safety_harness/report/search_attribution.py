@@ -81,12 +81,14 @@ class SearchAttribution:
         found: list[Attribution] = []
         done = 0
         try:
-            for together in _by_run(chosen):
-                try:
-                    found += self._of_run(session, together)
-                    done += len(together)
-                except Exception as error:
-                    session.output.say(f"a violation cannot be attributed: {described(error)}")
+            with session.output.steps() as tell:
+                for together in _by_run(chosen):
+                    tell(f"whose fault: {done} of {len(chosen)} violations that lie apart")
+                    try:
+                        found += self._of_run(session, together)
+                        done += len(together)
+                    except Exception as error:
+                        session.output.say(f"a violation cannot be attributed: {described(error)}")
         except KeyboardInterrupt:
             session.findings.interrupted = True
         tally = AttributionTally.of(found)

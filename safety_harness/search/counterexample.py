@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -140,19 +141,29 @@ def counterexample_of(
     *,
     budget: int,
     explain: Explain = unexplained,
+    on_step: Callable[[str], None] = lambda words: None,
 ) -> Counterexample | None:
     """Confirm, shrink and explain; None if ``world`` does not show the complaint.
 
     What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
     ``explain`` is asked about a violation, and not where the avoider gave no answer.
     Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
+    ``on_step`` is told what comes next.
     """
+    on_step("confirming")
     first = world([admit(found)])[0]
     if not complaint.is_in(first):
         return None
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
-    shrunk = shrink(found, confirm, budget=budget)
+    runs = count(1)
+
+    def violates(simpler: Scenario) -> bool:
+        on_step(f"shrinking, run {next(runs)} of at most {budget}")
+        return confirm(simpler)
+
+    shrunk = shrink(found, violates, budget=budget)
+    on_step("asking whose fault it is")
     last = in_one_world(world, admit(shrunk.scenario))
     whole = not shrunk.interrupted
     return Counterexample(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -55,13 +55,21 @@ _MOST_AS_FOUND = 50  # files
 _BATCH = 64  # runs that go to their decisions together
 
 
+def _unwatched() -> AbstractContextManager[Callable[[str], None]]:
+    return nullcontext(lambda words: None)
+
+
 @dataclass(frozen=True)
 class SearchOutput:
-    """Where the words of a search go: remarks, results, and its findings after every batch of a budget."""
+    """Where the words of a search go: remarks, results, and its findings after every batch of a budget.
+
+    ``steps`` is for what comes after the search, and takes its time: in words what is done next.
+    """
 
     say: Callable[[str], None]
     result: Callable[[str], None]
     watch: Callable[[int], AbstractContextManager[Callable[[Findings], None]]]
+    steps: Callable[[], AbstractContextManager[Callable[[str], None]]] = _unwatched
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,19 +224,25 @@ class SearchSession:
         groups = _one_of_each_kind_first(findings.of_claim(claim))
         told: list[WrittenCounterexample] = []
         tried = shrunk = 0
-        for group in groups:
-            if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
-                break
-            one = self._counterexample(group, len(told) + 1)
-            tried, shrunk = tried + 1, shrunk + (one is not None)
-            if one is None:
-                continue
-            for same in told:
-                if one.is_same_as(same.one):
-                    same.groups.append(group)
+        with self.output.steps() as tell:
+            for group in groups:
+                if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
                     break
-            else:
-                told.append(self._save(one, group, findings))
+                where = (
+                    f"violation {tried + 1} of {len(groups)} that lie apart, {findings.sentence_of(group)}"
+                )
+                one = self._counterexample(
+                    group, len(told) + 1, lambda words, at=where: tell(f"{at}: {words}")
+                )
+                tried, shrunk = tried + 1, shrunk + (one is not None)
+                if one is None:
+                    continue
+                for same in told:
+                    if one.is_same_as(same.one):
+                        same.groups.append(group)
+                        break
+                else:
+                    told.append(self._save(one, group, findings))
         for written in told:
             for line in written.lines:
                 self.output.result(line)
@@ -240,13 +254,20 @@ class SearchSession:
                 f"not shrunk; they may be the same or others ({FINDINGS}, {AS_FOUND})"
             )
 
-    def _counterexample(self, group: Group, number: int) -> Counterexample | None:
+    def _counterexample(
+        self, group: Group, number: int, on_step: Callable[[str], None]
+    ) -> Counterexample | None:
         complaint = complaint_of(self.trials, group)
         path = self._file(self.out, complaint, number)
         found = replace(self._found(self.out, group.worst), file=path, name=path.stem)
         try:
             one = counterexample_of(
-                found, complaint, self.confirming, budget=SHRINKING_RUNS, explain=self.explain
+                found,
+                complaint,
+                self.confirming,
+                budget=SHRINKING_RUNS,
+                explain=self.explain,
+                on_step=on_step,
             )
         except KeyboardInterrupt:
             self.findings.interrupted = True

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.cli import progress
 from safety_harness.cli.console import DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.search import session as search_session
@@ -68,6 +69,7 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
 ) -> None:
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 60)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 2)
+    monkeypatch.setattr(progress, "EVERY_S", 0.0)  # else lines of a pipe come every ten seconds
     assert fuzz(space, out=Path("out"), budget=12) == DIFFERS
     (file,) = Path("out").glob("*.yaml")
     distinct = found_in(Path("out"))["distinct"]
@@ -80,6 +82,10 @@ def test_one_story_from_two_sides_is_one_counterexample_with_all_its_runs(
     out, err = capsys.readouterr()
     assert f"{runs} runs led to it in {len(shrunk)} groups that lie apart" in out
     assert out.count("violated  ") == 1
+    at = f"violation 1 of {len(distinct)} that lie apart, {distinct[0]['complaint']}"
+    for step in ("confirming", "shrinking, run 1 of at most 60", "asking whose fault it is"):
+        assert f"{at}: {step}\n" in err
+    assert f"whose fault: 0 of {len(distinct)} violations that lie apart\n" in err
     left = len(distinct) - len(shrunk)
     assert (f"{left} more groups of violations" in err) is (left > 0)
     page = Path("out/fuzz.html").read_text()
