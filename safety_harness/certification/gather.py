@@ -93,8 +93,8 @@ def put_together(
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last five."""
-    claims, strata = claims_of(plan, ledger), strata_of(plan, ledger)
     stored, damaged = random_traces(plan, ledger)
+    claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
     met = [*declared_counterexamples(plan, ledger), *searched_counterexamples(plan, searches, folder)]
     examples = numbered(met)

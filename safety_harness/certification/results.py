@@ -7,6 +7,8 @@ statistics are no part of it: each holds with the confidence of one interval alo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from safety_harness.admission.claims import property_of
@@ -20,11 +22,13 @@ from safety_harness.certification.evidence import (
     Bound,
     ClaimEvidence,
     ClaimResult,
+    ClaimStatus,
     OverrulingResult,
     Quantile,
     StratumResult,
 )
 from safety_harness.certification.standards import entry_of, traced
+from safety_harness.certification.stored import Stored, came_nearest
 from safety_harness.certification.verdicts import overall, standing_of
 from safety_harness.exceptions import StatisticsError
 from safety_harness.properties.answered import is_claimed
@@ -56,15 +60,17 @@ def bounds(plan: Plan) -> int:
     return ends_of(len(plan.claims), len(plan.strata))
 
 
-def claims_of(plan: Plan, ledger: Ledger) -> tuple[ClaimEvidence, ...]:
-    """Every claim of the plan, with what the ledger says of it now."""
-    return tuple(_claim(plan, ledger, place, claim) for place, claim in enumerate(plan.claims))
+def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tuple[ClaimEvidence, ...]:
+    """Every claim of the plan, with what the ledger says of it now, and its ``stored`` random runs."""
+    return tuple(_claim(plan, ledger, stored, place, claim) for place, claim in enumerate(plan.claims))
 
 
-def _claim(plan: Plan, ledger: Ledger, place: int, claim: PlannedClaim) -> ClaimEvidence:
+def _claim(
+    plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
+) -> ClaimEvidence:
     entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
-    outcomes = tuple(_outcome(plan, ledger, stratum, place) for stratum in range(len(plan.strata)))
+    outcomes = tuple(_outcome(plan, ledger, stored, stratum, place) for stratum in range(len(plan.strata)))
     standing, why = overall(outcomes)
     return ClaimEvidence(
         number=place + 1,
@@ -87,7 +93,7 @@ def _sentence(text: str) -> str:
     return text[0].upper() + text[1:].rstrip(".") + "."
 
 
-def _outcome(plan: Plan, ledger: Ledger, place: int, claim: int) -> ClaimResult:
+def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: int) -> ClaimResult:
     stratum, planned = plan.strata[place], plan.claims[claim]
     bound: Bound | None = None
     quantiles: tuple[Quantile, ...] = ()
@@ -118,6 +124,8 @@ def _outcome(plan: Plan, ledger: Ledger, place: int, claim: int) -> ClaimResult:
         fallback=fallback.words,
         stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )
+    if standing is ClaimStatus.UNTESTED:
+        why += f"; {came_nearest(plan, stored, place, claim)}"
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
     return ClaimResult(

@@ -7,6 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import judge
 from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
@@ -17,6 +20,7 @@ from safety_harness.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
+from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
@@ -47,6 +51,16 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
             where = f"{plan.strata[stratum].name}, run {episode}"
             damaged.append(f"{where}: its stored trace cannot be read: {error.got}")
     return found, damaged
+
+
+def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int) -> str:
+    """Of the random runs of a stratum that in which a hand came nearest: what it lacked to test a claim."""
+    mine = [one for one in stored if one.stratum == stratum]
+    if not mine:
+        return "no run's trace was kept that says how near they came"
+    nearest = min(mine, key=lambda one: (np.nanmin(nearest_hand_m(one.trace), initial=np.inf), one.episode))
+    found = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
+    return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {found.reason}"
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:

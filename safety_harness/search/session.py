@@ -11,6 +11,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,10 @@ SHRINKING_RUNS = 200  # for each
 MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
 _MOST_AS_FOUND = 50  # files
 _BATCH = 64  # runs that go to their decisions together
+
+
+def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
+    tell(f"{where}: {what}")
 
 
 def _unwatched() -> AbstractContextManager[Callable[[str], None]]:
@@ -228,12 +233,8 @@ class SearchSession:
             for group in groups:
                 if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
                     break
-                where = (
-                    f"violation {tried + 1} of {len(groups)} that lie apart, {findings.sentence_of(group)}"
-                )
-                one = self._counterexample(
-                    group, len(told) + 1, lambda words, at=where: tell(f"{at}: {words}")
-                )
+                at = f"violation {tried + 1} of {len(groups)} that lie apart, {findings.sentence_of(group)}"
+                one = self._counterexample(group, len(told) + 1, partial(_tell, tell, at))
                 tried, shrunk = tried + 1, shrunk + (one is not None)
                 if one is None:
                     continue

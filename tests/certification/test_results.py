@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.stats
 
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.certification.evidence import Bound, ClaimStatus
 from safety_harness.certification.results import bounds, claims_of, refuse_hopeless, strata_of
+from safety_harness.certification.stored import Stored
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.sample import EpisodeOutcome
 from tests.campaign.plans import PLAN, ledger_in, plan_in
@@ -154,6 +158,29 @@ def test_a_claim_that_was_not_put_to_the_test_has_no_bound(plan: Plan, ledger: L
     assert second.outcomes[1].bound is None
     assert second.outcomes[1].standing is ClaimStatus.UNTESTED
     assert second.standing is ClaimStatus.UNTESTED
+
+
+def test_why_names_the_kept_run_whose_hand_came_nearest_and_what_it_lacked(
+    tmp_path: Path,
+) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("joint speeds within limits", "repulsive poses reachable"))
+    ledger = ledger_in(tmp_path, plan)
+    filled(ledger)
+    assert "; no run's trace was kept" in claims_of(plan, ledger)[1].outcomes[1].why
+    far = plan.strata[1].space.simplest
+    far = replace(far, duration_s=0.1, hands=(replace(far.hands[0], shift_in_base_m=(0.0, -2.0, 0.0)),))
+    none, of_another = replace(far, hands=()), plan.strata[0].space.simplest
+    runs = [
+        Stored(stratum, k, run_kinematic(admit(replace(one, duration_s=0.1))))
+        for k, (stratum, one) in enumerate([(1, none), (1, far), (0, of_another)], start=4)
+    ]
+    said = claims_of(plan, ledger, runs)[1].why
+    ledger.close()
+    assert (
+        "none of 20 runs put it to the test; in run 5, of 2 kept the one with the nearest hand, never" in said
+    )
+    assert "exercised: the nearest predicted hand came to" in said
+    assert "within 400 mm exercises it" in said
 
 
 def test_while_runs_are_missing_there_is_no_bound(plan: Plan, ledger: Ledger) -> None:
