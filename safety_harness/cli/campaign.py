@@ -149,8 +149,7 @@ def status(ledger: _LedgerFile) -> int:
 def query(
     ledger: _LedgerFile,
     sql: Annotated[
-        str | None,
-        Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL"),
+        str | None, Argument(help="A question in SQL, of the views results and episodes.", metavar="SQL")
     ] = None,
     claim: Annotated[str | None, Option(help="Only of this claim, or of the one with these words.")] = None,
     stratum: Annotated[str | None, Option(help="Only of this stratum.")] = None,

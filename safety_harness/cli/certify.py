@@ -58,8 +58,7 @@ def certify(
         Option(help="Independent oracles, likewise; of this version: shipped:plans/oracles.json."),
     ] = None,
     declared: Annotated[
-        Path | None,
-        Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there."),
+        Path | None, Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there.")
     ] = None,
 ) -> int:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
@@ -196,12 +195,10 @@ def verify(
         ),
     ] = "1%",  # type: ignore[assignment]
     seal: Annotated[
-        str | None,
-        Option(help="Hash that certify seal printed, as it was lodged elsewhere, or its file."),
+        str | None, Option(help="Hash that certify seal printed, as it was lodged elsewhere, or its file.")
     ] = None,
     declared: Annotated[
-        str | None,
-        Option(help="Hash that certify declare printed, as it was lodged elsewhere, or its file."),
+        str | None, Option(help="Hash that certify declare printed, as it was lodged elsewhere, or its file.")
     ] = None,
     seed: Annotated[
         int | None,
@@ -210,8 +207,7 @@ def verify(
         ),
     ] = None,
     execute_avoider: Annotated[
-        bool,
-        Option("--execute-avoider", help="Allow the Python files in the report to be executed."),
+        bool, Option("--execute-avoider", help="Allow the Python files in the report to be executed.")
     ] = False,
 ) -> int:
     """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.

@@ -81,11 +81,7 @@ def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
         return
     for name, text in told(entry):
         yield from textwrap.wrap(
-            text,
-            columns,
-            initial_indent=f"  {name:<13}",
-            subsequent_indent=" " * 15,
-            break_on_hyphens=False,
+            text, columns, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15, break_on_hyphens=False
         )
 
 

@@ -46,13 +46,7 @@ def dataset(
     say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
     with counting(tcps, "TCPs") as show:
         made = generate(
-            DEFAULTS,
-            where,
-            seed=seed,
-            tcps=tcps,
-            candidates=candidates,
-            hands=hands,
-            on_progress=show,
+            DEFAULTS, where, seed=seed, tcps=tcps, candidates=candidates, hands=hands, on_progress=show
         )
     save_dataset(made, out)
     views, away = made.tcps * made.candidates, made.views_without_object

@@ -156,10 +156,7 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
     with _block() as show:
         show([f"tried 0/{budget}"])
         yield lambda findings: show(
-            [
-                summary(findings, budget) + where(findings.tried, budget, begun_s),
-                *nearest_lines(findings),
-            ]
+            [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
         )
 
 

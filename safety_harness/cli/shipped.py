@@ -22,9 +22,7 @@ REFERRING = ("avoider", "extends", "recording", "scenarios", "space")
 
 
 @command(commands, "list")
-def list_shipped(
-    kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None,
-) -> int:
+def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
     """List the scenarios, spaces, plans, examples and recordings that come with the package, one a line.
 
     Each has a name, shipped:NAME, that stands for its file wherever a file is asked for; shipped:scenarios
