@@ -19,15 +19,14 @@ from safety_harness.cli.console import (
     say_shared_modules,
     verbatim,
 )
-from safety_harness.cli.options import OfReference, command
-from safety_harness.exceptions import LedgerError, Place, ScenarioError
+from safety_harness.cli.options import OfReference, Workers, command
+from safety_harness.exceptions import LedgerError, ScenarioError
 
 if TYPE_CHECKING:
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.plan import Plan
 
 _LedgerFile = Annotated[Path, Argument(help="The ledger of a campaign.", metavar="LEDGER")]
-_Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 _Cluster = Annotated[
     str | None,
     Option(help="Run on a Dask cluster: tcp://SCHEDULER:PORT or a scheduler file.", metavar="ADDRESS|FILE"),
@@ -44,7 +43,7 @@ _command = partial(
 def run(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     ledger: Annotated[Path | None, Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")] = None,
-    workers: _Workers = None,
+    workers: Workers = None,
     cluster: _Cluster = None,
     part: _Part = "1/1",
 ) -> int:
@@ -65,7 +64,7 @@ def run(
 
 @_command()
 def resume(
-    ledger: _LedgerFile, workers: _Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
+    ledger: _LedgerFile, workers: Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
 ) -> int:
     """Go on where a campaign was left, with the results that it would have had undisturbed.
 
@@ -124,11 +123,9 @@ def _numbers(part: str, plan: Plan) -> tuple[int, int]:
     k, _, n = part.partition("/")
     right = k.isascii() and k.isdigit() and n.isascii() and n.isdigit() and len(part) < 12
     if not right or not 1 <= int(k) <= int(n):
-        raise ScenarioError(place=Place(field="--part"), expected="K/N, such as 2/4", got=part)
+        raise ScenarioError.of_option("--part", "K/N, such as 2/4", part)
     if int(n) > 1 and plan.stop_early:
-        raise ScenarioError(
-            place=Place(field="--part"), expected="a plan of fixed length", got="one that may stop early"
-        )
+        raise ScenarioError.of_option("--part", "a plan of fixed length", "one that may stop early")
     return int(k) - 1, int(n)
 
 
@@ -183,8 +180,7 @@ def query(
             for row in rows:
                 verbatim(csv_line(row))
         except (sqlite3.Error, sqlite3.Warning) as error:
-            got = f"{question!r}: {error}"
-            raise LedgerError(place=Place(file=ledger), expected="a question in SQL", got=got) from error
+            raise LedgerError.of_file(ledger, "a question in SQL", f"{question!r}: {error}") from error
     return AS_EXPECTED
 
 
@@ -205,7 +201,7 @@ def export(
     from safety_harness.campaign.ledger import Ledger
 
     if out is None and traces is None:
-        raise ScenarioError(place=Place(field="export"), expected="OUT, --traces FOLDER or both", got="none")
+        raise ScenarioError.of_option("export", "OUT, --traces FOLDER or both", "none")
     with Ledger.open(ledger) as opened:
         if out is not None:
             lines = export_table(opened, out)
@@ -223,7 +219,7 @@ def compare(
     first: Annotated[Path, Argument(help="The ledger before; with --against, that after.", metavar="A")],
     second: Annotated[Path | None, Argument(help="The ledger after.", metavar="[B]")] = None,
     against: OfReference = None,
-    workers: _Workers = None,
+    workers: Workers = None,
 ) -> int:
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
@@ -246,8 +242,7 @@ def compare(
     from safety_harness.report.machine import SI_UNITS
 
     if (second is None) is (against is None):
-        expected = "either B or --against"
-        raise ScenarioError(place=Place(field="compare"), expected=expected, got="both or none")
+        raise ScenarioError.of_option("compare", "either B or --against", "both or none")
     if against is not None:
         with Ledger.open(first) as mine:
             plan = plan_against(mine, against)
@@ -267,23 +262,13 @@ def compare(
             after=after.path,
             differences=compared,
             overruling=[
-                {
-                    "stratum": one.stratum,
-                    "before": one.before.named,
-                    "after": one.after.named,
-                    "episodes": one.episodes,
-                }
+                {key: getattr(one, key) for key in ("stratum", "episodes")}
+                | {"before": one.before.named, "after": one.after.named}
                 for one in overruled
             ],
             worse_episodes=[
-                {
-                    "stratum": one.stratum,
-                    "episode": one.episode,
-                    "claim": one.claim,
-                    "before_margin_si": one.before,
-                    "after_margin_si": one.after,
-                    "unit": SI_UNITS[one.unit],
-                }
+                {key: getattr(one, key) for key in ("stratum", "episode", "claim")}
+                | {"before_margin_si": one.before, "after_margin_si": one.after, "unit": SI_UNITS[one.unit]}
                 for one in worse
             ],
             remarks=lost,

@@ -11,7 +11,7 @@ from safety_harness.certification.verify_runs import programs_in
 from safety_harness.cli.attribute import AttributionSession, conclude
 from safety_harness.cli.console import say
 from safety_harness.cli.progress import counting
-from safety_harness.exceptions import LedgerError, Place
+from safety_harness.exceptions import LedgerError
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
@@ -20,11 +20,8 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:
         programs = programs_in(plan)
         if programs and not execute:
-            raise LedgerError(
-                place=Place(file=path),
-                expected="--execute-avoider, since repeating an episode executes it",
-                got=f"a campaign with {', '.join(programs)}",
-            )
+            expected = "--execute-avoider, since repeating an episode executes it"
+            raise LedgerError.of_file(path, expected, f"a campaign with {', '.join(programs)}")
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.words)
         episodes = violated_episodes(plan, violated, programs=execute)

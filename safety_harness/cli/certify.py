@@ -9,7 +9,7 @@ from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
-from safety_harness.cli.options import command
+from safety_harness.cli.options import Workers, command
 
 
 class _PlanOrCommand(TyperGroup):
@@ -49,7 +49,7 @@ def certify(
     pdf: Annotated[
         bool, Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
     ] = False,
-    workers: Annotated[int | None, Option(help="Processes; without it one a core.", min=1)] = None,
+    workers: Workers = None,
     selftest: Annotated[
         Path | None, Option(help="selftest.json of safety-harness selftest, to be part of the report.")
     ] = None,

@@ -95,15 +95,8 @@ def evaluate(
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
         result(*_lines(one))
-    words = [
-        "safety-harness",
-        "evaluate",
-        *map(told_avoider, avoiders),
-        "--search",
-        str(search),
-        "--seed",
-        str(seed),
-    ]
+    words = ["safety-harness", "evaluate", *map(told_avoider, avoiders)]
+    words += ["--search", str(search), "--seed", str(seed)]
     words += [] if questions is None else ["--questions", str(questions)]
     words += [word for name in regions or () for word in ("--region", name)]
     words += [word for path in spaces or () for word in ("--space", str(told(path)))]

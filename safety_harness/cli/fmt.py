@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result
-from safety_harness.exceptions import InputError, OutputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, files_of, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.layout import laid_out
-from safety_harness.whole_file import write_whole
+from safety_harness.whole_file import write_text
 
 
 def format_files(paths: Sequence[Path], *, check: bool) -> int:
@@ -41,11 +41,5 @@ def _format(file: Path, *, check: bool) -> bool:
         return False
     result(f"{'would change' if check else 'changed'} {file}")
     if not check:
-        try:
-            write_whole(file, text)
-        except OSError as error:
-            expected = "a file that can be written"
-            raise OutputError(
-                place=Place(file=file), expected=expected, got=error.strerror or str(error)
-            ) from error
+        write_text(file, text)
     return True

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from typer import Argument, Option, Typer
+from typer import Option, Typer
 
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -18,15 +18,15 @@ from safety_harness.cli.console import (
     say,
     say_shared_modules,
 )
-from safety_harness.cli.options import OfAvoider, OfReference, Seed, command
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.cli.options import OfAvoider, OfReference, OfSpace, Seed, command
+from safety_harness.exceptions import ScenarioError
 
 commands = Typer()
 
 
 @command(commands, interrupted="interrupted before anything was tried")
 def fuzz(
-    space: Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")],
+    space: OfSpace,
     avoider: OfAvoider = None,
     against: OfReference = None,
     budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,
@@ -70,14 +70,11 @@ def fuzz(
 
     say_shared_modules()
     if budget < 1:
-        raise ScenarioError(place=Place(field="--budget"), expected="at least 1 run", got=str(budget))
+        raise ScenarioError.of_option("--budget", "at least 1 run", str(budget))
     make = searcher_named(searcher)
     if baseline and make is UniformSampling:
-        raise ScenarioError(
-            place=Place(field="--baseline"),
-            expected="another searcher, to compare with uniform sampling",
-            got="--searcher uniform",
-        )
+        expected = "another searcher, to compare with uniform sampling"
+        raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
     attribution = SearchAttribution()
     made = search_space(
         Trials(

@@ -12,7 +12,7 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Seed, command
-from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError, Place
+from safety_harness.exceptions import InadmissibleError, ModelError, NoAnswerError
 from safety_harness.extras import LEARNING, ONNX
 
 if TYPE_CHECKING:
@@ -226,7 +226,7 @@ def time_avoider(
     from safety_harness.whole_file import write_text
 
     if out is not None and out.suffix != ".json":
-        raise InadmissibleError(place=Place(field="--out"), expected="a file *.json", got=out.name)
+        raise InadmissibleError.of_option("--out", "a file *.json", out.name)
     try:
         found = measured_times(avoider, questions, seed)
     except NoAnswerError as error:
@@ -272,7 +272,7 @@ def export(
 
     path = model_file(str(model))
     if seed < 0:
-        raise ModelError(place=Place(field="--seed"), expected="a seed of at least 0", got=str(seed))
+        raise ModelError.of_option("--seed", "a seed of at least 0", str(seed))
     loaded = load_model(path)
     with LEARNING.needed("export"), ONNX.needed("export"):  # onnxscript is asked for by PyTorch, and late
         from safety_harness.learning.export import write_export  # brings PyTorch

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,44 +14,31 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
-from safety_harness.exceptions import InputError, OutputError, Place, near_miss
+from safety_harness.exceptions import InputError, OutputError, near_miss
+from safety_harness.whole_file import writing
 
 commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
 SUFFIXES = (".yaml", ".yml")
+AVOIDER, SUITE, RECORDING = "{}_avoider.py", "test_{}.py", "{}_recording.csv"
 
 
 @dataclass(frozen=True)
 class Template:
-    """What a template is of, and the files beside its scenario: (name in ``FOLDER``, name of FILE's stem)."""
+    """What a template is of, and files beside its scenario: (name in ``FOLDER``, name with FILE's stem)."""
 
     about: str
-    beside: tuple[tuple[str, Callable[[str], str]], ...] = ()
-
-
-def avoider_of(stem: str) -> str:
-    """The file of the avoider beside a scenario."""
-    return f"{stem}_avoider.py"
-
-
-def suite_of(stem: str) -> str:
-    """The file of pytest beside a scenario."""
-    return f"test_{stem}.py"
-
-
-def recording_of(stem: str) -> str:
-    """The recording beside a scenario."""
-    return f"{stem}_recording.csv"
+    beside: tuple[tuple[str, str], ...] = ()
 
 
 TEMPLATES = {
     "reaching": Template("a hand reaches for the object under the tool"),
     "handover": Template("a hand is held out to the tool, stays, and leaves"),
     "two-people": Template("one of two people takes the part, the other's hand is beside it"),
-    "log": Template("a recorded hand, from a CSV file", (("recording.csv", recording_of),)),
+    "log": Template("a recorded hand, from a CSV file", (("recording.csv", RECORDING),)),
     "policy": Template(
         "an avoider of your own: a Python file, a scenario and a pytest file",
-        (("avoider.py.txt", avoider_of), ("test_policy.py.txt", suite_of)),
+        (("avoider.py.txt", AVOIDER), ("test_policy.py.txt", SUITE)),
     ),
 }
 
@@ -114,12 +100,8 @@ def _template(name: str) -> Template:
 
 def _unknown(got: str, hint: str = "") -> InputError:
     usage = "safety-harness new reaching my-cell.yaml"
-    return InputError(
-        place=Place(field="template"),
-        expected=f"a template: {', '.join(TEMPLATES)}",
-        got=got,
-        hint=hint or f"for example: {usage}; safety-harness new --list says what each is",
-    )
+    hint = hint or f"for example: {usage}; safety-harness new --list says what each is"
+    return InputError.of_option("template", f"a template: {', '.join(TEMPLATES)}", got, hint)
 
 
 def _scenario_file(template: str, file: Path | None) -> Path:
@@ -128,10 +110,10 @@ def _scenario_file(template: str, file: Path | None) -> Path:
         return Path(f"{template}.yaml")
     if file.suffix not in SUFFIXES:
         if file.suffix in (".py", ".csv") or file.is_dir():
-            raise OutputError(place=Place(file=file), expected="a name such as my-cell.yaml", got=str(file))
+            raise OutputError.of_file(file, "a name such as my-cell.yaml", str(file))
         file = file.with_name(f"{file.name}.yaml")
     if not file.name.isprintable():
-        raise OutputError(place=Place(file=file), expected="a name that can be printed", got=repr(file.name))
+        raise OutputError.of_file(file, "a name that can be printed", repr(file.name))
     return file
 
 
@@ -139,13 +121,13 @@ def _texts(name: str, template: Template, scenario: Path) -> dict[Path, str]:
     """What is written where; names beside the scenario are such that Python can import them."""
     stem = re.sub(r"\W+", "_", scenario.stem)
     files = {f"{name}.yaml": scenario}
-    files |= {source: scenario.with_name(named(stem)) for source, named in template.beside}
+    files |= {source: scenario.with_name(named.format(stem)) for source, named in template.beside}
     words = {
         "@FILE@": shlex.quote(scenario.name),
         "@SCENARIO@": repr(scenario.name),
-        "@RECORDING@": recording_of(stem),
-        "@AVOIDER@": avoider_of(stem),
-        "@TEST@": suite_of(stem),
+        "@RECORDING@": RECORDING.format(stem),
+        "@AVOIDER@": AVOIDER.format(stem),
+        "@TEST@": SUITE.format(stem),
     }
     pattern = re.compile("|".join(words))
     return {
@@ -158,19 +140,10 @@ def _write(texts: dict[Path, str]) -> None:
     """All of them or, if one is there already, none."""
     for path in texts:
         if path.exists() or path.is_symlink():
-            raise OutputError(
-                place=Place(file=path), expected="a file that is not there yet", got="one that is"
-            )
+            raise OutputError.of_file(path, "a file that is not there yet", "one that is")
     for path, text in texts.items():
-        try:
-            with path.open("x", encoding="utf-8") as stream:
-                stream.write(text)
-        except OSError as error:
-            raise OutputError(
-                place=Place(file=path),
-                expected="a place that can be written",
-                got=error.strerror or str(error),
-            ) from error
+        with writing(path), path.open("x", encoding="utf-8") as stream:
+            stream.write(text)
 
 
 def _next(template: str, scenario: Path) -> list[str]:
@@ -178,8 +151,8 @@ def _next(template: str, scenario: Path) -> list[str]:
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
     lines = [f"safety-harness run {file}", f"safety-harness show {file}"]
     if template == "policy":
-        lines.append(f"pytest {shlex.quote(str(scenario.with_name(suite_of(stem))))}")
-        lines.append(f"safety-harness evaluate {shlex.quote(str(scenario.with_name(avoider_of(stem))))}:Away")
+        suite, avoider = (shlex.quote(str(scenario.with_name(f.format(stem)))) for f in (SUITE, AVOIDER))
+        lines += [f"pytest {suite}", f"safety-harness evaluate {avoider}:Away"]
     else:
         lines.append(f"safety-harness run {file} --avoider 'opposite pose'")
     return [*lines, "safety-harness claims"]

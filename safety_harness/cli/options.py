@@ -43,6 +43,8 @@ OfWorld = Annotated[
         "--world", help="PyBullet, the reference, or kinematic, which needs no PyBullet.", metavar="WORLD"
     ),
 ]
+OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
+Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]
 _Asked = ParamSpec("_Asked")

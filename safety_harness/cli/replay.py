@@ -21,7 +21,7 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.cli.progress import watching_runs
-from safety_harness.cli.runs import say_results
+from safety_harness.cli.run import say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun

@@ -31,7 +31,6 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.progress import RunsShown, watching_runs
-from safety_harness.cli.runs import say_results
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
@@ -316,3 +315,16 @@ def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: Runs
         trace_file=file,
         notes=notes_of(admitted.scenario),
     )
+
+
+def say_results(run: JudgedRun) -> None:
+    """One line for each claim of a run."""
+    for claim, evaluation in run.judged_claims():
+        same = evaluation.verdict is claim.expected
+        mark = "ok  " if same else "DIFF"
+        when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
+        expected = "" if same else f"  (expected {claim.expected.value})"
+        result(
+            f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
+            f"{run.trace.scenario.name}: {claim.sentence}{expected}"
+        )

@@ -8,7 +8,17 @@ from typing import Annotated
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, verbatim
-from safety_harness.cli.options import Files, KeepGoing, OfAvoider, OfReference, OfWorld, Out, Seed, command
+from safety_harness.cli.options import (
+    Files,
+    KeepGoing,
+    OfAvoider,
+    OfReference,
+    OfSpace,
+    OfWorld,
+    Out,
+    Seed,
+    command,
+)
 
 commands = Typer()
 
@@ -174,7 +184,7 @@ def show(
 
 @command(commands, interrupted="interrupted: the files that were written are kept")
 def sample(
-    space: Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")],
+    space: OfSpace,
     out: Annotated[Path, Option(help="Folder for the scenario files.")] = Path("reports/sample"),
     count: Annotated[int, Option(help="How many that can be tried.")] = 10,
     seed: Seed = 0,

@@ -9,7 +9,7 @@ from typer import Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
 from safety_harness.cli.options import OfAvoider, command
-from safety_harness.exceptions import Place, SettingsError
+from safety_harness.exceptions import SettingsError
 
 commands = Typer()
 
@@ -67,7 +67,7 @@ def selftest(
     try:
         plan = SelfTestPlan(profile_named(profile), scenarios, avoider)
         if jobs < 1:
-            raise SettingsError(place=Place(field="--jobs"), expected="a number of at least 1", got=str(jobs))
+            raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
         numbers = numbers_of(fault)
         say("reading and trying the sound system")
         session = SelfTestSession(plan, numbers, out, shlex.join(again))

@@ -14,7 +14,7 @@ from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
@@ -50,9 +50,7 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
 def sample(file: Path, *, out: Path, count: int, seed: int) -> int:
     """``count`` admissible draws of a space, each a scenario file in ``out``; returns the exit code."""
     if not 1 <= count <= 100_000:
-        raise ScenarioError(
-            place=Place(field="--count"), expected="a number from 1 to 100000", got=str(count)
-        )
+        raise ScenarioError.of_option("--count", "a number from 1 to 100000", str(count))
     space = read_space(file)
     drawn = draw_admissible(space, seed, count)
     files = []
