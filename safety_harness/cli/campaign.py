@@ -19,7 +19,7 @@ from safety_harness.cli.console import (
     say_shared_modules,
     verbatim,
 )
-from safety_harness.cli.options import OfReference, Workers, command
+from safety_harness.cli.options import AttributionOut, Confirm, Executes, OfReference, Workers, command
 from safety_harness.exceptions import LedgerError, ScenarioError
 
 if TYPE_CHECKING:
@@ -286,13 +286,9 @@ def compare(
 def attribute(
     ledger: _LedgerFile,
     most: Annotated[int, Option(help="Violations of each claim: the first so many.", min=1)] = 100,
-    out: Annotated[
-        Path | None, Option(help="Also attribution.json and attribution.svg, to this folder.")
-    ] = None,
-    confirm: Annotated[bool, Option("--confirm", help="Ask PyBullet as well.")] = False,
-    execute_avoider: Annotated[
-        bool, Option("--execute-avoider", help="Allow the Python files of the plan to be executed.")
-    ] = False,
+    out: AttributionOut = None,
+    confirm: Confirm = False,
+    execute_avoider: Executes = False,
 ) -> int:
     """Say whose fault the violations of a campaign are: its episodes run again, as attribute does.
 

@@ -9,7 +9,7 @@ from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
-from safety_harness.cli.options import Workers, command
+from safety_harness.cli.options import Executes, Workers, command
 
 
 class _PlanOrCommand(TyperGroup):
@@ -206,9 +206,7 @@ def verify(
             help="To repeat an earlier draw of runs; without it others each time, and it says which.", min=0
         ),
     ] = None,
-    execute_avoider: Annotated[
-        bool, Option("--execute-avoider", help="Allow the Python files in the report to be executed.")
-    ] = False,
+    execute_avoider: Executes = False,
 ) -> int:
     """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
 

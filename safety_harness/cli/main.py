@@ -23,7 +23,7 @@ from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.cli.shipped import commands as of_shipped
 from safety_harness.compiling import CompilationLine, watchers
-from safety_harness.exceptions import ModelError, Place, SafetyHarnessError
+from safety_harness.exceptions import ModelError, SafetyHarnessError
 
 NAME = "safety-harness"
 app = typer.Typer(
@@ -50,12 +50,9 @@ def of_the_paper() -> typer.Typer:
     @commands.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
     def reproduce() -> None:
         """Measure the paper's tables and figures again (needs the package safety-harness-paper)."""
-        raise ModelError(
-            place=Place(field="reproduce"),
-            expected="the package safety-harness-paper, which has the paper's tables and figures",
-            got="not installed",
-            hint="in a copy of the repository: pip install ./paper",
-        )
+        expected = "the package safety-harness-paper, which has the paper's tables and figures"
+        hint = "in a copy of the repository: pip install ./paper"
+        raise ModelError.of_option("reproduce", expected, "not installed", hint)
 
     return commands
 

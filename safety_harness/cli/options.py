@@ -44,6 +44,15 @@ OfWorld = Annotated[
     ),
 ]
 OfSpace = Annotated[Path, Argument(help="A scenario space: a file, or shipped:NAME.", metavar="SPACE")]
+Confirm = Annotated[
+    bool, Option("--confirm", help="Run each violation, and what is blamed changed, in PyBullet too.")
+]
+AttributionOut = Annotated[
+    Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
+]
+Executes = Annotated[
+    bool, Option("--execute-avoider", help="Allow the Python files of what is given to be executed.")
+]
 Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]
 _AsJson = Annotated[bool, Option("--json", help="One JSON document in place of lines for people.")]

@@ -9,6 +9,8 @@ from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, verbatim
 from safety_harness.cli.options import (
+    AttributionOut,
+    Confirm,
     Files,
     KeepGoing,
     OfAvoider,
@@ -206,12 +208,8 @@ def attribute(
         Argument(help="Scenario files, such as fuzz writes, traces, or folders of them.", metavar="RUN..."),
     ],
     avoider: OfAvoider = None,
-    out: Annotated[
-        Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
-    ] = None,
-    confirm: Annotated[
-        bool, Option("--confirm", help="Run each violation, and what is blamed changed, in PyBullet too.")
-    ] = False,
+    out: AttributionOut = None,
+    confirm: Confirm = False,
 ) -> int:
     """Say whose fault each violation is: the same run again with one ingredient changed, then two.
 
