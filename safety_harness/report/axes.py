@@ -103,7 +103,8 @@ class Axis:
         found, ends = np.asarray(values, dtype=np.float64), np.array(self.view())
         if self.log:
             found, ends = np.log10(np.where(found > 0.0, found, np.nan)), np.log10(ends)
-        return self.start_px + self.length_px * (found - ends[0]) / (ends[1] - ends[0])
+        places: Floats = self.start_px + self.length_px * (found - ends[0]) / (ends[1] - ends[0])
+        return places
 
     def at(self, value: float) -> float:
         """Where one value, or a share of the axis, is [px]."""
@@ -115,11 +116,10 @@ class Axis:
         """Where it starts and ends (2,)."""
         return np.array([self.start_px, self.start_px + self.length_px])
 
-    def has(self, places_px: ArrayLike) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Which places (n,) are on it, to a pixel."""
-        low, high = np.sort(self.ends_px())
-        with np.errstate(invalid="ignore"):
-            return (low - 1.0 <= np.asarray(places_px)) & (np.asarray(places_px) <= high + 1.0)
+    def has(self, place_px: float) -> bool:
+        """Is a place on it, to a pixel?"""
+        low, high = sorted(self.ends_px())
+        return bool(low - 1.0 <= place_px <= high + 1.0)
 
     def labels(self) -> list[tuple[float, str]]:
         """(place [px], words) of each tick in view."""
@@ -140,9 +140,7 @@ def round_values(low: float, high: float, steps: int) -> list[float]:
 
 def stairs(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
     """The curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
-    return np.repeat(np.asarray(x, dtype=np.float64), 2)[1:], np.repeat(np.asarray(y, dtype=np.float64), 2)[
-        :-1
-    ]
+    return np.repeat(np.asarray(x, np.float64), 2)[1:], np.repeat(np.asarray(y, np.float64), 2)[:-1]
 
 
 @dataclass
@@ -152,6 +150,7 @@ class Axes:
     x: Axis
     y: Axis
     _items: list[Callable[[Element, str], None]] = field(default_factory=list)
+    _above: list[Callable[[Element, str], None]] = field(default_factory=list)  # drawn last
     _keys: list[tuple[str, Key]] = field(default_factory=list)
 
     def line(
@@ -262,8 +261,8 @@ class Axes:
         style = _style(fill, edge, width, opacity)
 
         def draw(root: Element, _: str) -> None:
-            places = np.column_stack([self.x.place(across), self.y.place(up)])
-            shown = places[self.x.has(places[:, 0]) & self.y.has(places[:, 1])]
+            places = zip(self.x.place(across).tolist(), self.y.place(up).tolist(), strict=True)
+            shown = [place for place in places if self.x.has(place[0]) and self.y.has(place[1])]
             _path(root, "".join(_mark(shape, size, *place) for place in shown), style)
 
         self._items.append(draw)
@@ -286,7 +285,6 @@ class Axes:
         anchor: str = "start",
         ink: Ink = Ink.TEXT,
         size: float = FONT_PX,
-        bold: bool = False,
     ) -> None:
         """Words at a place, each coordinate a value or a ``Share``."""
 
@@ -294,7 +292,7 @@ class Axes:
             place = self.x.at(x), self.y.at(y)
             if self.x.has(place[0]) and self.y.has(place[1]):
                 at = place[0] + shift[0], place[1] + shift[1]
-                _text(root, words, *at, anchor=anchor, ink=ink, size=size, bold=bold)
+                _text(root, words, *at, anchor=anchor, ink=ink, size=size)
 
         self._items.append(draw)
 
@@ -302,8 +300,12 @@ class Axes:
         self, words: str, *, anchor: str = "start", up: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
     ) -> None:
         """Words above the axes, which start or end with them."""
-        at = Share(anchor == "end")
-        self.text(words, at, Share(1.0), shift=(0.0, -up), anchor=anchor, bold=bold, ink=ink)
+
+        def draw(root: Element, _: str) -> None:
+            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - up
+            _text(root, words, x, y, anchor=anchor, ink=ink, bold=bold)
+
+        self._above.append(draw)
 
     def legend(self, *, anchor: str = "end", inside: bool = False) -> None:
         """What each name means: a row above that starts or ends with the axes, or a list in a corner."""
@@ -320,7 +322,7 @@ class Axes:
                 x, y = (x, y + 17.0) if inside else (x + width, y)
 
         if self._keys:
-            self._items.append(draw)
+            self._above.append(draw)
 
     def fit(self, low: ArrayLike, high: ArrayLike) -> None:
         """Show at least the rectangle from ``low`` to ``high`` (2,), at the same scale in both directions."""
@@ -344,8 +346,7 @@ class Axes:
             if axis.line:
                 line = f"M{left:g} {bottom:g}" + (f"H{right:g}" if axis is self.x else f"V{top:g}")
                 line += "".join(self._along(axis, at, 3.0, -3.0) for at, _ in axis.labels())
-                small = axis.place(axis.minor)
-                line += "".join(self._along(axis, at, 2.0, -2.0) for at in small[axis.has(small)])
+                line += "".join(self._along(axis, axis.at(value), 2.0, -2.0) for value in axis.minor)
                 _path(root, line, _style(None, Ink.MUTED))
         for at, words in self.x.labels() if self.x.labelled else ():
             _text(root, words, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
@@ -354,7 +355,7 @@ class Axes:
         _text(root, self.x.label, right, bottom + 32.0, anchor="end", ink=Ink.MUTED)
         middle = 0.5 * (bottom + top)
         _text(root, self.y.label, left - 58.0, middle, anchor="middle", ink=Ink.MUTED, turned=True)
-        for item in self._items:
+        for item in (*self._items, *self._above):
             item(root, f"url(#{clip})")
 
     def _along(self, axis: Axis, at_px: float, down: float, right: float) -> str:
