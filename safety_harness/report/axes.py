@@ -125,7 +125,8 @@ class Axis:
         """(place [px], words) of each tick in view."""
         ticks = self.ticks
         if ticks is None:
-            ticks = [(value, with_minus(f"{value:g}")) for value in round_values(*self.view(), self.steps)]
+            found = round_values(min(self.view()), max(self.view()), self.steps)
+            ticks = [(value, with_minus(f"{value:g}")) for value in found]
         return [(self.at(value), words) for value, words in ticks if self.has(self.at(value))]
 
 

@@ -199,7 +199,7 @@ def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
     """The outline (k, 2) of all points within ``radius`` of the segment; a disc when it has no length."""
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
-    turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 17) + heading
+    turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 33) + heading
     back = start + radius * np.column_stack([np.cos(turn), np.sin(turn)])
     front = end + radius * np.column_stack([np.cos(turn + np.pi), np.sin(turn + np.pi)])
     return np.vstack([back, front])
