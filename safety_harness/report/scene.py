@@ -18,7 +18,7 @@ Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the
 
 WIDTH_PX, HEIGHT_PX = 1120.0, 860.0
 LEFT_PX, SECOND_PX, TOP_PX, LOWER_PX = 72.0, 690.0, 62.0, 472.0
-SIDE_PX, RIGHT_PX, PANEL_PX = 540.0, 400.0, 330.0
+SIDE_PX, RIGHT_PX, PANEL_PX, KEY_PX = 540.0, 400.0, 330.0, 170.0
 
 
 def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: Boxes = ()) -> None:
@@ -29,8 +29,10 @@ def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: 
         _draw_side(axes, previews, axis, regions)
         if axis == 1:
             axes.title(plain(title, longest=100), up=34.0)
-    _draw_image(picture.axes(SECOND_PX, TOP_PX, RIGHT_PX, PANEL_PX), previews)
-    _write_key(picture.axes(SECOND_PX, LOWER_PX, RIGHT_PX, PANEL_PX), previews, regions)
+    camera = previews[0].scenario.settings.camera
+    height_px = min(PANEL_PX, RIGHT_PX * camera.height_px / camera.width_px)
+    _draw_image(picture.axes(SECOND_PX, TOP_PX, RIGHT_PX, height_px), previews)
+    _write_key(picture.axes(SECOND_PX, LOWER_PX, RIGHT_PX, KEY_PX), previews, regions)
     names = ", ".join(dict.fromkeys(preview.scenario.name for preview in previews[:3]))
     drawn = picture.svg(prefix="scene-", title=title, description=f"{len(previews)} drawn, such as {names}")
     write_whole(path, standalone(drawn, style=asset("report.css")))
