@@ -413,7 +413,8 @@ def _short(number: float) -> str:
 
 def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     """The path through places (n,) [px], broken where one is not finite, without those along a level line."""
-    places = np.clip(np.round(np.column_stack([x, y]), 1) + 0.0, -_FAR_PX, _FAR_PX)
+    places = np.round(np.column_stack([x, y]), 1)
+    places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
     across, up = np.diff(places, axis=0).T
     along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] >= 0.0)
     places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
