@@ -15,7 +15,7 @@ from safety_harness_paper.result import FigureComparison, Panel, Plot
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 760.0, 190.0, 40.0, 88.0, 76.0, 16.0
 MAP_PX, ROW_PX = 330.0, 24.0
 INKS = (Ink.TCP, Ink.HAND_1, Ink.GREEN, Ink.HAND_2, Ink.PREDICTED, Ink.SKY)
-MARKERS = ("o", "X", "P", "D")
+MARKERS = ("o", "X", "s", "D")
 
 
 def svg(plot: Plot, *, prefix: str) -> str:

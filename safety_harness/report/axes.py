@@ -37,13 +37,6 @@ _SHAPES = {  # strokes from point to point, in sizes of the mark
             for x, y in ((-0.25, -0.5), (0.0, -0.25), (0.25, -0.5), (0.5, -0.25), (0.25, 0.0), (0.5, 0.25))
         ),
     ),
-    "P": (
-        tuple(
-            (sign * x, sign * y)
-            for sign in (1.0, -1.0)
-            for x, y in ((-0.17, -0.5), (0.17, -0.5), (0.17, -0.17), (0.5, -0.17), (0.5, 0.17), (0.17, 0.17))
-        ),
-    ),
 }
 Key = Callable[[Element, float, float], None]  # draws a sample about a place (x, y) [px]
 
@@ -418,7 +411,7 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     across, up = np.diff(places, axis=0).T
     along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] >= 0.0)
     places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
-    good = np.isfinite(places).all(axis=1)
+    good = np.isfinite(places.sum(axis=1))
     drawn = []
     for run in np.split(np.arange(len(good)), np.flatnonzero(np.diff(good)) + 1):
         if len(run) and good[run[0]]:
