@@ -5,6 +5,7 @@ Nothing heavy is imported before the ``try``: Ctrl-C while libraries load is no 
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import sys
@@ -12,6 +13,7 @@ import sys
 
 def main() -> None:
     """Run the command line; neither Ctrl-C nor one of our own errors ends in a traceback."""
+    gc.set_threshold(20_000)  # most that is imported stays, and to look for garbage in it takes long
     try:
         _open_streams()
         from safety_harness.cli.main import main as run_command

@@ -148,7 +148,7 @@ def _results(
 
 
 def _write(out: Path, results: Sequence[Result], about: About) -> None:
-    from safety_harness_paper.page import write_page  # matplotlib is slow to import
+    from safety_harness_paper.page import write_page
 
     write_page(out / PAGE, results, about)
     write_document(out / DATA, results, about)

@@ -312,7 +312,6 @@ class Record:
 
     rows_sha256: str
     declaration_sha256: str
-    drawn_with: str
 
 
 @dataclass(frozen=True, kw_only=True)

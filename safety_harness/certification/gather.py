@@ -8,7 +8,6 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
@@ -119,7 +118,7 @@ def put_together(
         credibility=believe(stored, trials),
         selftest=trials.selftest,
         selftest_absent="" if trials.selftest else NO_SELFTEST,
-        record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration, drawn_with=drawn_with()),
+        record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration),
         findings=(),
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
@@ -190,8 +189,3 @@ def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
     began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
     return began_at, "; ".join(machines), float(spent_s)
-
-
-def drawn_with() -> str:
-    """What draws the plots of the page, whose lines another version may put elsewhere."""
-    return f"matplotlib {metadata.version('matplotlib')}"

@@ -4,9 +4,8 @@ What depends on the words of the catalogue, or on the last bits of a trace, may 
 software than the report's: it is named then.  With the same software all of it has to come out the same.
 
 Text of the page is compared to the letter, wherever it stands: between tags, in drawings, in what a screen
-reader says.  So are drawings of our own.  In plots of matplotlib only where a thing stands (``x``, ``y``,
-``d``) may be a tenth of a pixel off: coordinates are cut after the first decimal, where another processor's
-last bit shows.
+reader says.  In plots only where a thing stands (``x``, ``y``, ``d``) may be a tenth of a pixel off:
+coordinates are rounded to the first decimal, where another processor's last bit shows.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from safety_harness.certification.evidence import Evidence, EvidenceProvenance, 
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
 from safety_harness.certification.gather import (
     GatheredEvidence,
-    drawn_with,
     libraries_of,
     put_together,
     sessions_of,
@@ -62,7 +60,7 @@ def check_pages(report: Report, gathered: GatheredEvidence) -> Examination:
         faults.append(f"{JUNIT} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
-    if differs and report.same and recorded.record.drawn_with == drawn_with():
+    if differs and report.same:
         faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
     elif differs:
         unchecked += [f"{PAGE} was made by other software, and says otherwise: {one}" for one in differs]
@@ -162,8 +160,7 @@ def check_numbers(report: Report, *, again: bool) -> tuple[Examination, Gathered
         believe=believe,
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
     )
-    drawn = replace(gathered.evidence.record, drawn_with=recorded.record.drawn_with)
-    now = replace(gathered.evidence, files=recorded.files, record=drawn)
+    now = replace(gathered.evidence, files=recorded.files)
     faults: list[str] = []
     notes: list[str] = []
     for place, was, new in _differences(plain(recorded), plain(now), ""):

@@ -266,7 +266,7 @@ class RunSession:
 
     def _report(self) -> bool:
         """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""
-        from safety_harness.report.html import write_report  # matplotlib is slow to import
+        from safety_harness.report.html import write_report
         from safety_harness.report.machine import report_data, write_json
 
         path = self.out / REPORT

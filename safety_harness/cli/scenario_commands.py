@@ -169,7 +169,7 @@ def judge(
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")
 def show(
     files: Annotated[list[Path], Argument(help="Scenario files or spaces.", metavar="FILE...")],
-    out: Annotated[Path, Option(help="Folder for pictures, or the picture of one file.")] = Path(
+    out: Annotated[Path, Option(help="Folder for pictures (SVG), or the picture of one file.")] = Path(
         "reports/show"
     ),
     draws: Annotated[int, Option(help="Draws of a space in its picture.", min=1)] = 200,

@@ -24,7 +24,7 @@ from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.whole_file import write_text, writing
 
-PICTURES = (".png", ".svg", ".pdf")
+PICTURE = ".svg"
 
 
 def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
@@ -32,16 +32,18 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
     gathered = gather(files, spaces=True)
     if gathered.errors:
         raise gathered.errors[0]
-    alone = out.suffix in PICTURES and len(gathered.scenarios) + len(gathered.spaces) == 1
+    if out.suffix in (".png", ".pdf"):
+        raise ScenarioError(place=Place(field="--out"), expected="a folder, or a file.svg", got=str(out))
+    alone = out.suffix == PICTURE and len(gathered.scenarios) + len(gathered.spaces) == 1
     pictures = []
     for scenario in gathered.scenarios:
-        path = out if alone else out / f"{scenario.name}.png"
+        path = out if alone else out / f"{scenario.name}{PICTURE}"
         pictures.append(_draw(path, [scenario], scenario.title))
     for variant, file in gathered.spaces:
         space = space_of(variant.tree, file, name=variant.name)
         drawn = draw_admissible(space, seed, draws)
         say(f"{file}: {drawn}")
-        path = out if alone else out / f"{space.name}.png"
+        path = out if alone else out / f"{space.name}{PICTURE}"
         pictures.append(_draw(path, drawn.scenarios, space.title, regions_of(space)))
     document(pictures=pictures)
     return AS_EXPECTED

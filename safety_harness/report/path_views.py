@@ -7,22 +7,19 @@ What draws the cell, the arm, hands, the TCP or decisions draws base x to the ri
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
 from safety_harness.geometry.arrays import Array3
+from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.svg import HANDS, Floats, Ink, drawing, keep_extremes, new_figure, to_svg
+from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
 from safety_harness.report.words import with_minus
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
 from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 WIDTH_PX, HEIGHT_PX = 430.0, 390.0
 MARGINS_PX = (46.0, 12.0, 40.0, 26.0)  # left, right, below, above
@@ -65,63 +62,50 @@ def shown_moment(run: JudgedRun) -> Moment | None:
 def path_views(run: JudgedRun, *, prefix: str) -> tuple[Markup, ...]:
     """The paths as SVG from above and from the side, both again close to the TCP; needs at least one tick."""
     moment = shown_moment(run)
-    with drawing():
-        return tuple(
-            Markup(_view(run, moment, axis, close_up=close_up, prefix=prefix))
-            for close_up in (False, True)
-            for axis in (1, 2)
-        )
+    return tuple(
+        Markup(_view(run, moment, axis, close_up=close_up, prefix=prefix))
+        for close_up in (False, True)
+        for axis in (1, 2)
+    )
 
 
 def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, prefix: str) -> str:
     """One view: base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
     trace = run.trace
-    figure = new_figure(WIDTH_PX, HEIGHT_PX)
+    picture = Picture(WIDTH_PX, HEIGHT_PX)
     left, right, below, above = MARGINS_PX
-    size = 1.0 - (left + right) / WIDTH_PX, 1.0 - (below + above) / HEIGHT_PX
-    axes = figure.add_axes((left / WIDTH_PX, below / HEIGHT_PX, *size))
-    axes.grid(True)
-    draw_cell(axes, trace.scenario.settings, axis)
+    axes = picture.axes(left, above, WIDTH_PX - left - right, HEIGHT_PX - below - above)
+    axes.x.grid = axes.y.grid = True
+    axes.x.steps = axes.y.steps = 6
+    axes.x.margin = axes.y.margin = 0.06
+    if moment is not None and not close_up:
+        draw_arm(axes, trace, moment, axis)
     if moment is not None:
         draw_forearms(axes, trace, moment, axis)
+    draw_cell(axes, trace.scenario.settings, axis)
+    if not close_up:
+        draw_close_up_frame(axes, trace, axis)
     draw_hands(axes, trace, moment, axis)
     draw_tcp(axes, trace, moment, axis)
     if close_up:
         draw_decisions(axes, trace, axis)
         low, high = close_up_mm(trace)
-        _fit(axes, low[[0, axis]], high[[0, axis]])
+        axes.fit(low[[0, axis]], high[[0, axis]])
     else:
-        draw_close_up_frame(axes, trace, axis)
         if axis == 2:
             name_table(axes, trace.scenario.settings.cell)
-        if moment is not None:
-            draw_arm(axes, trace, moment, axis)
-        low, high = np.array(axes.dataLim.min), np.array(axes.dataLim.max)
-        _fit(axes, low - 0.06 * (high - low), high + 0.06 * (high - low))
-    axes.locator_params(nbins=6)
-    axes.set_xlabel("x forward, mm", loc="right")
-    name = f"{'top' if axis == 1 else 'side'}-{'close-' if close_up else ''}"
+        low, high = np.transpose([axes.x.view(), axes.y.view()])
+        axes.fit(low, high)
     seen = ("from above" if axis == 1 else "from the side") + (", close to the TCP" if close_up else "")
-    axes.set_title(seen.capitalize().replace("tcp", "TCP"), loc="right", fontsize=11, fontweight="bold")
-    axes.set_title(
-        ("y left" if axis == 1 else "z up") + ", mm", loc="left", fontsize=11, color=Ink.MUTED.sentinel
-    )
-    return to_svg(
-        figure,
+    axes.title(("y left" if axis == 1 else "z up") + ", mm", bold=False, ink=Ink.MUTED)
+    axes.title(seen.capitalize().replace("tcp", "TCP"), anchor="end")
+    axes.x.label = "x forward, mm"
+    name = f"{'top' if axis == 1 else 'side'}-{'close-' if close_up else ''}"
+    return picture.svg(
         prefix=prefix + name,
         title=f"{trace.scenario.name}: paths seen {seen}",
         description=_description(run, moment, axis),
     )
-
-
-def _fit(axes: Axes, low: Floats, high: Floats) -> None:
-    """Show at least the rectangle from ``low`` to ``high`` (2,), at the same scale in both directions."""
-    left, right, below, above = MARGINS_PX
-    room_px = np.array([WIDTH_PX - left - right, HEIGHT_PX - below - above])
-    half = 0.5 * room_px * float(np.max((high - low) / room_px))
-    centre = 0.5 * (low + high)
-    axes.set_xlim(centre[0] - half[0], centre[0] + half[0])
-    axes.set_ylim(centre[1] - half[1], centre[1] + half[1])
 
 
 def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
@@ -151,33 +135,22 @@ def close_up_mm(trace: Trace) -> tuple[Floats, Floats]:
 
 def name_table(axes: Axes, cell: Cell) -> None:
     """The height of the table's surface, written below it."""
-    axes.annotate(
-        with_minus(f"table, z = {cell.table_height_m * MM:.0f}"),
-        (1.0, cell.table_height_m * MM),
-        xycoords=("axes fraction", "data"),
-        xytext=(0, -4),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        color=Ink.MUTED.sentinel,
-    )
+    height_mm = cell.table_height_m * MM
+    words = with_minus(f"table, z = {height_mm:.0f}")
+    axes.text(words, Share(1.0), height_mm, shift=(0.0, 14.0), anchor="end", ink=Ink.MUTED)
 
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
     """What part of the whole view the close-up shows."""
     low, high = close_up_mm(trace)
-    axes.plot(*rectangle(low, high, axis), color=Ink.MUTED.sentinel, linewidth=0.8, zorder=3)
+    x, y = rectangle(low, high, axis)
+    axes.line(x, y, Ink.MUTED, width=0.8)
 
 
 def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
     """The closed outline (2, 5) of the box between two corners (3,): base x, and base ``axis``."""
     across = np.array([low[0], high[0], high[0], low[0], low[0]])
     return np.stack([across, np.array([low[axis], low[axis], high[axis], high[axis], low[axis]])])
-
-
-def _plot(axes: Axes, points_mm: Floats, axis: int, ink: Ink, **style: Any) -> None:
-    """Points (..., 3) [mm] as this view shows them."""
-    axes.plot(points_mm[..., 0], points_mm[..., axis], color=ink.sentinel, **style)
 
 
 def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
@@ -187,12 +160,12 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
     corners = np.zeros((len(shape.polygon_m), 3))
     corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
     corners = (corners + shape.position_in_base_m) * MM
-    axes.fill(corners[:, 0], corners[:, axis], facecolor=Ink.OBJECT.sentinel, alpha=0.18, zorder=2)
-    _plot(axes, np.vstack([corners, corners[:1]]), axis, Ink.OBJECT, linewidth=2.0, zorder=2)
-    desired = np.array(cell.desired_tcp_position_in_base_m) * MM
-    _plot(axes, desired, axis, Ink.TEXT, marker="+", markersize=15, markeredgewidth=1.6, zorder=6)
     if axis == 2:
-        axes.axhline(cell.table_height_m * MM, color=Ink.TEXT.sentinel, linewidth=1.6, zorder=1.5)
+        axes.hline(cell.table_height_m * MM, Ink.TEXT, width=1.6)
+    axes.area(corners[:, 0], corners[:, axis], Ink.OBJECT, opacity=0.18)
+    axes.area(corners[:, 0], corners[:, axis], None, edge=Ink.OBJECT, width=2.0)
+    desired = np.array(cell.desired_tcp_position_in_base_m) * MM
+    axes.marks(desired[[0]], desired[[axis]], "+", 15, edge=Ink.TEXT, width=1.6)
 
 
 def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
@@ -204,9 +177,8 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     transforms = np.empty((FRAMES, 4, 4))
     forward_kinematics(arm.chain[0], joints, transforms)
     points = transforms[:, :3, 3] * MM  # (8, 3)
-    _plot(axes, points, axis, Ink.ARM, linewidth=7, solid_joinstyle="round", zorder=1.2)
-    joint = {"markersize": 4, "markerfacecolor": Ink.PAPER.sentinel, "markeredgewidth": 0.8}
-    _plot(axes, points, axis, Ink.MUTED, linestyle="none", marker="o", zorder=1.3, **joint)
+    axes.line(points[:, 0], points[:, axis], Ink.ARM, width=7)
+    axes.marks(points[:, 0], points[:, axis], "o", 4, fill=Ink.PAPER, edge=Ink.MUTED)
 
 
 def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
@@ -220,14 +192,14 @@ def draw_forearms(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
         length = float(np.linalg.norm(elbow - start))
         end = start + (elbow - start) * min(1.0, size.forearm_length_m / length)
         outline = capsule_outline(start[[0, axis]], end[[0, axis]], size.forearm_radius_m) * MM
-        axes.fill(*outline.T, facecolor=HANDS[hand].sentinel, edgecolor="none", alpha=0.16, zorder=1.6)
+        axes.area(outline[:, 0], outline[:, 1], HANDS[hand], opacity=0.16)
 
 
 def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
     """The outline (k, 2) of all points within ``radius`` of the segment; a disc when it has no length."""
     along = end - start
     heading = float(np.arctan2(along[1], along[0]))
-    turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 17) + heading
+    turn = np.linspace(0.5 * np.pi, 1.5 * np.pi, 33) + heading
     back = start + radius * np.column_stack([np.cos(turn), np.sin(turn)])
     front = end + radius * np.column_stack([np.cos(turn + np.pi), np.sin(turn + np.pi)])
     return np.vstack([back, front])
@@ -235,8 +207,6 @@ def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
 
 def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
     """The way of each hand's centre, and its sphere at the moment."""
-    from matplotlib.patches import Circle
-
     radius_mm = trace.scenario.settings.hand.radius_m * MM
     for hand, ink in enumerate(HANDS):
         present = trace.ticks["hand_present"][:, hand]
@@ -248,8 +218,8 @@ def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> No
         if moment is not None and present[moment.tick]:
             centre = path[moment.tick]
             if np.all(np.isfinite(centre)):
-                edge = {"edgecolor": ink.sentinel, "linewidth": 1.8}
-                axes.add_patch(Circle(centre[[0, axis]], radius_mm, facecolor="none", zorder=5, **edge))
+                outline = capsule_outline(centre[[0, axis]], centre[[0, axis]], radius_mm)
+                axes.area(outline[:, 0], outline[:, 1], None, edge=ink)
 
 
 def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
@@ -259,24 +229,21 @@ def draw_tcp(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None
     _draw_ends(axes, path, axis, Ink.TCP)
     if moment is not None:
         now = path[moment.tick]
-        _plot(axes, now, axis, Ink.TCP, marker="x", markersize=9, markeredgewidth=2, zorder=7)
+        axes.marks(now[[0]], now[[axis]], "x", 9, edge=Ink.TCP, width=2)
 
 
 def _draw_path(axes: Axes, path_mm: Floats, axis: int, ink: Ink, *, dashed: bool) -> None:
     """A path (n, 3), thinned so that the extremes of both coordinates survive."""
     order = np.arange(len(path_mm), dtype=np.float64)
     kept = np.union1d(*(keep_extremes(order, path_mm[:, k], COLUMNS)[0] for k in (0, axis)))
-    style = (0, (5, 2)) if dashed else "solid"
-    _plot(axes, path_mm[kept.astype(np.int64)], axis, ink, linewidth=1.6, linestyle=style, zorder=4)
+    points = path_mm[kept.astype(np.int64)]
+    axes.line(points[:, 0], points[:, axis], ink, width=1.6, dashes=(5, 2) if dashed else ())
 
 
 def _draw_ends(axes: Axes, path_mm: Floats, axis: int, ink: Ink) -> None:
     """A ring where a path (n, 3) starts, a square where it ends."""
-    for point, marker, fill in ((path_mm[0], "o", Ink.PAPER), (path_mm[-1], "s", ink)):
-        style: dict[str, Any] = {"markerfacecolor": fill.sentinel, "markeredgecolor": ink.sentinel}
-        axes.plot(
-            point[0], point[axis], marker=marker, markersize=6.5, markeredgewidth=1.6, zorder=5.5, **style
-        )
+    for point, shape, fill in ((path_mm[0], "o", Ink.PAPER), (path_mm[-1], "s", ink)):
+        axes.marks(point[[0]], point[[axis]], shape, 6.5, fill=fill, edge=ink, width=1.6)
 
 
 def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
@@ -285,13 +252,11 @@ def draw_decisions(axes: Axes, trace: Trace, axis: int) -> None:
     asked = decisions["tcp_position_in_base_m"] * MM
     chosen = decisions["chosen_position_in_base_m"] * MM
     ways = np.stack([asked, chosen, np.full_like(asked, np.nan)], axis=1).reshape(-1, 3)
-    _plot(axes, ways, axis, Ink.CHOSEN, linewidth=1.0, linestyle=(0, (1, 2)), zorder=3)
-    for points, marker, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
-        style = {"markersize": 7, "markeredgecolor": Ink.PAPER.sentinel, "markeredgewidth": 0.8}
-        _plot(axes, points, axis, ink, linestyle="none", marker=marker, zorder=6, **style)
+    axes.line(ways[:, 0], ways[:, axis], Ink.CHOSEN, width=1.0, dashes=(1, 2))
+    for points, shape, ink in ((chosen, "D", Ink.CHOSEN), (asked, "v", Ink.TEXT)):
+        axes.marks(points[:, 0], points[:, axis], shape, 7, fill=ink, edge=Ink.PAPER)
     if len(decisions) > MOST_NUMBERS:
         return
     for number, point in enumerate(asked, start=1):
         if np.all(np.isfinite(point)):
-            at = point[[0, axis]]
-            axes.annotate(str(number), at, xytext=(5, 4), textcoords="offset points", zorder=8)
+            axes.text(str(number), point[0], point[axis], shift=(5.0, -4.0))

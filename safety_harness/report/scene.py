@@ -4,124 +4,109 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from safety_harness.admission.preview import Preview
-from safety_harness.report.path_views import MM, rectangle
-from safety_harness.report.svg import Floats, plain
-from safety_harness.whole_file import replacing
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from safety_harness.report.axes import Axes, Picture, Share
+from safety_harness.report.page_parts import asset
+from safety_harness.report.path_views import MM, capsule_outline, draw_cell, rectangle
+from safety_harness.report.svg import HANDS, Floats, Ink, plain, standalone
+from safety_harness.whole_file import write_whole
 
 Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the base frame [m]
 
-# Okabe and Ito's colours, safe for colour-blind readers.
-TCP, OBJECT, REGION = "#0072b2", "#009e73", "#cc79a7"
-HANDS = ("#d55e00", "#e69f00")
-ARM, TEXT = "#bbbbbb", "#333333"
+WIDTH_PX, HEIGHT_PX = 1120.0, 860.0
+LEFT_PX, SECOND_PX, TOP_PX, LOWER_PX = 72.0, 690.0, 62.0, 472.0
+SIDE_PX, RIGHT_PX, PANEL_PX, KEY_PX = 540.0, 400.0, 330.0, 170.0
 
 
 def draw_scene(path: Path, previews: Sequence[Preview], *, title: str, regions: Boxes = ()) -> None:
-    """Write the picture to ``path`` (.png, .svg or .pdf); needs at least one preview.  Raises OSError."""
-    from matplotlib.figure import Figure  # slow to import
-
-    figure = Figure(figsize=(13.0, 9.0), dpi=110, layout="constrained")
-    above, camera, side, words = figure.subplots(2, 2, width_ratios=(3, 2)).ravel()
-    for axes, axis in ((above, 1), (side, 2)):
+    """Write the picture to ``path``, an SVG; needs at least one preview.  Raises OSError."""
+    picture = Picture(WIDTH_PX, HEIGHT_PX)
+    for top, axis in ((TOP_PX, 1), (LOWER_PX, 2)):
+        axes = picture.axes(LEFT_PX, top, SIDE_PX, PANEL_PX)
         _draw_side(axes, previews, axis, regions)
-    _draw_image(camera, previews)
-    _write_legend(words, previews, regions)
-    figure.suptitle(plain(title, longest=100), x=0.01, ha="left", fontsize=15, fontweight="bold")
-    with replacing(path) as unfinished:
-        figure.savefig(unfinished, format=path.suffix.removeprefix(".") or None)
+        if axis == 1:
+            axes.title(plain(title, longest=100), up=34.0)
+    camera = previews[0].scenario.settings.camera
+    height_px = min(PANEL_PX, RIGHT_PX * camera.height_px / camera.width_px)
+    _draw_image(picture.axes(SECOND_PX, TOP_PX, RIGHT_PX, height_px), previews)
+    _write_key(picture.axes(SECOND_PX, LOWER_PX, RIGHT_PX, KEY_PX), previews, regions)
+    names = ", ".join(dict.fromkeys(preview.scenario.name for preview in previews[:3]))
+    drawn = picture.svg(prefix="scene-", title=title, description=f"{len(previews)} drawn, such as {names}")
+    write_whole(path, standalone(drawn, style=asset("report.css")))
 
 
 def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxes) -> None:
     """Base x to the right, base ``axis`` (1: y, 2: z) upwards, in millimetres."""
     first = previews[0]
-    faint = 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
-    cell = first.scenario.settings.cell
+    faint = _opacity(previews)
     arm = first.links_in_base_m * MM
-    axes.plot(arm[:, 0], arm[:, axis], color=ARM, linewidth=6, solid_joinstyle="round", zorder=1)
-    shape = first.object_in_base_m * MM
-    axes.fill(shape[:, 0], shape[:, axis], facecolor=OBJECT, edgecolor=OBJECT, alpha=0.4, linewidth=2.0)
+    axes.line(arm[:, 0], arm[:, axis], Ink.ARM, width=6)
+    draw_cell(axes, first.scenario.settings, axis)
     for name, low, high in regions:
-        _draw_box(axes, name, low * MM, high * MM, axis)
+        x, y = rectangle(low * MM, high * MM, axis)
+        axes.line(x, y, Ink.PREDICTED, width=1.2, dashes=(4, 2))
+        axes.text(plain(name), low[0] * MM, high[axis] * MM, shift=(0.0, -3.0), ink=Ink.PREDICTED, size=9)
     for preview in previews:
-        for colour, path_m in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
-            path = path_m * MM
-            axes.plot(path[:, 0], path[:, axis], color=colour, linewidth=1.5, alpha=faint, zorder=3)
-            axes.plot(path[0, 0], path[0, axis], "o", color=colour, markersize=4, alpha=faint, zorder=4)
+        for ink, path_m in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
+            x, y = path_m[:, 0] * MM, path_m[:, axis] * MM
+            axes.line(x, y, ink, opacity=faint)
+            axes.marks(x[:1], y[:1], "o", 4, fill=ink, opacity=faint)
         tcp = preview.tcp_in_base_m * MM
-        axes.plot(tcp[0], tcp[axis], "o", color=TCP, markersize=5, alpha=max(faint, 0.3), zorder=5)
+        axes.marks(tcp[[0]], tcp[[axis]], "o", 5, fill=Ink.TCP, opacity=max(faint, 0.3))
     if len(previews) == 1:
         _draw_last_hands(axes, first, axis)
-    desired = np.array(cell.desired_tcp_position_in_base_m) * MM
-    axes.plot(desired[0], desired[axis], "+", color=TEXT, markersize=14, markeredgewidth=1.6, zorder=6)
-    if axis == 2:
-        axes.axhline(cell.table_height_m * MM, color=TEXT, linewidth=1.5)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.grid(color="#e5e5e5", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.set_xlabel("x forward, mm")
-    axes.set_ylabel("y left, mm" if axis == 1 else "z up, mm")
-    axes.set_title("From above" if axis == 1 else "From the side", loc="left", fontsize=11)
+    axes.x.grid = axes.y.grid = True
+    axes.x.steps, axes.y.steps = 8, 6
+    axes.fit(*np.transpose([axes.x.view(), axes.y.view()]))
+    axes.x.label, axes.y.label = "x forward, mm", "y left, mm" if axis == 1 else "z up, mm"
+    axes.title("From above" if axis == 1 else "From the side", bold=False)
 
 
-def _draw_box(axes: Axes, name: str, low: Floats, high: Floats, axis: int) -> None:
-    axes.plot(*rectangle(low, high, axis), color=REGION, linewidth=1.2, linestyle="--", zorder=2)
-    axes.annotate(plain(name), (low[0], high[axis]), color=REGION, fontsize=8, va="bottom")
+def _opacity(previews: Sequence[Preview]) -> float:
+    """Of what is drawn for each of them."""
+    return 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
 
 
 def _draw_last_hands(axes: Axes, preview: Preview, axis: int) -> None:
     """The hands at their true size where they come nearest to the TCP."""
-    from matplotlib.patches import Circle
-
     radius = preview.scenario.settings.hand.radius_m * MM
-    for colour, path in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
+    for ink, path in zip(HANDS, preview.hand_paths_in_base_m, strict=False):
         nearest = path[int(np.argmin(np.linalg.norm(path - preview.tcp_in_base_m, axis=1)))] * MM
-        axes.add_patch(Circle((nearest[0], nearest[axis]), radius, facecolor=colour, alpha=0.25, zorder=3))
+        outline = capsule_outline(nearest[[0, axis]], nearest[[0, axis]], radius)
+        axes.area(outline[:, 0], outline[:, 1], ink, opacity=0.25)
 
 
 def _draw_image(axes: Axes, previews: Sequence[Preview]) -> None:
     """What the camera sees of the object at each start, and should see at the desired pose."""
     camera = previews[0].scenario.settings.camera
-    faint = 1.0 if len(previews) == 1 else max(0.06, min(0.5, 8.0 / len(previews)))
     for preview in previews:
-        axes.fill(*preview.start_image_px.T, facecolor="none", edgecolor=TCP, linewidth=1.5, alpha=faint)
-    axes.fill(
-        *previews[0].desired_image_px.T, facecolor="none", edgecolor=TEXT, linestyle="--", linewidth=1.5
-    )
-    axes.set_xlim(0, camera.width_px)
-    axes.set_ylim(camera.height_px, 0)
-    axes.set_aspect("equal")
-    axes.set_xlabel("u, px")
-    axes.set_ylabel("v, px")
-    axes.set_title(
-        "In the servoing camera: object at the start, and desired (dashed)", loc="left", fontsize=11
-    )
+        u, v = preview.start_image_px.T
+        axes.area(u, v, None, edge=Ink.TCP, width=1.5, opacity=_opacity(previews))
+    outline = previews[0].desired_image_px
+    u, v = np.vstack([outline, outline[:1]]).T
+    axes.line(u, v, Ink.TEXT, dashes=(4, 2))
+    axes.fit((0.0, 0.0), (camera.width_px, camera.height_px))
+    axes.y.show(*reversed(axes.y.view()))
+    axes.x.label, axes.y.label = "u, px", "v, px"
+    axes.title("In the servoing camera: object at the start, and desired (dashed)", bold=False)
 
 
-def _write_legend(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
+def _write_key(axes: Axes, previews: Sequence[Preview], regions: Boxes) -> None:
     """What the marks mean, and the hands by name."""
-    from matplotlib.lines import Line2D
-
-    axes.axis("off")
+    axes.x.line = axes.y.line = axes.x.labelled = axes.y.labelled = False
     many = len(previews) > 1
-    handles = [
-        Line2D([], [], marker="o", linestyle="", color=TCP, label="TCP start" + ("s" if many else "")),
-        Line2D([], [], marker="+", linestyle="", color=TEXT, markersize=12, label="desired TCP"),
-        Line2D([], [], color=OBJECT, linewidth=4, alpha=0.5, label="object"),
-        Line2D([], [], color=ARM, linewidth=6, label="arm at the " + ("first start" if many else "start")),
-    ]
-    for colour, hand in zip(HANDS, previews[0].scenario.hands, strict=False):
-        handles.append(Line2D([], [], color=colour, marker="o", label=plain(hand.name)))
+    axes.marks([], [], "o", 5, fill=Ink.TCP, name="TCP starts" if many else "TCP start")
+    axes.marks([], [], "+", 12, edge=Ink.TEXT, width=1.6, name="desired TCP")
+    axes.key("object", Ink.OBJECT)
+    axes.line([], [], Ink.ARM, width=6, name="arm at the first start" if many else "arm at the start")
+    for ink, hand in zip(HANDS, previews[0].scenario.hands, strict=False):
+        axes.line([], [], ink, name=plain(hand.name))
     if regions:
-        handles.append(Line2D([], [], color=REGION, linestyle="--", label="region"))
-    axes.legend(handles=handles, loc="upper left", frameon=False, fontsize=11)
-    note = "Hands that head for the TCP are drawn as if it stayed where it starts."
-    count = f"{len(previews)} draws.\n" if many else ""
-    axes.text(0.02, 0.08, count + note, transform=axes.transAxes, fontsize=10, color=TEXT, wrap=True)
+        axes.line([], [], Ink.PREDICTED, width=1.2, dashes=(4, 2), name="region")
+    axes.legend(anchor="start", inside=True)
+    notes = ["Hands that head for the TCP are drawn as if it stayed where it starts."]
+    for line, words in enumerate([f"{len(previews)} draws."] * many + notes):
+        axes.text(words, Share(0.0), Share(1.0), shift=(0.0, 17.0 * line))

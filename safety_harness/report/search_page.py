@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from math import isfinite
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
@@ -20,12 +19,13 @@ from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.attribution_picture import draw_attributions
+from safety_harness.report.axes import Axes, Picture, stairs
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_attribution import FaultsOfSearch
-from safety_harness.report.svg import DASHES, Ink, drawing, new_figure, plain, to_svg
+from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
@@ -36,9 +36,6 @@ from safety_harness.search.session import WrittenCounterexample, not_found_words
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Provenance, Trace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_GROUPS = 100  # rows of violations that were found
 WIDTH_PX, PANEL_PX, TOP_PX, GAP_PX, LEFT_PX, RIGHT_PX = 960.0, 130.0, 30.0, 62.0, 76.0, 20.0
@@ -246,62 +243,43 @@ def progress_figure(searches: list[Findings], *, prefix: str) -> str:
     if not claims or goals[0].against:
         return ""
     height = TOP_PX + len(claims) * (PANEL_PX + GAP_PX)
-    with drawing():
-        figure = new_figure(WIDTH_PX, height)
-        for row, claim in enumerate(claims):
-            bottom = height - TOP_PX - row * (PANEL_PX + GAP_PX) - PANEL_PX
-            size = (1.0 - (LEFT_PX + RIGHT_PX) / WIDTH_PX, PANEL_PX / height)
-            axes = figure.add_axes((LEFT_PX / WIDTH_PX, bottom / height, *size))
-            for findings, ink, dashes in zip(searches, INKS, DASHES, strict=False):
-                _curve(axes, findings, claim, ink, dashes)
-            _decorate(axes, searches, claim)
-        names = " and ".join(one.searcher for one in searches)
-        return to_svg(
-            figure,
-            prefix=prefix,
-            title="Least margin so far, over the runs",
-            description=f"One panel for each claim, searched by {names}; the table has the numbers.",
-        )
+    picture = Picture(WIDTH_PX, height)
+    for row, claim in enumerate(claims):
+        top = TOP_PX + row * (PANEL_PX + GAP_PX)
+        axes = picture.axes(LEFT_PX, top, WIDTH_PX - LEFT_PX - RIGHT_PX, PANEL_PX)
+        for findings, ink, dashes in zip(searches, INKS, DASHES, strict=False):
+            _curve(axes, findings, claim, ink, dashes)
+        _decorate(axes, searches, claim)
+    names = " and ".join(one.searcher for one in searches)
+    return picture.svg(
+        prefix=prefix,
+        title="Least margin so far, over the runs",
+        description=f"One panel for each claim, searched by {names}; the table has the numbers.",
+    )
 
 
-def _curve(axes: Axes, findings: Findings, claim: int, ink: Ink, dashes: object) -> None:
+def _curve(axes: Axes, findings: Findings, claim: int, ink: Ink, dashes: tuple[float, ...]) -> None:
     steps = findings.improvements[claim]
     if not steps:
         return
     per_si = findings.goals[claim].unit.per_si
     runs = [run for run, _ in steps] + [findings.tried]
     margins = [margin * per_si for _, margin in steps]
-    axes.plot(
-        runs,
-        [*margins, margins[-1]],
-        drawstyle="steps-post",
-        color=ink.sentinel,
-        linestyle=dashes,
-        linewidth=1.6,
-    )
+    axes.line(*stairs(runs, [*margins, margins[-1]]), ink, width=1.6, dashes=dashes)
     first = int(findings.first_violation[claim])
     if first:
         margin = next(margin for run, margin in reversed(steps) if run <= first) * per_si
-        axes.plot([first], [margin], marker="X", markersize=8.0, markeredgewidth=0.0, color=ink.sentinel)
+        axes.marks([first], [margin], "X", 8.0, fill=ink)
 
 
 def _decorate(axes: Axes, searches: list[Findings], claim: int) -> None:
     goal = searches[0].goals[claim]
-    axes.set_xscale("log")
-    axes.set_xlim(1.0, max(2, *(one.tried for one in searches)))
-    axes.axhline(0.0, color=Ink.LIMIT.sentinel, linewidth=1.2, linestyle=(0, (4, 3)))
-    axes.margins(y=0.12)
-    axes.grid(True, axis="y")
-    axes.locator_params(axis="y", nbins=5)
-    axes.minorticks_off()
-    ticks = [10**k for k in range(12) if 10**k <= axes.get_xlim()[1]]
-    axes.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
-    axes.set_title(
-        plain(f"{claim + 1}  {goal.sentence}", longest=110),
-        loc="left",
-        fontsize=11,
-        color=Ink.TEXT.sentinel,
-        pad=8,
-    )
-    axes.set_ylabel(f"margin, {goal.unit.symbol}" if goal.unit.symbol else "margin")
-    axes.set_xlabel("runs", loc="right")
+    most = max(2, *(one.tried for one in searches))
+    axes.x.log = True
+    axes.x.show(1.0, most)
+    axes.x.ticks = [(10**k, f"{10**k:,}") for k in range(12) if 10**k <= most]
+    axes.x.label = "runs"
+    axes.hline(0.0, Ink.LIMIT, width=1.2, dashes=(4, 3))
+    axes.y.margin, axes.y.grid = 0.12, True
+    axes.y.label = f"margin, {goal.unit.symbol}" if goal.unit.symbol else "margin"
+    axes.title(plain(f"{claim + 1}  {goal.sentence}", longest=110), bold=False)

@@ -8,40 +8,32 @@ from the TCP.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.proportions import share_words
+from safety_harness.report.axes import Axes, Picture, Share, text_px
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import (
     DASHES,
     HANDS,
     Floats,
     Ink,
-    drawing,
     keep_extremes,
-    new_figure,
     plain,
     spans,
     ticks_per_column,
-    to_svg,
 )
 from safety_harness.report.words import (
     MODE_WORDS,
     OUTCOME_WORDS,
     claimed_hand_distance_m,
     claimed_tcp_speed_mps,
-    with_minus,
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 PANEL_PX = 882.0
 COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
@@ -62,6 +54,7 @@ MOST_DECADES = 4  # steps between the labels of a logarithmic axis
 LABEL_PX = 13.0  # the height of a limit's name
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
+TIME_STEPS = 10
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
 MODE_INK = {
     Mode.SERVOING: Ink.SERVOING,
@@ -70,15 +63,15 @@ MODE_INK = {
     Mode.OBJECT_LOST: Ink.LOST,
 }
 OUTCOME_MARKER = {  # shape, size, fill, edge, and the edge's width
-    DecisionOutcome.PROPOSED: ("o", 7.5, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
-    DecisionOutcome.OPPOSITE: ("D", 7.5, Ink.PAPER.sentinel, Ink.TEXT.sentinel, 2.0),
-    DecisionOutcome.STOP: ("X", 10.0, Ink.TEXT.sentinel, Ink.PAPER.sentinel, 0.8),
+    DecisionOutcome.PROPOSED: ("o", 7.5, Ink.TEXT, Ink.PAPER, 0.8),
+    DecisionOutcome.OPPOSITE: ("D", 7.5, Ink.PAPER, Ink.TEXT, 2.0),
+    DecisionOutcome.STOP: ("X", 10.0, Ink.TEXT, Ink.PAPER, 0.8),
 }
-FAULT_MARKER = "o", 16.0, "none", Ink.LIMIT.sentinel, 1.8
+FAULT_MARKER = "o", 16.0, None, Ink.LIMIT, 1.8
 DECISION_LANE = len(Mode)
 FAULT_LANE = DECISION_LANE + 1  # only where the scenario has faults
 
-Line = tuple[str, Floats, Ink, Any]  # name, (n,) values, colour, dash pattern
+Line = tuple[str, Floats, Ink, tuple[float, ...]]  # name, (n,) values, colour, dash pattern
 
 
 def thinning(trace: Trace) -> int:
@@ -89,37 +82,33 @@ def thinning(trace: Trace) -> int:
 def timeline(run: JudgedRun, *, prefix: str) -> str:
     """All panels as one SVG; needs at least one tick."""
     trace = run.trace
-    with drawing():
-        height = TOP_PX + BOTTOM_PX + sum(HEIGHTS_PX) + GAP_PX * (len(HEIGHTS_PX) - 1)
-        figure = new_figure(WIDTH_PX, height)
-        end_s = max(trace.scenario.duration_s, float(trace.time_s[-1]))
-        backdrop = _add_axes(figure, height, TOP_PX, height - TOP_PX - BOTTOM_PX, end_s)
-        backdrop.set_axis_off()
-        backdrop.set_ylim(0.0, 1.0)
-        _shade(backdrop, trace, end_s)
-        _mark_moments(backdrop, run)
-        panels = []
-        top = TOP_PX
-        for panel_height in HEIGHTS_PX:
-            panels.append(_add_axes(figure, height, top, panel_height, end_s))
-            top += panel_height + GAP_PX
-        _mode_panel(panels[0], trace, end_s)
-        distance_panel(panels[1], run)
-        predicted_panel(panels[2], trace)
-        length_error_panel(panels[3], trace)
-        shape_error_panel(panels[4], trace)
-        sse_panel(panels[5], trace)
-        speed_panel(panels[6], run)
-        joint_panel(panels[7], trace)
-        for panel in panels[:-1]:
-            panel.tick_params(labelbottom=False)
-        panels[-1].set_xlabel("time, s", loc="right")
-        return to_svg(
-            figure,
-            prefix=prefix,
-            title=f"{trace.scenario.name}: what happened over time",
-            description=_description(run),
-        )
+    height = TOP_PX + BOTTOM_PX + sum(HEIGHTS_PX) + GAP_PX * (len(HEIGHTS_PX) - 1)
+    picture = Picture(WIDTH_PX, height)
+    end_s = max(trace.scenario.duration_s, float(trace.time_s[-1]))
+    backdrop = _add_axes(picture, TOP_PX, height - TOP_PX - BOTTOM_PX, end_s)
+    backdrop.x.line = backdrop.y.line = backdrop.y.labelled = False
+    backdrop.y.show(0.0, 1.0)
+    _shade(backdrop, trace, end_s)
+    _mark_moments(backdrop, run)
+    panels = []
+    top = TOP_PX
+    for panel_height in HEIGHTS_PX:
+        panels.append(_add_axes(picture, top, panel_height, end_s))
+        top += panel_height + GAP_PX
+    _mode_panel(panels[0], trace, end_s)
+    distance_panel(panels[1], run)
+    predicted_panel(panels[2], trace)
+    length_error_panel(panels[3], trace)
+    shape_error_panel(panels[4], trace)
+    sse_panel(panels[5], trace)
+    speed_panel(panels[6], run)
+    joint_panel(panels[7], trace)
+    panels[-1].x.labelled, panels[-1].x.label = True, "time, s"
+    return picture.svg(
+        prefix=prefix,
+        title=f"{trace.scenario.name}: what happened over time",
+        description=_description(run),
+    )
 
 
 def _description(run: JudgedRun) -> str:
@@ -140,11 +129,10 @@ def _description(run: JudgedRun) -> str:
     )
 
 
-def _add_axes(figure: Figure, height: float, top: float, panel_height: float, end_s: float) -> Axes:
-    axes = figure.add_axes(
-        (LEFT_PX / WIDTH_PX, 1.0 - (top + panel_height) / height, PANEL_PX / WIDTH_PX, panel_height / height)
-    )
-    axes.set_xlim(0.0, end_s)
+def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes:
+    axes = picture.axes(LEFT_PX, top, PANEL_PX, height)
+    axes.x.steps, axes.x.labelled = TIME_STEPS, False
+    axes.x.show(0.0, end_s)
     return axes
 
 
@@ -153,52 +141,33 @@ def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
         found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
-        backdrop.broken_barh(
-            found, (0.0, 1.0), facecolor=MODE_INK[mode].sentinel, edgecolor="none", alpha=0.13
-        )
+        backdrop.bars(found, (0.0, 1.0), MODE_INK[mode], opacity=0.13)
     if not trace.complete and ticks_end_s < end_s:
-        backdrop.axvspan(
-            ticks_end_s, end_s, facecolor="none", edgecolor=Ink.MISSING.sentinel, hatch="///", linewidth=0.0
-        )
-        backdrop.axvline(ticks_end_s, color=Ink.TEXT.sentinel, linewidth=1.2)
+        backdrop.bars([(ticks_end_s, end_s - ticks_end_s)], (0.0, 1.0), Ink.MISSING, hatched=True)
+        backdrop.vline(ticks_end_s, Ink.TEXT, width=1.2)
 
 
 def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
     """Decisions as thin lines; each claim's worst moment, solid when it is violated."""
     asked_s = run.trace.decisions["time_s"]
-    backdrop.plot(
-        np.repeat(asked_s, 3),
-        np.tile([0.0, 1.0, np.nan], len(asked_s)),
-        color=Ink.TEXT.sentinel,
-        linewidth=0.6,
-        alpha=0.45,
-    )
+    ups = np.tile([0.0, 1.0, np.nan], len(asked_s))
+    backdrop.line(np.repeat(asked_s, 3), ups, Ink.TEXT, width=0.6, opacity=0.45)
     labelled: dict[float, list[str]] = {}
     for number, evaluation in enumerate(run.evaluations, start=1):
         if evaluation.worst_time_s is None or not np.isfinite(evaluation.worst_time_s):
             continue
         violated = evaluation.verdict is Verdict.VIOLATED
-        backdrop.axvline(
-            evaluation.worst_time_s,
-            color=Ink.LIMIT.sentinel if violated else Ink.MUTED.sentinel,
-            linewidth=1.8 if violated else 1.0,
-            linestyle="solid" if violated else (0, (1, 2)),
-        )
+        ink, width, dashes = (Ink.LIMIT, 1.8, ()) if violated else (Ink.MUTED, 1.0, (1, 2))
+        backdrop.vline(evaluation.worst_time_s, ink, width=width, dashes=dashes)
         labelled.setdefault(round(evaluation.worst_time_s, 2), []).append(str(number))
-    last_s = -np.inf
+    end_px = -np.inf
     for time_s, numbers in sorted(labelled.items()):
-        if time_s - last_s < 0.035 * backdrop.get_xlim()[1]:
+        words = ",".join(numbers)
+        place_px, half_px = backdrop.x.at(time_s), 0.5 * text_px(words)
+        if place_px - half_px < end_px:
             continue  # no room for another number; the table above has every moment
-        backdrop.annotate(
-            ",".join(numbers),
-            (time_s, 1.0),
-            xytext=(0, 4),
-            textcoords="offset points",
-            ha="center",
-            va="bottom",
-            annotation_clip=False,
-        )
-        last_s = time_s
+        backdrop.text(words, time_s, Share(1.0), shift=(0.0, -6.0), anchor="middle")
+        end_px = place_px + half_px
 
 
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
@@ -206,25 +175,18 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     for lane, mode in enumerate(Mode):
         found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
-        axes.broken_barh(found, (lane - 0.28, 0.56), facecolor=MODE_INK[mode].sentinel, edgecolor="none")
+        axes.bars(found, (lane - 0.28, lane + 0.28), MODE_INK[mode])
     _mark_decisions(axes, trace)
     lanes = [*MODE_WORDS.values(), "decisions"]
     if trace.scenario.faults:
         acted = spans(trace.time_s, trace.ticks["faults"] != 0, ticks_end_s, COLUMNS)
-        axes.broken_barh(acted, (FAULT_LANE - 0.28, 0.56), facecolor=Ink.LIMIT.sentinel, edgecolor="none")
+        axes.bars(acted, (FAULT_LANE - 0.28, FAULT_LANE + 0.28), Ink.LIMIT)
         lanes.append("faults")
-    axes.set_yticks(range(len(lanes)), lanes)
-    axes.set_ylim(-0.6, len(lanes) - 0.4)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
+    axes.y.ticks = list(enumerate(lanes))
+    axes.y.show(-0.6, len(lanes) - 0.4)
+    axes.y.line = False
     if not trace.complete:
-        axes.annotate(
-            f"ended: {plain(trace.ended)}",
-            (min(ticks_end_s, 0.8 * end_s), 0.0),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="center",
-        )
+        axes.text(f"ended: {plain(trace.ended)}", min(ticks_end_s, 0.8 * end_s), 0.0, shift=(6.0, 4.0))
 
 
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
@@ -233,16 +195,8 @@ def _mark_decisions(axes: Axes, trace: Trace) -> None:
     marks = [(decisions["outcome"] == outcome, mark) for outcome, mark in OUTCOME_MARKER.items()]
     for these, (shape, size, fill, edge, width) in [*marks, (decisions["fault"] != "", FAULT_MARKER)]:
         times = decisions["time_s"][these]
-        axes.plot(
-            times,
-            np.full(len(times), DECISION_LANE),
-            linestyle="none",
-            marker=shape,
-            markersize=size,
-            markerfacecolor=fill,
-            markeredgecolor=edge,
-            markeredgewidth=width,
-        )
+        lane = np.full(len(times), DECISION_LANE)
+        axes.marks(times, lane, shape, size, fill=fill, edge=edge, width=width)
 
 
 def distance_panel(axes: Axes, run: JudgedRun) -> None:
@@ -257,15 +211,15 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
             name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
             lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
     _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
-    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
+    axes.y.hold(0.0)
     _limit_lines(axes, _claimed(run, claimed_hand_distance_m))
 
 
 def predicted_panel(axes: Axes, trace: Trace) -> None:
     """The nearest predicted hand's centre to the TCP, with the distance at which the arm gives way."""
     values = trace.ticks["predicted_distance_m"] * MM
-    _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, "solid")])
-    axes.set_ylim(bottom=min(axes.get_ylim()[0], 0.0))
+    _panel(axes, trace, "Predicted hand to TCP, centre to centre, mm", [("", values, Ink.PREDICTED, ())])
+    axes.y.hold(0.0)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     _limit_lines(axes, [("critical distance", critical_m * MM)])
 
@@ -293,39 +247,29 @@ def sse_panel(axes: Axes, trace: Trace) -> None:
     switch = trace.scenario.settings.servo.gain_switch_sse
     shown = np.append(positive[np.isfinite(positive)], switch)
     if len(shown) > 1:
-        axes.set_yscale("log")
-    _panel(axes, trace, "Squared image error |f \u2212 f*|\u00b2", [("sse", positive, Ink.TCP, "solid")])
-    if len(shown) > 1:
         _whole_decades(axes, float(shown.min()), float(shown.max()))
+    _panel(axes, trace, "Squared image error |f \u2212 f*|\u00b2", [("sse", positive, Ink.TCP, ())])
     _limit_lines(axes, [("gain switch", switch)])
 
 
 def _whole_decades(axes: Axes, least: float, most: float) -> None:
     """A logarithmic axis from decade to decade, so that at least its two ends are labelled."""
-    from matplotlib.ticker import NullFormatter, NullLocator
-
     low = int(np.floor(np.log10(least)))
     high = max(int(np.ceil(np.log10(most))), low + 1)
     step = -(-(high - low) // MOST_DECADES)
-    labelled = list(range(high, low - 1, -step))
-    axes.set_ylim(10.0**low, 10.0**high)
-    axes.set_yticks(
-        [10.0**exponent for exponent in labelled],
-        ["10" + str(exponent).translate(SUPERSCRIPT) for exponent in labelled],
-    )
+    axes.y.log = True
+    axes.y.show(10.0**low, 10.0**high)
+    labelled = range(high, low - 1, -step)
+    axes.y.ticks = [(10.0**one, "10" + str(one).translate(SUPERSCRIPT)) for one in labelled]
     if step == 1:
-        between = [m * 10.0**exponent for exponent in range(low, high) for m in range(2, 10)]
-        axes.set_yticks(between, minor=True)
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    else:
-        axes.yaxis.set_minor_locator(NullLocator())
+        axes.y.minor = [m * 10.0**exponent for exponent in range(low, high) for m in range(2, 10)]
 
 
 def speed_panel(axes: Axes, run: JudgedRun) -> None:
     """The TCP's speed with its limits."""
     trace = run.trace
     speed = trace.ticks["tcp_speed_mps"] * MM
-    _panel(axes, trace, "TCP speed, mm/s", [("TCP", speed, Ink.TCP, "solid")], zero=True)
+    _panel(axes, trace, "TCP speed, mm/s", [("TCP", speed, Ink.TCP, ())], zero=True)
     limit = trace.scenario.settings.motion.max_tcp_speed_mps * MM
     _limit_lines(axes, [("speed limit", limit), *_claimed(run, claimed_tcp_speed_mps)])
 
@@ -352,36 +296,14 @@ def _seen(trace: Trace, name: str) -> Floats:
 
 def _panel(axes: Axes, trace: Trace, title: str, lines: list[Line], *, zero: bool = False) -> None:
     """Title to the left, a key to the right, the curves below."""
-    axes.grid(True)
-    axes.set_title(title, loc="left", fontsize=11, fontweight="bold", pad=8)
+    axes.x.grid = axes.y.grid = True
     if zero:
-        axes.axhline(0.0, color=Ink.MUTED.sentinel, linewidth=0.8)
-    handles = []
-    for name, values, ink, dash in lines:
+        axes.hline(0.0, Ink.MUTED)
+    for name, values, ink, dashes in lines:
         times, kept = keep_extremes(trace.time_s, values, COLUMNS)
-        (handle,) = axes.plot(times, kept, color=ink.sentinel, linewidth=1.5, linestyle=dash)
-        if len(lines) > 1:
-            handles.append((handle, name))
-    if axes.get_yscale() == "linear":
-        axes.locator_params(axis="y", nbins=5)
-        # Each label says its whole value: a common factor in a corner is overlooked.
-        axes.yaxis.set_major_formatter(lambda value, _: with_minus(f"{value + 0.0:g}"))
-    if handles:
-        legend = axes.legend(
-            [handle for handle, _ in handles],
-            [""] * len(handles),
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(handles),
-            frameon=False,
-            borderaxespad=0.0,
-            borderpad=0.1,
-            handlelength=2.6,
-            columnspacing=1.6,
-            handletextpad=0.5,
-        )
-        for text, (_, name) in zip(legend.get_texts(), handles, strict=True):
-            text.set_text(name)  # not given as a label: a leading underscore would hide it
+        axes.line(times, kept, ink, dashes=dashes, name=name if len(lines) > 1 else None)
+    axes.title(title)
+    axes.legend()
 
 
 def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
@@ -393,23 +315,14 @@ def _limit_lines(axes: Axes, limits: list[tuple[str, float]]) -> None:
     for name, value in limits:
         named.setdefault(round(value, 9), []).append(name)
     for value in named:
-        axes.axhline(value, color=Ink.LIMIT.sentinel, linewidth=1.2, linestyle=(0, (4, 3)))
-        low, high = axes.get_ylim()
-        axes.set_ylim(min(low, value), max(high, value))
+        axes.y.hold(value)
+        axes.hline(value, Ink.LIMIT, width=1.2, dashes=(4, 3))
     used: list[tuple[float, float]] = []  # (height in pixels, place along the axis)
     for value, names in named.items():
-        height = float(axes.transData.transform((0.0, value))[1])
+        height = axes.y.at(value)
         right = 1.0
         while any(abs(height - other) < LABEL_PX and right == place for other, place in used):
             right -= 0.25
         used.append((height, right))
-        axes.annotate(
-            f"{' and '.join(names)}: {value:g}",
-            (right, value),
-            xycoords=("axes fraction", "data"),
-            xytext=(-4, 3),
-            textcoords="offset points",
-            ha="right",
-            va="bottom",
-            fontsize=10,
-        )
+        words = f"{' and '.join(names)}: {value:g}"
+        axes.text(words, Share(right), value, shift=(-4.0, -4.0), anchor="end", size=10)

@@ -318,7 +318,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             OpenFinding(text="hand distance never below 50 mm is refuted in 3 strata", place="claim-1"),
             OpenFinding(text="stops within 600 ms was never put to the test", place="claim-5"),
         ),
-        record=Record(rows_sha256=HASH, declaration_sha256="", drawn_with="matplotlib 3.11.2"),
+        record=Record(rows_sha256=HASH, declaration_sha256=""),
         provenance=EvidenceProvenance(
             package_version="0.1.0",
             source_hash="0123456789abcdef",

@@ -22,7 +22,6 @@ from safety_harness.scenario.model import Verdict
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HEAVY = (
-    "matplotlib",
     "scipy.special",
     "scipy.stats",
     "hypothesis",

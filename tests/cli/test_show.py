@@ -14,19 +14,29 @@ from safety_harness.cli.scenario_commands import sample, show
 from safety_harness.cli.show import regions_of
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
-PNG = b"\x89PNG"
 
 
 def test_a_scenario_and_a_space_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [SCENARIOS / "second-hand.yaml", SCENARIOS / "spaces" / "unseen-both.yaml"]
     assert show(files, out=tmp_path, draws=5) == AS_EXPECTED
     out, err = capsys.readouterr()
-    assert out.splitlines() == [str(tmp_path / "second-hand.png"), str(tmp_path / "unseen-both.png")]
-    assert all(Path(line).read_bytes().startswith(PNG) for line in out.splitlines())
+    assert out.splitlines() == [str(tmp_path / "second-hand.svg"), str(tmp_path / "unseen-both.svg")]
+    scenario, space = (Path(line).read_text() for line in out.splitlines())
+    assert "right hand" in scenario  # in the key
+    assert "5 draws." in space
     assert "5 of " in err
 
 
-def test_one_file_may_be_drawn_as_svg_under_a_name_of_its_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["x.png", "x.pdf"])
+def test_a_picture_of_another_kind_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert show([SCENARIOS / "second-hand.yaml"], out=tmp_path / name) == BAD_INPUT
+    assert "a folder, or a file.svg" in capsys.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
+def test_one_file_may_be_drawn_under_a_name_of_its_own(tmp_path: Path) -> None:
     assert show([SCENARIOS / "second-hand.yaml"], out=tmp_path / "my.svg") == AS_EXPECTED
     assert "<svg" in (tmp_path / "my.svg").read_text()
 
@@ -38,7 +48,7 @@ def test_a_file_that_cannot_be_read_is_bad_input(tmp_path: Path, capsys: pytest.
 
 def test_a_place_that_cannot_be_written_is_an_error_and_no_traceback(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    assert show([SCENARIOS / "second-hand.yaml"], out=tmp_path / "file" / "x.png") == BAD_INPUT
+    assert show([SCENARIOS / "second-hand.yaml"], out=tmp_path / "file" / "x.svg") == BAD_INPUT
 
 
 def test_the_preview_begins_where_the_scenario_does() -> None:
@@ -84,4 +94,4 @@ def test_a_count_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
 
 def test_each_scenario_of_a_matrix_has_its_picture(tmp_path: Path) -> None:
     assert show([SCENARIOS / "every-avoider.yaml"], out=tmp_path) == AS_EXPECTED
-    assert len(list(tmp_path.glob("every-avoider*.png"))) == 7
+    assert len(list(tmp_path.glob("every-avoider*.svg"))) == 7

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -306,12 +304,6 @@ def test_the_footer_says_that_it_is_no_certificate(full: Node) -> None:
     footer = full.all("footer")[0].text
     for expected in ("simulated", "no certificate", "contact forces", "fingers", "real sensors"):
         assert expected in footer
-
-
-def test_importing_the_report_does_not_import_matplotlib() -> None:
-    code = "import sys, safety_harness.report.html; print('matplotlib' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
 
 
 def test_the_defaults_are_the_reference_for_changed_settings() -> None:

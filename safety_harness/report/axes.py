@@ -1,0 +1,463 @@
+"""Plots as SVG in the page's colours: axes with round ticks; on them curves, bars, marks, text and a key.
+
+Nothing is placed before the picture is written, so that axes may grow until then.  Places are pixels of the
+picture, y downwards, with one decimal; what is not finite is a gap.  Curves end at the edges of their axes;
+marks and words whose place is outside are left out.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from safety_harness.report.svg import Floats, Ink, describe
+from safety_harness.report.words import with_minus
+
+FONT_PX = 11.0
+_FAR_PX, _LARGEST = 9e4, 1e300  # what is farther is drawn there
+_ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
+_HALF_DIAGONAL = 0.5 * 2.0**0.5
+_SHAPES = {  # strokes from point to point, in sizes of the mark
+    "x": (((-0.5, -0.5), (0.5, 0.5)), ((-0.5, 0.5), (0.5, -0.5))),
+    "+": (((-0.5, 0.0), (0.5, 0.0)), ((0.0, -0.5), (0.0, 0.5))),
+    "|": (((0.0, -0.5), (0.0, 0.5)),),
+    "s": (((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)),),
+    "D": (((-_HALF_DIAGONAL, 0.0), (0.0, -_HALF_DIAGONAL), (_HALF_DIAGONAL, 0.0), (0.0, _HALF_DIAGONAL)),),
+    "v": (((-0.5, -0.5), (0.5, -0.5), (0.0, 0.5)),),
+    "<": (((0.5, -0.5), (0.5, 0.5), (-0.5, 0.0)),),
+    "X": (
+        tuple(
+            (sign * x, sign * y)
+            for sign in (1.0, -1.0)
+            for x, y in ((-0.25, -0.5), (0.0, -0.25), (0.25, -0.5), (0.5, -0.25), (0.25, 0.0), (0.5, 0.25))
+        ),
+    ),
+}
+Key = Callable[[Element, float, float], None]  # draws a sample about a place (x, y) [px]
+
+
+class Share(float):
+    """A place along an axis as a share of its length, not a value on it."""
+
+
+@dataclass
+class Axis:
+    """One direction of axes; without ``ticks`` (value, label) at most ``steps`` round ones."""
+
+    start_px: float
+    length_px: float  # negative: upwards
+    label: str = ""
+    grid: bool = False
+    line: bool = True  # with ticks
+    labelled: bool = True
+    log: bool = False
+    steps: int = 5
+    margin: float = 0.05  # beyond what is drawn, as a share of that
+    ticks: Sequence[tuple[float, str]] | None = None
+    minor: Sequence[float] = ()
+    _seen: tuple[float, float] = (np.inf, -np.inf)
+    _shown: tuple[float, float] | None = None
+
+    def see(self, values: ArrayLike) -> Floats:
+        """``values`` (n,), which are in view unless ``show`` says otherwise."""
+        found = np.asarray(values, dtype=np.float64)
+        finite = np.clip(found[np.isfinite(found)], -_LARGEST, _LARGEST)
+        low, high = self._seen
+        self._seen = float(finite.min(initial=low)), float(finite.max(initial=high))
+        return found
+
+    def show(self, low: float, high: float) -> None:
+        """From where to where values are in view."""
+        self._shown = low, high
+
+    def hold(self, value: float) -> None:
+        """Let the view grow to ``value``, without a margin."""
+        low, high = self.view()
+        self.show(min(low, value), max(high, value))
+
+    def view(self) -> tuple[float, float]:
+        """From where to where values are in view, as things stand."""
+        if self._shown is not None:
+            return self._shown
+        low, high = self._seen
+        if low > high:
+            return 0.0, 1.0
+        size = max(abs(low), abs(high))
+        pad = self.margin * (high - low) if high - low > 1e-12 * size else 0.05 * size or 0.05
+        return low - pad, high + pad
+
+    def place(self, values: ArrayLike) -> Floats:
+        """Where values (n,) are [px]."""
+        found, ends = np.asarray(values, dtype=np.float64), np.array(self.view())
+        if self.log:
+            found, ends = np.log10(np.where(found > 0.0, found, np.nan)), np.log10(ends)
+        places: Floats = self.start_px + self.length_px * (found - ends[0]) / (ends[1] - ends[0])
+        return places
+
+    def at(self, value: float) -> float:
+        """Where one value, or a share of the axis, is [px]."""
+        if isinstance(value, Share):
+            return self.start_px + self.length_px * value
+        return float(self.place([value])[0])
+
+    def ends_px(self) -> Floats:
+        """Where it starts and ends (2,)."""
+        return np.array([self.start_px, self.start_px + self.length_px])
+
+    def has(self, place_px: float) -> bool:
+        """Is a place on it, to a pixel?"""
+        low, high = sorted(self.ends_px())
+        return bool(low - 1.0 <= place_px <= high + 1.0)
+
+    def labels(self) -> list[tuple[float, str]]:
+        """(place [px], words) of each tick in view."""
+        ticks = self.ticks
+        if ticks is None:
+            found = round_values(min(self.view()), max(self.view()), self.steps)
+            ticks = [(value, with_minus(f"{value:g}")) for value in found]
+        return [(self.at(value), words) for value, words in ticks if self.has(self.at(value))]
+
+
+def round_values(low: float, high: float, steps: int) -> list[float]:
+    """The multiples of a round number from ``low`` to ``high``, at most ``steps`` of it apart."""
+    least = max((high - low) / steps, 1e-300)
+    power = 10.0 ** np.floor(np.log10(least))
+    step = next(power * one for one in _ROUND if power * one >= least * (1.0 - 1e-9))
+    first, last = np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9)
+    return [float(f"{k * step:.12g}") + 0.0 for k in np.arange(first, last + 1.0)]
+
+
+def stairs(x: ArrayLike, y: ArrayLike) -> tuple[Floats, Floats]:
+    """The curve that keeps each of ``y`` (n,) until the next of ``x`` (n,)."""
+    return np.repeat(np.asarray(x, np.float64), 2)[1:], np.repeat(np.asarray(y, np.float64), 2)[:-1]
+
+
+@dataclass
+class Axes:
+    """A rectangle in which ``x`` goes to the right and ``y`` upwards."""
+
+    x: Axis
+    y: Axis
+    _items: list[Callable[[Element, str], None]] = field(default_factory=list)
+    _above: list[Callable[[Element, str], None]] = field(default_factory=list)  # drawn last
+    _keys: list[tuple[str, Key]] = field(default_factory=list)
+
+    def line(
+        self,
+        x: ArrayLike,  # (n,)
+        y: ArrayLike,  # (n,)
+        ink: Ink,
+        *,
+        width: float = 1.5,
+        dashes: Sequence[float] = (),  # in widths
+        opacity: float = 1.0,
+        name: str | None = None,  # in the key
+    ) -> None:
+        """A curve."""
+        across, up = self.x.see(x), self.y.see(y)
+        self._stroke(lambda: (self.x.place(across), self.y.place(up)), ink, width, dashes, opacity, name)
+
+    def hline(self, y: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
+        """A line all across."""
+        self.y.see([y])
+        self._stroke(lambda: (self.x.ends_px(), self.y.place([y, y])), ink, width, dashes)
+
+    def vline(self, x: float, ink: Ink, *, width: float = 0.8, dashes: Sequence[float] = ()) -> None:
+        """A line all the way up."""
+        self.x.see([x])
+        self._stroke(lambda: (self.x.place([x, x]), self.y.ends_px()), ink, width, dashes)
+
+    def _stroke(
+        self,
+        places: Callable[[], tuple[Floats, Floats]],
+        ink: Ink,
+        width: float,
+        dashes: Sequence[float],
+        opacity: float = 1.0,
+        name: str | None = None,
+    ) -> None:
+        style = _style(None, ink, width, opacity)
+        style |= (
+            {"stroke-dasharray": " ".join(f"{width * one:g}" for one in dashes)}
+            if dashes
+            else {"stroke-linecap": "round"}
+        )
+        self._items.append(lambda root, clip: _path(root, _strokes(*places()), style | {"clip-path": clip}))
+        if name is not None:
+            self._keys.append((name, lambda root, x, y: _path(root, f"M{x - 13:g} {y:g}h26", style)))
+
+    def area(
+        self,
+        x: ArrayLike,  # (n,)
+        y: ArrayLike,  # (n,)
+        fill: Ink | None,
+        *,
+        opacity: float = 1.0,
+        edge: Ink | None = None,
+        width: float = 1.8,
+    ) -> None:
+        """What an outline encloses."""
+        across, up = self.x.see(x), self.y.see(y)
+        style = _style(fill, edge, width, opacity)
+
+        def draw(root: Element, clip: str) -> None:
+            drawn = _strokes(self.x.place(across), self.y.place(up), closed=True)
+            _path(root, drawn, style | {"clip-path": clip})
+
+        self._items.append(draw)
+
+    def bars(
+        self,
+        spans: Iterable[tuple[float, float]],
+        y: tuple[float, float],
+        ink: Ink,
+        *,
+        opacity: float = 1.0,
+        hatched: bool = False,
+    ) -> None:
+        """Rectangles from x to x + length between two heights."""
+        corners = [([x, x + length, x + length, x], [y[0], y[0], y[1], y[1]]) for x, length in spans]
+        self.y.see(y)
+        style = _style(ink, None, 0.0, opacity)
+
+        def draw(root: Element, clip: str) -> None:
+            if hatched:
+                name = clip[5:-1] + "hatch"
+                size = {"width": "7", "height": "7", "patternUnits": "userSpaceOnUse"}
+                turn = {"id": name, "patternTransform": "rotate(45)"}
+                _path(SubElement(root, "pattern", size | turn), "M0 0v7", _style(None, ink, 1.0, 1.0))
+                style["fill"] = f"url(#{name})"
+            drawn = "".join(_strokes(self.x.place(a), self.y.place(b), closed=True) for a, b in corners)
+            _path(root, drawn, style | {"clip-path": clip})
+
+        self._items.append(draw)
+
+    def marks(
+        self,
+        x: ArrayLike,  # (n,)
+        y: ArrayLike,  # (n,)
+        shape: str,  # o, or one of _SHAPES
+        size: float,  # px
+        *,
+        fill: Ink | None = None,
+        edge: Ink | None = None,
+        width: float = 0.8,
+        opacity: float = 1.0,
+        name: str | None = None,  # in the key
+    ) -> None:
+        """A mark at each place."""
+        across, up = self.x.see(x), self.y.see(y)
+        style = _style(fill, edge, width, opacity)
+
+        def draw(root: Element, _: str) -> None:
+            places = zip(self.x.place(across).tolist(), self.y.place(up).tolist(), strict=True)
+            shown = [place for place in places if self.x.has(place[0]) and self.y.has(place[1])]
+            _path(root, "".join(_mark(shape, size, *place) for place in shown), style)
+
+        self._items.append(draw)
+        if name is not None:
+            self._keys.append((name, lambda root, x, y: _path(root, _mark(shape, size, x, y), style)))
+
+    def key(self, name: str, ink: Ink) -> None:
+        """A line of the key for what has no name where it is drawn: a coloured box."""
+        self._keys.append(
+            (name, lambda root, x, y: _path(root, f"M{x - 9:g} {y - 4:g}h18v8h-18z", _style(ink)))
+        )
+
+    def text(
+        self,
+        words: str,
+        x: float,
+        y: float,
+        *,
+        shift: tuple[float, float] = (0.0, 0.0),  # px to the right, and down to the base line
+        anchor: str = "start",
+        ink: Ink = Ink.TEXT,
+        size: float = FONT_PX,
+    ) -> None:
+        """Words at a place, each coordinate a value or a ``Share``."""
+
+        def draw(root: Element, _: str) -> None:
+            place = self.x.at(x), self.y.at(y)
+            if self.x.has(place[0]) and self.y.has(place[1]):
+                at = place[0] + shift[0], place[1] + shift[1]
+                _text(root, words, *at, anchor=anchor, ink=ink, size=size)
+
+        self._items.append(draw)
+
+    def title(
+        self, words: str, *, anchor: str = "start", up: float = 8.0, bold: bool = True, ink: Ink = Ink.TEXT
+    ) -> None:
+        """Words above the axes, which start or end with them."""
+
+        def draw(root: Element, _: str) -> None:
+            x, y = self.x.ends_px()[int(anchor == "end")], self.y.ends_px()[1] - up
+            _text(root, words, x, y, anchor=anchor, ink=ink, bold=bold)
+
+        self._above.append(draw)
+
+    def legend(self, *, anchor: str = "end", inside: bool = False) -> None:
+        """What each name means: a row above that starts or ends with the axes, or a list in a corner."""
+
+        def draw(root: Element, _: str) -> None:
+            widths = [44.0 + text_px(name) for name, _ in self._keys]
+            left, right = self.x.ends_px()
+            bottom, top = self.y.ends_px()
+            x = left if anchor == "start" else right - (max(widths) if inside else sum(widths)) + 12.0
+            y = bottom + 4.0 - 17.0 * len(widths) if inside else top - 8.0
+            for (name, key), width in zip(self._keys, widths, strict=True):
+                key(root, x + 13.0, y - 4.0)
+                _text(root, name, x + 31.0, y, anchor="start")
+                x, y = (x, y + 17.0) if inside else (x + width, y)
+
+        if self._keys:
+            self._above.append(draw)
+
+    def fit(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Show at least the rectangle from ``low`` to ``high`` (2,), at the same scale in both directions."""
+        room_px = np.abs([self.x.length_px, self.y.length_px])
+        low, high = np.asarray(low), np.asarray(high)
+        half = 0.5 * room_px * float(np.max((high - low) / room_px))
+        for axis, centre, size in zip((self.x, self.y), 0.5 * (low + high), half, strict=True):
+            axis.show(centre - size, centre + size)
+
+    def draw(self, root: Element, clip: str) -> None:
+        """All of it; ``clip`` is the id that what is within its edges has."""
+        (left, right), (bottom, top) = self.x.ends_px(), self.y.ends_px()
+        edges = np.array([left - 1.0, right + 1.0, right + 1.0, left - 1.0])
+        heights = np.array([bottom + 1.0, bottom + 1.0, top - 1.0, top - 1.0])
+        _path(SubElement(root, "clipPath", {"id": clip}), _strokes(edges, heights, closed=True), {})
+        for axis in (self.x, self.y):
+            if axis.grid:
+                lines = [self._along(axis, at, top - bottom, right - left) for at, _ in axis.labels()]
+                _path(root, "".join(lines), _style(None, Ink.GRID))
+        for axis in (self.x, self.y):
+            if axis.line:
+                line = f"M{left:g} {bottom:g}" + (f"H{right:g}" if axis is self.x else f"V{top:g}")
+                line += "".join(self._along(axis, at, 3.0, -3.0) for at, _ in axis.labels())
+                line += "".join(self._along(axis, axis.at(value), 2.0, -2.0) for value in axis.minor)
+                _path(root, line, _style(None, Ink.MUTED))
+        for at, words in self.x.labels() if self.x.labelled else ():
+            _text(root, words, at, bottom + 15.0, anchor="middle", ink=Ink.MUTED)
+        for at, words in self.y.labels() if self.y.labelled else ():
+            _text(root, words, left - 7.0, at + 4.0, anchor="end", ink=Ink.MUTED)
+        _text(root, self.x.label, right, bottom + 32.0, anchor="end", ink=Ink.MUTED)
+        middle = 0.5 * (bottom + top)
+        _text(root, self.y.label, left - 58.0, middle, anchor="middle", ink=Ink.MUTED, turned=True)
+        for item in (*self._items, *self._above):
+            item(root, f"url(#{clip})")
+
+    def _along(self, axis: Axis, at_px: float, down: float, right: float) -> str:
+        """A short line from the edge of the axes at a tick of one of the two."""
+        if axis is self.x:
+            return f"M{_short(at_px)} {_short(self.y.start_px)}v{_short(down)}"
+        return f"M{_short(self.x.start_px)} {_short(at_px)}h{_short(right)}"
+
+
+class Picture:
+    """Axes on a page of some size, in pixels."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.size = width, height
+        self._axes: list[Axes] = []
+
+    def axes(self, left: float, top: float, width: float, height: float) -> Axes:
+        """New axes, drawn on top of the others."""
+        self._axes.append(Axes(Axis(left, width), Axis(top + height, -height)))
+        return self._axes[-1]
+
+    def svg(self, *, prefix: str, title: str, description: str) -> str:
+        """An ``<svg>`` element for a page, or ``standalone``; every id starts with ``prefix``.
+
+        ``title`` and ``description`` are what a screen reader says.
+        """
+        width, height = (f"{one:g}" for one in self.size)
+        size = {"width": width, "height": height, "viewBox": f"0 0 {width} {height}"}
+        root = Element("svg", size | {"font-size": f"{FONT_PX:g}"})
+        describe(root, prefix=prefix, title=title, description=description)
+        for number, axes in enumerate(self._axes):
+            axes.draw(root, f"{prefix}axes-{number}")
+        return tostring(root, encoding="unicode")
+
+
+def text_px(words: str) -> float:
+    """About how wide words are at ``FONT_PX``; rather wider than they will be."""
+    return FONT_PX * sum(
+        1.0
+        if unicodedata.east_asian_width(letter) in "WF"
+        else 0.9
+        if letter in "mwMW"
+        else 0.35
+        if letter in "ijlt.,:;'|! "
+        else 0.62
+        for letter in words
+    )
+
+
+def _short(number: float) -> str:
+    """A place [px] with one decimal at most."""
+    return f"{round(min(max(number, -_FAR_PX), _FAR_PX), 1) + 0.0:g}"
+
+
+def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
+    """The path through places (n,) [px], broken where one is not finite, without those along a level line."""
+    places = np.round(np.column_stack([x, y]), 1)
+    places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
+    across, up = np.diff(places, axis=0).T
+    along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] >= 0.0)
+    places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
+    good = np.isfinite(places.sum(axis=1))
+    drawn = []
+    for run in np.split(np.arange(len(good)), np.flatnonzero(np.diff(good)) + 1):
+        if len(run) and good[run[0]]:
+            words = "M" + " ".join([f"{a:g} {b:g}" for a, b in places[run].tolist()])
+            drawn.append(words + ("z" if closed else "h0" if len(run) == 1 else ""))
+    return "".join(drawn)
+
+
+def _mark(shape: str, size: float, x: float, y: float) -> str:
+    if shape == "o":
+        r = f"{0.5 * size:g}"
+        return f"M{_short(x - 0.5 * size)} {_short(y)}a{r} {r} 0 1 0 {size:g} 0a{r} {r} 0 1 0 {-size:g} 0z"
+    strokes = (np.array(stroke) * size + [x, y] for stroke in _SHAPES[shape])
+    return "".join(_strokes(stroke[:, 0], stroke[:, 1], closed=True) for stroke in strokes)
+
+
+def _style(
+    fill: Ink | None = None, edge: Ink | None = None, width: float = 0.8, opacity: float = 1.0
+) -> dict[str, str]:
+    style = {"fill": "none" if fill is None else f"var({fill.variable})"}
+    if edge is not None:
+        style |= {"stroke": f"var({edge.variable})", "stroke-width": f"{width:g}"}
+    return style | ({"opacity": f"{opacity:g}"} if opacity < 1.0 else {})
+
+
+def _path(root: Element, drawn: str, style: dict[str, str]) -> None:
+    if drawn:
+        SubElement(root, "path", {"d": drawn} | style)
+
+
+def _text(
+    root: Element,
+    words: str,
+    x: float,
+    y: float,
+    *,
+    anchor: str,
+    ink: Ink = Ink.TEXT,
+    size: float = FONT_PX,
+    bold: bool = False,
+    turned: bool = False,
+) -> None:
+    if not words:
+        return
+    attributes = {"x": _short(x), "y": _short(y), "fill": f"var({ink.variable})", "text-anchor": anchor}
+    attributes |= {"font-size": f"{size:g}"} if size != FONT_PX else {}
+    attributes |= {"font-weight": "bold"} if bold else {}
+    attributes |= {"transform": f"rotate(-90 {_short(x)} {_short(y)})"} if turned else {}
+    SubElement(root, "text", attributes).text = words
