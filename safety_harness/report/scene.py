@@ -20,7 +20,7 @@ Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the
 
 # Okabe and Ito's colours, safe for colour-blind readers.
 TCP, OBJECT, REGION = "#0072b2", "#009e73", "#cc79a7"
-HANDS = ("#d55e00", "#e69f00")
+HANDS = ("#d55e00", "#e69f00", "#5b7f00", "#3f51b5", "#8a4b2a", "#c2185b", "#00838f", "#455a64")
 ARM, TEXT = "#bbbbbb", "#333333"
 
 

@@ -24,6 +24,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.scenario.model import MAX_HANDS
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -62,6 +64,12 @@ class Ink(Enum):
     OBJECT = 17
     CHOSEN = 18
     SERVOING = 19
+    HAND_3 = 20
+    HAND_4 = 21
+    HAND_5 = 22
+    HAND_6 = 23
+    HAND_7 = 24
+    HAND_8 = 25
 
     @property
     def sentinel(self) -> str:
@@ -75,7 +83,7 @@ class Ink(Enum):
 
 
 BY_SENTINEL = {ink.sentinel: f"var({ink.variable})" for ink in Ink}
-HANDS = (Ink.HAND_1, Ink.HAND_2)
+HANDS = tuple(Ink[f"HAND_{number}"] for number in range(1, MAX_HANDS + 1))
 DASHES: tuple[Any, ...] = (
     "solid",
     (0, (6, 2)),
