@@ -19,11 +19,13 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.simulation.simulate import Episode, simulate_many
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.space.read import read_space
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.records import TICK, TRACKS_PER_HAND, tick_dtype
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
 
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 DISTANCE = "hand distance never below 50 mm"
 CLAIMS = (
     DISTANCE,
@@ -154,3 +156,16 @@ def test_a_ninth_hand_is_refused_in_a_file_and_in_python() -> None:
         parse_scenario(write_scenario(nine), Path("nine.yaml"))
     with pytest.raises(ScenarioError, match="hands: expected at most 8 hands; got 9"):
         admit(nine)
+
+
+def test_a_space_may_have_more_than_two_hands(tmp_path: Path) -> None:
+    text = (SCENARIOS / "spaces" / "reaching-hands.yaml").read_text()
+    third = """  - hand: third hand
+    starts at: {box: [[1300 mm, -200 mm, 100 mm], [1500 mm, 200 mm, 500 mm]]}
+    elbow towards: [1900 mm, 0 mm, 400 mm]
+    moves: []
+"""
+    (tmp_path / "space.yaml").write_text(text.replace("claims:\n", f"{third}claims:\n"))
+    drawn = read_space(tmp_path / "space.yaml").draw(1, 0)
+    assert [one.name for one in drawn.hands] == ["reaching hand", "resting hand", "third hand"]
+    assert tried(drawn).ticks["hand_present"].sum(axis=1).tolist() == [3] * (drawn.ticks + 1)
