@@ -18,6 +18,7 @@ from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
 MOST_TRIED = 625  # pairings: all that there are of four boxes and four tracks
+FARTHEST_PX = 1e9  # of a box from its track, where the gate sets no bound
 
 
 def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
@@ -210,7 +211,7 @@ def _assign_many(
     Every box may have a column of its own at ``gate_px`` beside the tracks; columns and boxes count from 1.
     """
     count, slots = distance.shape
-    size = slots + count + 1
+    size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
     box_price, column_price = np.zeros(count + 1), np.zeros(size)
     box_of, before = np.zeros(size, np.int64), np.zeros(size, np.int64)
     for box in range(1, count + 1):
@@ -222,10 +223,10 @@ def _assign_many(
             for k in range(1, size):
                 if done[k]:
                     continue
-                cost = gate_px
+                cost = gate
                 if k <= slots:
-                    close = distance[one - 1, k - 1] <= gate_px
-                    cost = distance[one - 1, k - 1] if close else 2.0 * gate_px  # dearer than its own
+                    close = distance[one - 1, k - 1] <= gate
+                    cost = distance[one - 1, k - 1] if close else 2.0 * gate  # dearer than its own
                 cost -= box_price[one] + column_price[k]
                 if cost < least[k]:
                     least[k], before[k] = cost, column

@@ -54,11 +54,10 @@ class TrueMotion:
 def true_motion(trace: Trace) -> TrueMotion:
     """The true motion of arm and hands in a trace: views of its ticks, for copies would take longer."""
     ticks = trace.ticks
-    of = columns(ticks.dtype)
-    start, between = of["hand_position_in_base_m"].start, of["elbow_position_in_base_m"]
-    assert of["hand_position_in_base_m"].stop == between.start
-    shape = (-1, 2, *ticks["hand_position_in_base_m"].shape[1:])
-    hands_and_elbows = as_numbers(ticks)[:, start : between.stop].reshape(shape)
+    hands, elbows = (columns(ticks.dtype)[f"{which}_position_in_base_m"] for which in ("hand", "elbow"))
+    assert hands.stop == elbows.start
+    slots = ticks["hand_present"].shape[1]
+    hands_and_elbows = as_numbers(ticks)[:, hands.start : elbows.stop].reshape(-1, 2, slots, 3)
     return TrueMotion(
         joints_rad=ticks["joint_position_rad"],
         rates_radps=ticks["joint_velocity_radps"],

@@ -95,6 +95,17 @@ def test_boxes_and_tracks_are_paired_at_the_globally_least_distance(seed: int, h
         assert total == pytest.approx(padded[linear_sum_assignment(padded)].sum())
 
 
+@pytest.mark.parametrize("gate_px", [np.inf, np.nan])
+def test_without_a_bound_eight_boxes_find_their_tracks_all_the_same(gate_px: float) -> None:
+    tracks, places = no_tracks(8), np.arange(8) * 1000.0
+    parameters = PARAMETERS.copy()
+    parameters["gate_px"] = gate_px
+    for _ in range(2):
+        boxes, count = frame(*(box_at(u, 100.0) for u in places))
+        assert advance_tracks(tracks, boxes, count, 0.0, parameters)
+    assert sorted(tracks["mean"][:8, 0]) == sorted(places)
+
+
 def test_a_box_beyond_the_gate_is_another_hand() -> None:
     tracks = no_tracks()
     advance(tracks, 0.0, box_at(100, 100))
