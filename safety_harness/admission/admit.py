@@ -72,6 +72,7 @@ class Admitted(Checked):
             () if recorded is None else recorded_late(recorded),
             fault_table(scenario.faults),
             times_s,
+            scenario.hand_slots,
         )
 
 

@@ -39,10 +39,11 @@ from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.fault_table import fault_table
+from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, TICK_COMPILED, DecisionOutcome
+from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, DecisionOutcome, as_compiled
 
 
 class Controller(Protocol):
@@ -77,6 +78,7 @@ class AvoidingServo:
     that name makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
     the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
     says which decisions of an old trace came too late by the wall's clock, and in which words.
+    ``hand_slots`` is the scenario's.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class AvoidingServo:
         recorded_late: Sequence[str] = (),
         faults: NDArray[np.void] | None = None,
         decision_times_s: NDArray[np.float64] = NOTHING,
+        hand_slots: int = HAND_SLOTS[0],
     ) -> None:
         self.name = avoider.name
         self.avoider = avoider
@@ -97,11 +100,11 @@ class AvoidingServo:
         fixed = _fixed(settings, arm, view)
         self.records = ControllerRecords(
             FilterRecords(fixed[1].copy()),
-            TrackRecords(no_tracks()),
+            TrackRecords(no_tracks(hand_slots)),
             FaultRecords(fault_table(()) if faults is None else faults),
             decision_times_s.copy(),
             ParameterRecords(fixed[0].copy()),
-            StateRecords(initial_state()),
+            StateRecords(initial_state(hand_slots)),
             QuestionRecords(np.zeros(1, QUESTION)),
             CommandRecords(np.zeros(1, COMMAND)),
             AnswerRecords(np.zeros(1, ANSWER)),
@@ -129,7 +132,7 @@ class AvoidingServo:
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Copy what the stack knows into the trace's record of this tick.  ``tick`` (1,) TICK."""
-        report(*self.records[5:8], tick.view(TICK_COMPILED))
+        report(*self.records[5:8], as_compiled(tick))
 
     @property
     def decisions(self) -> NDArray[np.void]:

@@ -65,7 +65,7 @@ class ControllerRecords(NamedTuple):
     """
 
     filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
-    tracks: TrackRecords  # (MAX_TRACKS,) TRACK
+    tracks: TrackRecords  # (tracks,) TRACK
     faults: FaultRecords  # (n,) FAULT
     decision_times_s: NDArray[np.float64]  # (n,) of a question of each tick, as ``decision_times`` has it
     parameters: ParameterRecords  # (1,) PARAMETERS
@@ -177,7 +177,7 @@ def act(
 def report(
     states: StateRecords, questions: QuestionRecords, commands: CommandRecords, ticks: Records
 ) -> None:
-    """Write what was perceived and decided into the trace's record of this tick, (1,) TICK_COMPILED."""
+    """Write what was perceived and decided into the trace's record of this tick, (1,) ``as_compiled``."""
     s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
     tick.object_visible = s.object_visible
     tick.sse = s.sse

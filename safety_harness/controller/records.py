@@ -1,24 +1,25 @@
 """The records that the compiled control stack reads and writes.
 
-``PARAMETERS`` never change in a run; ``STATE`` is all that one episode remembers; ``OBSERVATION``
+``PARAMETERS`` never change in a run; STATE is all that one episode remembers; OBSERVATION
 goes in, ``ANSWER`` comes back from a decision, ``COMMAND`` goes out.  Many episodes are many
 elements of an array of each.
 """
 
 from __future__ import annotations
 
-from typing import NewType
+from functools import lru_cache
+from typing import Any, NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.description import CHAIN, ArmModel
+from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.servoing.control import DesiredView, choice_code
 from safety_harness.settings import HandSensorKind, ObjectKind, Settings
-from safety_harness.trace.records import MAX_TRACKS
+from safety_harness.trace.records import TRACKS_PER_HAND
 
 PARAMETERS = np.dtype(
     [
@@ -54,56 +55,67 @@ PARAMETERS = np.dtype(
     align=True,
 )
 
-STATE = np.dtype(
-    [
-        ("mode", np.int64),
-        ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
-        ("link_transforms", np.float64, (8, 4, 4)),
-        # the image of the object, as last delivered
-        ("object_visible", np.bool_),
-        ("moments", np.float64, (MOMENT_COUNT,)),
-        ("features", np.float64, (6,)),
-        ("feature_error", np.float64, (6,)),
-        ("sse", np.float64),
-        # the hands, as predicted
-        ("track_valid", np.uint8, (MAX_TRACKS,)),  # booleans; compiled code cannot nest their arrays
-        ("predicted_hand_in_base_m", np.float64, (MAX_TRACKS, 3)),
-        ("predicted_distance_m", np.float64),
-        ("nearest_track", np.int64),
-        ("known_track_ids", np.int64, (MAX_TRACKS,)),  # inside the distance at the last decision
-        # what is going on
-        ("trigger", np.int64),
-        ("decision_pending", np.bool_),
-        ("target_in_base_m", np.float64, (3,)),
-        ("clear_since_s", np.float64),  # since when no hand has been within the distance
-        ("previous_twist_in_base", np.float64, (6,)),
-        ("gain", np.float64),
-        ("camera_twist", np.float64, (6,)),
-        ("limits", np.int64),
-        # what a tick works with
-        ("jacobian", np.float64, (6, 6)),
-        ("wanted_twist_in_base", np.float64, (6,)),
-        ("twist_in_base", np.float64, (6,)),
-        ("transform_sensor_to_base", np.float64, (4, 4)),
-    ],
-    align=True,
-)
 
-OBSERVATION = np.dtype(
-    [
-        ("time_s", np.float64),
-        ("joint_position_rad", np.float64, (6,)),
-        ("joint_velocity_radps", np.float64, (6,)),
-        ("image_new", np.bool_),
-        ("object_visible", np.bool_),
-        ("moments", np.float64, (MOMENT_COUNT,)),
-        ("boxes_new", np.bool_),
-        ("boxes_time_s", np.float64),
-        ("box_count", np.int64),
-        ("boxes", np.float64, (MAX_DETECTIONS, 5)),
-    ],
-    align=True,
-)
+@lru_cache
+def state_dtype(hands: int) -> np.dtype[Any]:
+    """STATE of a controller that tracks TRACKS_PER_HAND times so many hands."""
+    tracks = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("mode", np.int64),
+            ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
+            ("link_transforms", np.float64, (8, 4, 4)),
+            # the image of the object, as last delivered
+            ("object_visible", np.bool_),
+            ("moments", np.float64, (MOMENT_COUNT,)),
+            ("features", np.float64, (6,)),
+            ("feature_error", np.float64, (6,)),
+            ("sse", np.float64),
+            # the hands, as predicted
+            ("track_valid", np.uint8, (tracks,)),  # booleans; compiled code cannot nest their arrays
+            ("predicted_hand_in_base_m", np.float64, (tracks, 3)),
+            ("predicted_distance_m", np.float64),
+            ("nearest_track", np.int64),
+            ("known_track_ids", np.int64, (tracks,)),  # inside the distance at the last decision
+            # what is going on
+            ("trigger", np.int64),
+            ("decision_pending", np.bool_),
+            ("target_in_base_m", np.float64, (3,)),
+            ("clear_since_s", np.float64),  # since when no hand has been within the distance
+            ("previous_twist_in_base", np.float64, (6,)),
+            ("gain", np.float64),
+            ("camera_twist", np.float64, (6,)),
+            ("limits", np.int64),
+            # what a tick works with
+            ("jacobian", np.float64, (6, 6)),
+            ("wanted_twist_in_base", np.float64, (6,)),
+            ("twist_in_base", np.float64, (6,)),
+            ("transform_sensor_to_base", np.float64, (4, 4)),
+        ],
+        align=True,
+    )
+
+
+@lru_cache
+def observation_dtype(hands: int) -> np.dtype[Any]:
+    """OBSERVATION with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    boxes = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("time_s", np.float64),
+            ("joint_position_rad", np.float64, (6,)),
+            ("joint_velocity_radps", np.float64, (6,)),
+            ("image_new", np.bool_),
+            ("object_visible", np.bool_),
+            ("moments", np.float64, (MOMENT_COUNT,)),
+            ("boxes_new", np.bool_),
+            ("boxes_time_s", np.float64),
+            ("box_count", np.int64),
+            ("boxes", np.float64, (boxes, 5)),
+        ],
+        align=True,
+    )
+
 
 ANSWER = np.dtype([("stop", np.bool_), ("position_in_base_m", np.float64, (3,))], align=True)
 
@@ -113,7 +125,7 @@ Records = NDArray[np.void]
 ParameterRecords = NewType("ParameterRecords", Records)  # (1,) PARAMETERS
 FilterRecords = NewType("FilterRecords", Records)  # (1,) FILTER_PARAMETERS
 StateRecords = NewType("StateRecords", Records)  # (1,) STATE
-TrackRecords = NewType("TrackRecords", Records)  # (MAX_TRACKS,) TRACK
+TrackRecords = NewType("TrackRecords", Records)  # (tracks,) TRACK
 ObservationRecords = NewType("ObservationRecords", Records)  # (1,) OBSERVATION
 AnswerRecords = NewType("AnswerRecords", Records)  # (1,) ANSWER
 CommandRecords = NewType("CommandRecords", Records)  # (1,) COMMAND
@@ -150,9 +162,9 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
     return p
 
 
-def initial_state() -> NDArray[np.void]:
+def initial_state(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
     """(1,) STATE before the first observation: nothing seen, nothing known."""
-    s = np.zeros(1, STATE)
+    s = np.zeros(1, state_dtype(hand_slots))
     s["predicted_distance_m"] = np.inf
     s["nearest_track"] = -1
     s["known_track_ids"] = -1

@@ -26,7 +26,7 @@ from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, joint_velocity
 from safety_harness.servoing.features import feature_error, features
-from safety_harness.trace.records import MAX_TRACKS, Limit, Mode, Trigger
+from safety_harness.trace.records import Limit, Mode, Trigger
 
 SERVOING = int(Mode.SERVOING)
 REPULSING = int(Mode.REPULSING)
@@ -45,7 +45,7 @@ def begin_tick(
     parameters: ParameterRecords,  # (1,) PARAMETERS
     filter_parameters: FilterRecords,  # (1,) FILTER_PARAMETERS
     states: StateRecords,  # (1,) STATE
-    tracks: TrackRecords,  # (MAX_TRACKS,) TRACK
+    tracks: TrackRecords,  # (tracks,) TRACK
     observations: ObservationRecords,  # (1,) OBSERVATION
 ) -> bool:
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
@@ -109,7 +109,7 @@ def see_hands(
     )
     s.predicted_distance_m = np.inf
     s.nearest_track = -1
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if s.track_valid[i]:
             distance = way_to_tcp(states, s.predicted_hand_in_base_m[i])
             # a NaN counts as nearest, and nothing is nearer: it must not hide
@@ -181,10 +181,10 @@ def decide_mode(
 def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> bool:
     """Is a hand within the distance that was not there when the last decision was made?"""
     s = states[0]
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if s.track_valid[i] and hand_inside(parameters, states, i):
             known = False
-            for j in range(MAX_TRACKS):
+            for j in range(tracks.shape[0]):
                 known = known or s.known_track_ids[j] == tracks[i].id
             if not known:
                 return True
@@ -195,7 +195,7 @@ def unknown_hand_inside(parameters: ParameterRecords, states: StateRecords, trac
 def remember_hands(parameters: ParameterRecords, states: StateRecords, tracks: TrackRecords) -> None:
     """Note which hands are within the critical distance as a decision is made."""
     s = states[0]
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         within = s.track_valid[i] and hand_inside(parameters, states, i)
         s.known_track_ids[i] = tracks[i].id if within else -1
 

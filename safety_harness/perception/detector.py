@@ -37,7 +37,6 @@ from numpy.typing import NDArray
 from safety_harness.exceptions import SimulationError
 from safety_harness.extras import IMAGES
 from safety_harness.perception.hand_boxes import BOX_LENGTH
-from safety_harness.perception.tracking import MAX_DETECTIONS
 
 # What the simulator paints.  Hues (OpenCV's scale of 0 to 179): hand 12, sleeve 113.
 HAND_COLOUR_RGBA = (0.87, 0.67, 0.53, 1.0)
@@ -92,12 +91,15 @@ class SkinColourDetector:
     A hand that something narrow crosses comes out as two boxes: one hand too many, not one too few.
     """
 
+    def __init__(self, most: int = 4) -> None:
+        self._most = most
+
     def detect(
         self,
         colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
         depth_m: NDArray[np.float64],  # (h, w) [m]
-    ) -> NDArray[np.float64]:  # (k, 5), k <= MAX_DETECTIONS
-        """Return the boxes of the largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
+    ) -> NDArray[np.float64]:  # (k, 5)
+        """Return the boxes of the ``most`` largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
 
         Largest first; areas without any known depth are left out.  The depth is the median over
         the nine pixels of the area with a known depth that are nearest to the box's centre: the
@@ -110,7 +112,7 @@ class SkinColourDetector:
         area = statistics[:, cv2.CC_STAT_AREA]
         boxes: list[tuple[float, float, float, float, float]] = []
         for label in sorted(range(1, count), key=lambda k: (-area[k], k)):
-            if area[label] < MINIMUM_AREA_PX or len(boxes) == MAX_DETECTIONS:
+            if area[label] < MINIMUM_AREA_PX or len(boxes) == self._most:
                 break
             left, top, width, height = (int(value) for value in statistics[label, :4])
             u_px, v_px = left + (width - 1) / 2, top + (height - 1) / 2
@@ -136,9 +138,9 @@ def _depth_near(
 
 
 def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
-    """Copy what a detector returned into ``boxes_out`` (MAX_DETECTIONS, 5); return how many.
+    """Copy what a detector returned into ``boxes_out`` (n, 5); return how many.
 
-    Of more than ``MAX_DETECTIONS`` the largest in the image are kept, in the detector's order.
+    Of more than n the largest in the image are kept, in the detector's order.
     Raises ``SimulationError`` if ``boxes`` (k, 5) is not an array of numbers of this shape.
     """
     try:
@@ -147,10 +149,10 @@ def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) 
         raise SimulationError(f"the hand detector did not return an array of numbers: {error}") from error
     if rows.ndim != 2 or rows.shape[1] != BOX_LENGTH:
         raise SimulationError(f"the hand detector has to return boxes (k, 5), not shape {rows.shape}")
-    if len(rows) > MAX_DETECTIONS:
+    if len(rows) > len(boxes_out):
         usable = np.isfinite(rows).all(axis=1) & (rows[:, 2] > 0.0)
         order = np.argsort(np.where(usable, -rows[:, 3], np.inf), kind="stable")
-        rows = rows[np.sort(order[:MAX_DETECTIONS])]
+        rows = rows[np.sort(order[: len(boxes_out)])]
     boxes_out[: len(rows)] = rows
     return len(rows)
 

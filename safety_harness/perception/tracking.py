@@ -14,21 +14,23 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.perception.hand_boxes import BOX_LENGTH, position_from_box
 from safety_harness.perception.hand_filter import TRACK, initialise, predict, update, wait
-from safety_harness.trace.records import MAX_TRACKS
+from safety_harness.scenario.model import HAND_SLOTS
+from safety_harness.trace.records import TRACKS_PER_HAND
 
-MAX_DETECTIONS = 4
+MOST_TRIED = 625  # pairings: all that there are of four boxes and four tracks
+FARTHEST_PX = 1e9  # of a box from its track, where the gate sets no bound
 
 
-def no_tracks() -> NDArray[np.void]:
-    """An array (MAX_TRACKS,) of ``TRACK`` in which nothing is tracked yet."""
-    return np.zeros(MAX_TRACKS, TRACK)
+def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
+    """An array (n,) of ``TRACK``, TRACKS_PER_HAND for each hand, in which nothing is tracked yet."""
+    return np.zeros(TRACKS_PER_HAND * hand_slots, TRACK)
 
 
 @compiled
 def advance_tracks(
-    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK, changed in place
-    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5); only the first ``count`` rows are read
-    count: int,  # 0 .. MAX_DETECTIONS
+    tracks: NDArray[np.void],  # (n,) of TRACK, changed in place
+    boxes: NDArray[np.float64],  # (n, 5); only the first ``count`` rows are read
+    count: int,  # 0 .. n
     capture_time_s: float,
     parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
 ) -> bool:
@@ -37,7 +39,8 @@ def advance_tracks(
     1. Every track is predicted to the capture time.
     2. Boxes and tracks are paired so that the sum of the distances of their centres in the
        image is least, where a box without a track costs ``gate_px`` and no pair may be further
-       apart than that.  Of equal sums the one that gives the earlier boxes the lower slots wins.
+       apart than that.  Of equal sums the one that gives the earlier boxes the lower slots wins, of
+       at most MOST_TRIED pairings.
     3. Paired tracks are updated.  Every other box starts a track in the free slot that was seen
        longest ago; if none is free, in place of the unpaired track that was.
     4. Tracks unseen for longer than ``track_timeout_s`` are dropped.
@@ -51,20 +54,20 @@ def advance_tracks(
     """
     if not isfinite(capture_time_s):
         return False
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if tracks[i]["valid"] and capture_time_s < tracks[i]["time_s"]:
             return False
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if tracks[i]["valid"]:
             _predict_to(tracks[i], capture_time_s, parameters[0])
-    box_of_track = np.full(MAX_TRACKS, -1)
-    track_of_box = np.full(MAX_DETECTIONS, -1)
+    box_of_track = np.full(tracks.shape[0], -1)
+    track_of_box = np.full(count, -1)
     _assign(tracks, boxes, count, parameters[0]["gate_px"], track_of_box)
     for j in range(count):
         if track_of_box[j] >= 0:
             box_of_track[track_of_box[j]] = j
             update(tracks[track_of_box[j]], boxes[j], parameters[0])
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if capture_time_s - tracks[i]["last_seen_s"] > parameters[0]["track_timeout_s"]:
             tracks[i]["valid"] = False
     for j in range(count):
@@ -78,12 +81,12 @@ def advance_tracks(
 
 @compiled
 def predict_positions(
-    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK
+    tracks: NDArray[np.void],  # (n,) of TRACK
     at_time_s: float,
     parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
     transform_sensor_to_base: NDArray[np.float64],  # (4, 4)
-    positions_in_base_out: NDArray[np.float64],  # (MAX_TRACKS, 3) [m]
-    valid_out: NDArray[np.bool_],  # (MAX_TRACKS,)
+    positions_in_base_out: NDArray[np.float64],  # (n, 3) [m]
+    valid_out: NDArray[np.bool_],  # (n,)
 ) -> None:
     """Write where the centre of every tracked hand will be at ``at_time_s``; change no track.
 
@@ -97,7 +100,7 @@ def predict_positions(
     """
     box = np.empty(BOX_LENGTH)
     position = np.empty(3)
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         valid_out[i] = tracks[i]["valid"]
         if not tracks[i]["valid"]:
             positions_in_base_out[i, :] = nan
@@ -155,29 +158,33 @@ def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
 
 @compiled
 def _assign(
-    tracks: NDArray[np.void],  # (MAX_TRACKS,) of TRACK
-    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
+    tracks: NDArray[np.void],  # (n,) of TRACK
+    boxes: NDArray[np.float64],  # (n, 5)
     count: int,
     gate_px: float,
-    track_of_box_out: NDArray[np.int64],  # (MAX_DETECTIONS,), filled with -1
+    track_of_box_out: NDArray[np.int64],  # (count,), filled with -1
 ) -> None:
-    """Find the cheapest pairing by trying all of them: at most 5^4 for four boxes and tracks."""
-    distance = np.full((MAX_DETECTIONS, MAX_TRACKS), inf)
+    """Find the cheapest pairing: of few by trying all of them, else as ``_assign_many``."""
+    slots = tracks.shape[0]
+    distance = np.full((count, slots), inf)
     for j in range(count):
-        for i in range(MAX_TRACKS):
+        for i in range(slots):
             if tracks[i]["valid"] and _is_measurement(boxes[j]):
                 du = boxes[j, 0] - tracks[i]["mean"][0]
                 dv = boxes[j, 1] - tracks[i]["mean"][1]
                 distance[j, i] = sqrt(du * du + dv * dv)
+    if float(slots + 1) ** count > MOST_TRIED:
+        _assign_many(distance, gate_px, track_of_box_out)
+        return
     least = inf
-    for code in range((MAX_TRACKS + 1) ** count):
+    for code in range((slots + 1) ** count):
         total = 0.0
         used = 0
         rest = code
         for j in range(count - 1, -1, -1):  # the first box is the slowest digit
-            i = rest % (MAX_TRACKS + 1)  # MAX_TRACKS: this box starts a track of its own
-            rest //= MAX_TRACKS + 1
-            if i == MAX_TRACKS:
+            i = rest % (slots + 1)  # the last: this box starts a track of its own
+            rest //= slots + 1
+            if i == slots:
                 total += gate_px
             elif used & (1 << i) or not distance[j, i] <= gate_px:
                 total = inf
@@ -188,19 +195,66 @@ def _assign(
             least = total
             rest = code
             for j in range(count - 1, -1, -1):
-                i = rest % (MAX_TRACKS + 1)
-                rest //= MAX_TRACKS + 1
-                track_of_box_out[j] = i if i < MAX_TRACKS else -1
+                i = rest % (slots + 1)
+                rest //= slots + 1
+                track_of_box_out[j] = i if i < slots else -1
+
+
+@compiled
+def _assign_many(
+    distance: NDArray[np.float64],  # (count, tracks), infinite for a pair that cannot be
+    gate_px: float,
+    track_of_box_out: NDArray[np.int64],  # (count,), filled with -1
+) -> None:
+    """The cheapest pairing by shortest augmenting ways (Hungarian method), count^2 (tracks + count) steps.
+
+    Every box may have a column of its own at ``gate_px`` beside the tracks; columns and boxes count from 1.
+    """
+    count, slots = distance.shape
+    size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
+    box_price, column_price = np.zeros(count + 1), np.zeros(size)
+    box_of, before = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    for box in range(1, count + 1):
+        box_of[0], column = box, 0
+        least, done = np.full(size, inf), np.zeros(size, np.bool_)
+        while box_of[column] != 0:
+            done[column] = True
+            one, step, nearest = box_of[column], inf, 0
+            for k in range(1, size):
+                if done[k]:
+                    continue
+                cost = gate
+                if k <= slots:
+                    close = distance[one - 1, k - 1] <= gate
+                    cost = distance[one - 1, k - 1] if close else 2.0 * gate  # dearer than its own
+                cost -= box_price[one] + column_price[k]
+                if cost < least[k]:
+                    least[k], before[k] = cost, column
+                if least[k] < step:
+                    step, nearest = least[k], k
+            for k in range(size):
+                if done[k]:
+                    box_price[box_of[k]] += step
+                    column_price[k] -= step
+                else:
+                    least[k] -= step
+            column = nearest
+        while column != 0:
+            box_of[column] = box_of[before[column]]
+            column = before[column]
+    for k in range(1, slots + 1):
+        if box_of[k] != 0:
+            track_of_box_out[box_of[k] - 1] = k - 1
 
 
 @compiled
 def _slot_for_new_track(tracks: NDArray[np.void], box_of_track: NDArray[np.int64]) -> int:
     """The free slot seen longest ago; without a free one, the unpaired track seen longest ago.
 
-    There is always one of them: a box without a pair leaves at least one slot of four unpaired.
+    There is always one of them: a box without a pair leaves a slot unpaired, as boxes are no more than slots.
     """
     best = -1
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         if box_of_track[i] >= 0:
             continue
         if best < 0:
@@ -217,6 +271,6 @@ def _slot_for_new_track(tracks: NDArray[np.void], box_of_track: NDArray[np.int64
 def _greatest_id(tracks: NDArray[np.void]) -> int:
     """Slots keep the id of a dropped track until they are used again, so no id comes twice."""
     greatest = 0
-    for i in range(MAX_TRACKS):
+    for i in range(tracks.shape[0]):
         greatest = max(greatest, tracks[i]["id"])
     return greatest

@@ -21,19 +21,15 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3
-from safety_harness.scenario.model import MAX_HANDS, Verdict
+from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, ENDLESS, as_numbers
+from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 Judge = TypeVar("Judge", bound=Callable[[Any, Trace], "Evaluation"])
 
 HORIZON_M = 1e3
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
-# (f, 3): first column, the one after the last, and how many there are for each hand; 0 if not of hands
-FIELDS = np.array(
-    [(c.start, c.stop, (c.stop - c.start) // MAX_HANDS * (name in OF_HANDS)) for name, c in COLUMNS.items()]
-)
 
 
 class Unit(Enum):
@@ -162,8 +158,11 @@ def readable(*fields: str) -> Callable[[Judge], Judge]:
 def first_unreal(trace: Trace) -> dict[str, int]:
     """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
     rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    first = _first_unreal(rows, nonfinite_count(trace), FIELDS, present).tolist()
-    return {name: tick for name, tick in zip(COLUMNS, first, strict=True) if tick < len(rows)}
+    fields, hands = columns(trace.ticks.dtype), present.shape[1]
+    of_each = [(c.stop - c.start) // hands * (name in OF_HANDS) for name, c in fields.items()]
+    told = np.array([(c.start, c.stop, each) for c, each in zip(fields.values(), of_each, strict=True)])
+    first = _first_unreal(rows, nonfinite_count(trace), told, present).tolist()
+    return {name: tick for name, tick in zip(fields, first, strict=True) if tick < len(rows)}
 
 
 @once_a_trace
@@ -186,7 +185,7 @@ def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
 def _first_unreal(
     rows: NDArray[np.float64],  # (n, c)
     nonfinite_count: NDArray[np.int64],  # (c,)
-    fields: NDArray[np.int64],  # (f, 3) FIELDS
+    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, how many of each hand or 0
     present: NDArray[np.bool_],  # (n, hands)
 ) -> NDArray[np.int64]:
     """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""

@@ -18,7 +18,7 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import COLUMNS, DECISION, ENDLESS, DecisionOutcome, as_numbers
+from safety_harness.trace.records import DECISION, ENDLESS, DecisionOutcome, as_numbers, columns
 from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")
@@ -31,10 +31,6 @@ def _needs(name: str) -> int:
     if name in OF_IMAGES:
         return IMAGE
     return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
-
-
-# (f, 3): first column, the one after the last, and what has to be there
-FIELDS = np.array([(c.start, c.stop, _needs(name)) for name, c in COLUMNS.items()])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +73,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     _mark(
         as_numbers(ticks),
         nonfinite_count(trace),
-        FIELDS,
+        np.array([(c.start, c.stop, _needs(name)) for name, c in columns(ticks.dtype).items()]),
         ticks["hand_present"],
         ticks["object_visible"],
         ticks["track_valid"],
@@ -90,7 +86,7 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
 def _mark(
     rows: NDArray[np.float64],  # (n, c)
     nonfinite_count: NDArray[np.int64],  # (c,)
-    fields: NDArray[np.int64],  # (f, 3) FIELDS
+    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, what has to be there
     present: NDArray[np.bool_],  # (n, hands)
     visible: NDArray[np.bool_],  # (n,)
     tracked: NDArray[np.bool_],  # (n, tracks)

@@ -14,7 +14,6 @@ from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.properties.unexercised import no_hand, unexercised
 from safety_harness.scenario.units import LENGTH
-from safety_harness.trace.records import MAX_TRACKS
 from safety_harness.trace.trace import Trace
 
 
@@ -73,8 +72,8 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
     at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
     at = at[at <= len(trace.ticks) - 1]
-    errors_m = np.empty((len(at), MAX_TRACKS))
     predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
+    errors_m = np.empty((len(at), predicted_m.shape[1]))
     _errors(predicted_m, hands_m, len(trace.scenario.hands), at, errors_m)
     return errors_m
 

@@ -21,19 +21,17 @@ from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, load_capsules
 from safety_harness.robot.description import load_arm
-from safety_harness.scenario.model import MAX_HANDS, RecordedHand
+from safety_harness.scenario.model import RecordedHand
 from safety_harness.simulation.hand_motion import HAND, advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
-from safety_harness.trace.records import COLUMNS, TICK, TICK_COMPILED, as_numbers
+from safety_harness.trace.records import as_compiled, as_numbers, columns
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
-HANDS, ELBOWS = COLUMNS["hand_position_in_base_m"], COLUMNS["elbow_position_in_base_m"]
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 DERIVED = ("transform_tcp_to_base", "tcp_speed_mps", "hand_distance_m")
 TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
-assert HANDS.stop == ELBOWS.start
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +54,10 @@ class TrueMotion:
 def true_motion(trace: Trace) -> TrueMotion:
     """The true motion of arm and hands in a trace: views of its ticks, for copies would take longer."""
     ticks = trace.ticks
-    hands_and_elbows = as_numbers(ticks)[:, HANDS.start : ELBOWS.stop].reshape(-1, 2, MAX_HANDS, 3)
+    hands, elbows = (columns(ticks.dtype)[f"{which}_position_in_base_m"] for which in ("hand", "elbow"))
+    assert hands.stop == elbows.start
+    slots = ticks["hand_present"].shape[1]
+    hands_and_elbows = as_numbers(ticks)[:, hands.start : elbows.stop].reshape(-1, 2, slots, 3)
     return TrueMotion(
         joints_rad=ticks["joint_position_rad"],
         rates_radps=ticks["joint_velocity_radps"],
@@ -234,7 +235,7 @@ def _first_stray(
 
 @compiled
 def _follow(
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND at the start
+    hands: NDArray[np.void],  # (slots,) HAND at the start
     moves: NDArray[np.void],  # (m,) MOVE
     samples: NDArray[np.float64],  # (s, 7)
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
@@ -308,14 +309,14 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     settings = trace.scenario.settings
     arm = load_arm(trace.scenario.robot.arm_name)
     capsules = capsules_of(trace)
-    derived = np.zeros(len(trace.ticks), TICK)
+    derived = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
         arm_record(arm, settings),
         capsules.records,
         np.empty((len(capsules.names), 2, 3)),
-        np.zeros(MAX_HANDS, HAND),
-        trace.ticks.copy().view(TICK_COMPILED),  # compiled code takes no array that is read-only
-        derived.view(TICK_COMPILED),
+        np.zeros(trace.ticks["hand_present"].shape[1], HAND),
+        as_compiled(trace.ticks.copy()),  # compiled code takes no array that is read-only
+        as_compiled(derived),
     )
     for name in DERIVED:
         stored, true = trace.ticks[name], derived[name]
@@ -339,9 +340,9 @@ def _derive(
     arms: NDArray[np.void],  # (1,) ARM
     capsules: NDArray[np.void],  # (n,) CAPSULE
     capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3), overwritten
-    hands: NDArray[np.void],  # (MAX_HANDS,) HAND, overwritten
-    stored: NDArray[np.void],  # (n,) TICK_COMPILED
-    derived: NDArray[np.void],  # (n,) TICK_COMPILED, its truth written
+    hands: NDArray[np.void],  # (slots,) HAND, overwritten
+    stored: NDArray[np.void],  # (n,) ``as_compiled``
+    derived: NDArray[np.void],  # (n,) ``as_compiled``, its truth written
 ) -> None:
     """The truth of every tick again, from its joints and hands."""
     for k in range(stored.shape[0]):

@@ -208,12 +208,12 @@ def capsule_outline(start: Array3, end: Array3, radius: float) -> Floats:
 def draw_hands(axes: Axes, trace: Trace, moment: Moment | None, axis: int) -> None:
     """The way of each hand's centre, and its sphere at the moment."""
     radius_mm = trace.scenario.settings.hand.radius_m * MM
-    for hand, ink in enumerate(HANDS):
+    for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
         present = trace.ticks["hand_present"][:, hand]
         if not present.any():
             continue
         path = np.where(present[:, None], trace.ticks["hand_position_in_base_m"][:, hand], np.nan) * MM
-        _draw_path(axes, path, axis, ink, dashed=hand == 1)
+        _draw_path(axes, path, axis, ink, dashed=hand % 2 == 1)
         _draw_ends(axes, path[np.flatnonzero(present)], axis, ink)
         if moment is not None and present[moment.tick]:
             centre = path[moment.tick]

@@ -14,6 +14,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.scenario.model import MAX_HANDS
+
 Floats = NDArray[np.float64]
 _COLOURS = re.compile(r"--fig-[\w-]+: #\w+;")
 _PAPER = re.compile(r"--paper: (#\w+);")
@@ -42,6 +44,12 @@ class Ink(Enum):
     OBJECT = 17
     CHOSEN = 18
     SERVOING = 19
+    HAND_3 = 20
+    HAND_4 = 21
+    HAND_5 = 22
+    HAND_6 = 23
+    HAND_7 = 24
+    HAND_8 = 25
 
     @property
     def variable(self) -> str:
@@ -49,7 +57,7 @@ class Ink(Enum):
         return "--fig-" + self.name.lower().replace("_", "-")
 
 
-HANDS = (Ink.HAND_1, Ink.HAND_2)
+HANDS = tuple(Ink[f"HAND_{number}"] for number in range(1, MAX_HANDS + 1))
 DASHES: tuple[tuple[float, ...], ...] = (  # in widths of the line
     (),
     (6, 2),

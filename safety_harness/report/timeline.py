@@ -203,13 +203,13 @@ def distance_panel(axes: Axes, run: JudgedRun) -> None:
     """True hands to robot, surface to surface, with the limits that claims set to it."""
     trace = run.trace
     lines: list[Line] = []
-    for hand, ink in enumerate(HANDS):
+    for hand, ink in enumerate(HANDS[: trace.scenario.hand_slots]):
         present = trace.ticks["hand_present"][:, hand]
         if present.any():
             values = np.where(present, trace.ticks["hand_distance_m"][:, hand], np.nan) * MM
             hands = trace.scenario.hands
             name = hands[hand].name if hand < len(hands) else f"hand {hand + 1}"
-            lines.append((plain(name, longest=22), values, ink, DASHES[hand]))
+            lines.append((plain(name, longest=22), values, ink, DASHES[hand % len(DASHES)]))
     _panel(axes, trace, "True hand to robot, surface to surface, mm", lines, zero=True)
     axes.y.hold(0.0)
     _limit_lines(axes, _claimed(run, claimed_hand_distance_m))

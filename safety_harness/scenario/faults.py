@@ -34,7 +34,7 @@ from safety_harness.scenario.units import LENGTH, TIME
 from safety_harness.settings import Vector3
 
 MOST_FAULTS = 16  # a trace has a bit for each
-MOST_FALSE_HANDS = 2  # beside two true hands: a frame holds four
+MOST_FALSE_HANDS = 2  # a frame holds two boxes for each hand that there is room for
 LATEST_S = 10.0
 FARTHEST_OFF_M = 1.0
 

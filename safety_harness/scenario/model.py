@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -37,7 +37,8 @@ from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS,
 from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
-MAX_HANDS = 2
+HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
+MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
 DEFAULT_AVOIDER = "mc-dropout"
 LARGEST_FACTOR = 10.0
@@ -349,7 +350,7 @@ MOVING_HAND = table_of(MovingHand, "a hand that moves", path="hands")
 JOINED_HAND = table_of(JoinedHand, "a hand that goes with another", path="hands", told_by="together with")
 RECORDED_HAND = table_of(RecordedHand, "a hand that repeats a recording", path="hands")
 HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
-HANDS = Several(of=HAND, words="list of at most two", most=MAX_HANDS)
+HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -401,6 +402,16 @@ class Scenario:
             return hand
         before = self.hands[: self.hands.index(hand)]
         return next((o for o in before if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
+
+    @property
+    def hand_slots(self) -> int:
+        """How many hands its runs' records have room for: the fewest that do; ScenarioError for too many."""
+        for slots in HAND_SLOTS:
+            if len(self.hands) <= slots:
+                return slots
+        raise ScenarioError(
+            place=self.place("hands"), expected=f"at most {MAX_HANDS} hands", got=f"{len(self.hands)}"
+        )
 
     @property
     def ticks(self) -> int:

@@ -9,7 +9,6 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.selftest.fault import faults_in, known, of_perception, seeded, seeing, seen
 from safety_harness.selftest.system import Change, Delayed, Records
 
@@ -92,7 +91,7 @@ def _backwards(records: ControllerRecords, horizon_s: float) -> None:
 def _ghost(admitted: Admitted, share: float, observation: Records) -> None:
     o = observation[0]
     count = int(o["box_count"])
-    if count == MAX_DETECTIONS or o["time_s"] % 2.0 >= 2.0 * share:
+    if count == len(o["boxes"]) or o["time_s"] % 2.0 >= 2.0 * share:
         return
     settings = admitted.scenario.settings
     c_u, c_v = sensor_principal_point_px(settings.hand_sensor)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple, NewType
+from typing import Any, NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from safety_harness.geometry.arrays import Array4x4
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.perception.tracking import MAX_DETECTIONS
+from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import HandSensorKind, ImageSource, Object, ObjectKind, Settings
+from safety_harness.trace.records import TRACKS_PER_HAND
 
 RING = 64  # frames under way at a time
 
@@ -64,15 +65,23 @@ OBJECT_FRAME = np.dtype(
     ],
     align=True,
 )
-HAND_FRAME = np.dtype(
-    [
-        ("time_s", np.float64),
-        ("late_s", np.float64),  # beyond the latency
-        ("count", np.int64),
-        ("boxes", np.float64, (MAX_DETECTIONS, 5)),
-    ],
-    align=True,
-)
+
+
+@lru_cache
+def hand_frame_dtype(hands: int) -> np.dtype[Any]:
+    """HAND_FRAME with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    boxes = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("time_s", np.float64),
+            ("late_s", np.float64),  # beyond the latency
+            ("count", np.int64),
+            ("boxes", np.float64, (boxes, 5)),
+        ],
+        align=True,
+    )
+
+
 SensorRecords = NewType("SensorRecords", NDArray[np.void])  # (1,) SENSORS
 ObjectFrames = NewType("ObjectFrames", NDArray[np.void])  # (RING,) OBJECT_FRAME
 HandFrames = NewType("HandFrames", NDArray[np.void])  # (RING,) HAND_FRAME
@@ -85,8 +94,8 @@ class Sensors(NamedTuple):
     object_frames: ObjectFrames
     hand_frames: HandFrames
     polygon_in_base_m: NDArray[np.float64]  # (n, 3)
-    normals: NDArray[np.float64]  # (frames, MAX_DETECTIONS, 3): u, v, depth
-    uniforms: NDArray[np.float64]  # (frames, MAX_DETECTIONS): missed detections
+    normals: NDArray[np.float64]  # (frames, boxes, 3): u, v, depth
+    uniforms: NDArray[np.float64]  # (frames, boxes): missed detections
 
 
 def object_polygon_in_base(settings: Settings) -> NDArray[np.float64]:
@@ -102,7 +111,13 @@ def _polygon_in_base(shape: Object) -> NDArray[np.float64]:
     return np.column_stack([flat, np.zeros(len(flat))]) + shape.position_in_base_m
 
 
-def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base: Array4x4) -> Sensors:
+def sensors(
+    settings: Settings,
+    seed: int,
+    ticks: int,
+    transform_sensor_to_base: Array4x4,
+    hand_slots: int = HAND_SLOTS[0],
+) -> Sensors:
     """The cameras before their first frame.  Noise is drawn beforehand, by frame and detection.
 
     ``transform_sensor_to_base`` (4, 4).
@@ -111,15 +126,16 @@ def sensors(settings: Settings, seed: int, ticks: int, transform_sensor_to_base:
     state = SensorRecords(camera_state(settings).copy())
     state["transform_sensor_to_base"] = transform_sensor_to_base
     noisy = hand.pixel_noise_px > 0.0 or hand.depth_noise_per_m > 0.0 or hand.dropout_probability > 0.0
-    normals, uniforms = np.zeros((1, MAX_DETECTIONS, 3)), np.zeros((1, MAX_DETECTIONS))
-    if noisy:
-        noise, misses = (generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(2))
-        normals = noise.standard_normal((ticks + 1, MAX_DETECTIONS, 3))
-        uniforms = misses.random((ticks + 1, MAX_DETECTIONS))
+    boxes = TRACKS_PER_HAND * hand_slots
+    normals, uniforms = np.zeros((1, boxes, 3)), np.zeros((1, boxes))
+    if noisy:  # drawn for four boxes at a time: that of the first four does not hang on the room for more
+        streams = [generator(seed, Branch.HAND_SENSOR_NOISE, k) for k in range(boxes // 2)]
+        normals = np.hstack([noise.standard_normal((ticks + 1, 4, 3)) for noise in streams[::2]])
+        uniforms = np.hstack([misses.random((ticks + 1, 4)) for misses in streams[1::2]])
     return Sensors(
         state,
         ObjectFrames(np.zeros(RING, OBJECT_FRAME)),
-        HandFrames(np.zeros(RING, HAND_FRAME)),
+        HandFrames(np.zeros(RING, hand_frame_dtype(hand_slots))),
         object_polygon_in_base(settings),
         normals,
         uniforms,

@@ -26,7 +26,6 @@ from safety_harness.perception.hand_boxes import rendered_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.raster import mask_moments
 from safety_harness.robot.description import ArmModel, resolved_urdf
-from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.settings import Settings, Vector3
 from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.simulation.engine import pybullet
@@ -59,9 +58,15 @@ def _urdf_file(name: str, visuals: bool) -> Path:
 
 
 def build_cell(
-    client: int, settings: Settings, arm: ArmModel, joint_position_rad: Array6, *, rendered: bool
+    client: int,
+    settings: Settings,
+    arm: ArmModel,
+    joint_position_rad: Array6,
+    *,
+    rendered: bool,
+    hands: int = 2,
 ) -> Bodies:
-    """Load everything into ``client``; visual meshes only when images are ``rendered``.
+    """Load everything into ``client``; visual meshes, and ``hands``, only when images are ``rendered``.
 
     ``joint_position_rad`` (6,).
     """
@@ -93,13 +98,13 @@ def build_cell(
             robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
         )
     _table(client, settings, rendered=rendered)
-    hands: tuple[int, ...] = ()
+    spheres: tuple[int, ...] = ()
     forearms: tuple[int, ...] = ()
     if rendered:
         _paint_object(client, settings)
-        hands = tuple(_hand(client, settings) for _ in range(MAX_HANDS))
-        forearms = tuple(_forearm(client, settings) for _ in range(MAX_HANDS))
-    return Bodies(robot, joints, hands, forearms)
+        spheres = tuple(_hand(client, settings) for _ in range(hands))
+        forearms = tuple(_forearm(client, settings) for _ in range(hands))
+    return Bodies(robot, joints, spheres, forearms)
 
 
 def _table(client: int, settings: Settings, *, rendered: bool) -> None:
@@ -186,7 +191,7 @@ def _forearm(client: int, settings: Settings) -> int:
 def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
     """Put the painted hands where they are; a forearm lies between hand and elbow.
 
-    ``hands`` (MAX_HANDS,) HAND.
+    ``hands`` (hands,) HAND.
     """
     for hand, sphere, forearm in zip(hands, bodies.hands, bodies.forearms, strict=True):
         if not hand["present"]:

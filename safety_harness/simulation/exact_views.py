@@ -17,7 +17,6 @@ from safety_harness.perception.hand_boxes import box_in_image, line_of_sight_blo
 from safety_harness.perception.moments import point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
 from safety_harness.robot.distance import CapsuleRecords
-from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.simulation.cameras import SensorRecords
 from safety_harness.simulation.hand_motion import HandRecords
 
@@ -103,7 +102,7 @@ def exact_boxes(
     transform_tcp_to_base: Array4x4,
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,
-    boxes_out: NDArray[np.float64],  # (MAX_DETECTIONS, 5)
+    boxes_out: NDArray[np.float64],  # (n, 5), n no less than the hands
 ) -> int:
     """Bounding boxes of the hands that the sensor sees; returns how many.
 
@@ -113,7 +112,7 @@ def exact_boxes(
     pose = sensor_pose(sensors, transform_tcp_to_base)
     base_to_sensor = inverse_transform(pose)
     count = 0
-    for k in range(MAX_HANDS):
+    for k in range(hands.shape[0]):
         if not hands[k].present:
             continue
         position = hands[k].position_in_base_m

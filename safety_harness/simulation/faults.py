@@ -17,7 +17,6 @@ from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.pyramids import segment_pyramid_distance
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import compose_into, inverse_transform
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.scenario.fault_table import acting, acts, delay_s
 from safety_harness.scenario.faults import FaultKind
 from safety_harness.simulation.cameras import RING, HandFrames, ObjectFrames, SensorRecords
@@ -127,7 +126,7 @@ def spoil_hand_frame(
         for k in range(faults.shape[0]):
             if (
                 acts(faults, k, FaultKind.FALSE_HAND, time_s)
-                and frame.count < MAX_DETECTIONS
+                and frame.count < frame.boxes.shape[0]
                 and hand_box(sensors, base_to_sensor, faults[k].vector_m.copy(), frame.boxes[frame.count])
             ):
                 frame.count += 1
@@ -151,7 +150,7 @@ def shift_boxes(
     sensors: SensorRecords,
     transform_sensor_to_base: Array4x4,
     by_in_base_m: Array3,
-    boxes: NDArray[np.float64],  # (MAX_DETECTIONS, 5), changed in place
+    boxes: NDArray[np.float64],  # (n, 5), changed in place
     count: int,
 ) -> int:
     """Boxes of hands whose fronts are shifted; returns how many are left in front of the sensor.

@@ -59,7 +59,7 @@ HAND = np.dtype(
     align=True,
 )
 MoveRecords = NDArray[np.void]  # (m,) MOVE
-HandRecords = NDArray[np.void]  # (MAX_HANDS,) HAND
+HandRecords = NDArray[np.void]  # (hands,) HAND, those that are there first
 
 ARRIVED_M = 1e-9
 

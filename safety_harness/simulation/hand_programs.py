@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.scenario.model import MAX_HANDS, JoinedHand, MovingHand, RecordedHand, Scenario
+from safety_harness.scenario.model import JoinedHand, MovingHand, RecordedHand, Scenario
 from safety_harness.scenario.moves import (
     FollowTcp,
     HandMove,
@@ -68,7 +68,7 @@ class Step(NamedTuple):
 
 def hands_at_start(scenario: Scenario) -> Hands:
     """The hands as the scenario begins."""
-    state = np.zeros(MAX_HANDS, HAND)
+    state = np.zeros(scenario.hand_slots, HAND)
     state["position_in_base_m"] = state["elbow_in_base_m"] = np.nan
     state["leader"] = -1
     moves: list[Step] = [Step()]  # never empty: compiled code wants its type

@@ -30,7 +30,7 @@ from safety_harness.simulation.steps import (
     sense,
 )
 from safety_harness.simulation.world import RecordedWorld
-from safety_harness.trace.records import TICK_COMPILED, Limit
+from safety_harness.trace.records import Limit, as_compiled
 
 BRAKING = int(Limit.BRAKING)
 
@@ -44,7 +44,7 @@ class KinematicWorld(RecordedWorld):
         self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
     ) -> NDArray[np.void] | None:
         """As ``BatchWorld.advance``: the loop of ``simulate``, compiled."""
-        more = advance(self.records, controller, ticks.view(TICK_COMPILED), decided)
+        more = advance(self.records, controller, as_compiled(ticks), decided)
         return self.records.observation if more else None
 
     def step(self, command: NDArray[np.void]) -> bool:
@@ -80,7 +80,7 @@ def step(
 def advance(
     world: WorldRecords,
     controller: ControllerRecords,
-    ticks: Records,  # (n,) TICK_COMPILED, those from now on written
+    ticks: Records,  # (n,) ``as_compiled``, those from now on written
     decided: bool,
 ) -> bool:
     """On to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.

@@ -11,7 +11,6 @@ from safety_harness.geometry.arrays import Array6
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
@@ -54,7 +53,7 @@ class PyBulletWorld(RecordedWorld):
         self._substeps = settings.clock.physics_substeps
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
-        self._detector = detector or SkinColourDetector()
+        self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
         self._commanded_radps = np.empty(6)
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -66,6 +65,7 @@ class PyBulletWorld(RecordedWorld):
                 arm,
                 joint_position_rad,
                 rendered=self._render_object or self._render_hands,
+                hands=len(self.records.hands),
             )
             self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
             self._efforts = [float(effort) for effort in arm.effort_limit]
@@ -136,7 +136,7 @@ class PyBulletWorld(RecordedWorld):
         """Bounding boxes of the hands, in a rendered image or exactly, and how many."""
         sensor, r = self._settings.hand_sensor, self.records
         pose = r.truth[0]["transform_tcp_to_base"]
-        boxes = np.zeros((MAX_DETECTIONS, 5))
+        boxes = np.zeros_like(r.observation["boxes"][0])
         if not self._render_hands:
             ends = r.capsule_endpoints_in_base_m
             return boxes, exact_boxes(r.sensors, r.hands, pose, r.capsules, ends, boxes)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from safety_harness.controller.records import (
-    OBSERVATION,
     FaultRecords,
     ObservationRecords,
+    observation_dtype,
     overhead_transform_sensor_to_base,
 )
 from safety_harness.geometry.arrays import Array6
@@ -24,7 +24,7 @@ from safety_harness.simulation.hand_motion import HandRecords, MoveRecords
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.steps import ArmRecords, ClockRecords, Floats, TruthRecords
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
-from safety_harness.trace.records import TICK_COMPILED
+from safety_harness.trace.records import as_compiled, tick_dtype
 
 CLOCK = np.dtype(
     [
@@ -51,8 +51,8 @@ class WorldRecords(NamedTuple):
     moves: MoveRecords  # (m,) MOVE
     samples: Floats  # (s, 7)
     arm: ArmRecords  # (1,) ARM
-    truth: TruthRecords  # (1,) TICK_COMPILED
-    hands: HandRecords  # (MAX_HANDS,) HAND
+    truth: TruthRecords  # (1,) of a tick ``as_compiled``
+    hands: HandRecords  # (hands,) HAND
     capsules: CapsuleRecords  # (n,) CAPSULE
     capsule_endpoints_in_base_m: Floats  # (n, 2, 3)
     clock: ClockRecords  # (1,) CLOCK
@@ -62,13 +62,13 @@ class WorldRecords(NamedTuple):
     object_frames: ObjectFrames  # (RING,) OBJECT_FRAME
     hand_frames: HandFrames  # (RING,) HAND_FRAME
     polygon_in_base_m: Floats  # (m, 3)
-    normals: Floats  # (frames, MAX_DETECTIONS, 3)
-    uniforms: Floats  # (frames, MAX_DETECTIONS)
+    normals: Floats  # (frames, boxes, 3)
+    uniforms: Floats  # (frames, boxes)
 
 
 def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: Array6) -> WorldRecords:
     """As the scenario begins, the arm at rest at ``joint_position_rad`` (6,)."""
-    settings = scenario.settings
+    settings, slots = scenario.settings, scenario.hand_slots
     clock = np.zeros(1, CLOCK)
     clock["control_period_s"] = settings.clock.control_period_s
     capsules = cell_capsules(load_capsules(arm.name), settings)
@@ -78,14 +78,14 @@ def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: Array6)
         hands.moves,
         hands.samples,
         ArmRecords(arm_record(arm, settings)),
-        TruthRecords(np.zeros(1, TICK_COMPILED)),
+        TruthRecords(as_compiled(np.zeros(1, tick_dtype(slots)))),
         hands.state,
         capsules.records,
         np.empty((len(capsules.names), 2, 3)),
         ClockRecords(clock),
         FaultRecords(fault_table(scenario.faults)),
-        ObservationRecords(np.zeros(1, OBSERVATION)),
-        *sensors(settings, scenario.seed, scenario.ticks, overhead_transform_sensor_to_base(settings)),
+        ObservationRecords(np.zeros(1, observation_dtype(slots))),
+        *sensors(settings, scenario.seed, scenario.ticks, overhead_transform_sensor_to_base(settings), slots),
     )
     fill_truth(*records[3:8], np.array(joint_position_rad, dtype=np.float64), np.zeros(6), 0.0)
     return records

@@ -17,7 +17,7 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
 from safety_harness.trace.provenance import provenance
-from safety_harness.trace.records import TICK, Limit
+from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.trace import Trace
 
 INTERRUPTED = "interrupted by the user"
@@ -31,7 +31,7 @@ def simulate(
     ``on_tick`` is told the number of ticks done, for progress.  Ctrl-C between ticks ends the run
     early: the trace then says that it was interrupted, and no property takes it for a safe one.
     """
-    ticks = np.zeros(scenario.ticks + 1, TICK)
+    ticks = np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots))
     done, ended = 0, "complete"
     try:
         for k in range(len(ticks)):
@@ -80,7 +80,7 @@ class Episode:
     observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
 
     def __post_init__(self) -> None:
-        self.ticks = np.zeros(self.scenario.ticks + 1, TICK)
+        self.ticks = np.zeros(self.scenario.ticks + 1, tick_dtype(self.scenario.hand_slots))
 
     def advance(self) -> bool:
         """On to the next decision (True) or to the end (False)."""

@@ -34,7 +34,7 @@ Records = NDArray[np.void]
 Floats = NDArray[np.float64]
 ClockRecords = NewType("ClockRecords", Records)  # (1,) CLOCK
 ArmRecords = NewType("ArmRecords", Records)  # (1,) ARM
-TruthRecords = NewType("TruthRecords", Records)  # (1,) TICK_COMPILED
+TruthRecords = NewType("TruthRecords", Records)  # (1,) of a tick ``as_compiled``
 
 
 @inlined
@@ -56,8 +56,8 @@ def sense(
     object_frames: ObjectFrames,
     hand_frames: HandFrames,
     polygon_in_base_m: ArrayNx3,
-    normals: Floats,  # (frames, MAX_DETECTIONS, 3)
-    uniforms: Floats,  # (frames, MAX_DETECTIONS)
+    normals: Floats,  # (frames, boxes, 3)
+    uniforms: Floats,  # (frames, boxes)
 ) -> None:
     """Let the exact cameras take what is due, and give the controller what has arrived by now."""
     mount(clocks, faults, sensors)
@@ -142,9 +142,9 @@ def send_hand_frame(
     faults: FaultRecords,
     sensors: SensorRecords,
     hand_frames: HandFrames,
-    normals: Floats,  # (frames, MAX_DETECTIONS, 3)
-    uniforms: Floats,  # (frames, MAX_DETECTIONS)
-    boxes: Floats,  # (MAX_DETECTIONS, 5)
+    normals: Floats,  # (frames, boxes, 3)
+    uniforms: Floats,  # (frames, boxes)
+    boxes: Floats,  # (n, 5)
     count: int,
 ) -> None:
     """Put a frame of boxes on its way, as noise and the faults leave it; ``boxes`` may lie in it.

@@ -63,7 +63,7 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
 @njit_no_nrt
 def fill_truth(
     arms: NDArray[np.void],  # (1,) ARM
-    ticks: NDArray[np.void],  # (1,) TICK_COMPILED, written
+    ticks: NDArray[np.void],  # (1,) ``as_compiled``, written
     hands: HandRecords,
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,  # written

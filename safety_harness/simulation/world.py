@@ -13,7 +13,6 @@ from safety_harness.geometry.arrays import Array6
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.records import world_records
 from safety_harness.simulation.steps import now_s, sense
-from safety_harness.trace.records import TICK_COMPILED
 
 if TYPE_CHECKING:
     from safety_harness.perception.detector import BoundingBoxDetector
@@ -117,7 +116,7 @@ class RecordedWorld:
 
     def true_state(self, tick: NDArray[np.void]) -> None:
         """Write the truth part of ``tick``; the rest is the controller's to fill.  ``tick`` (1,) TICK."""
-        tick.view(TICK_COMPILED)[0] = self.records.truth[0]
+        tick.view(self.records.truth.dtype)[0] = self.records.truth[0]
 
     def observe(self) -> NDArray[np.void]:
         """Let the cameras take what is due and deliver what has arrived; encoders are exact."""

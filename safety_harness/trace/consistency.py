@@ -19,7 +19,7 @@ from safety_harness.compiled import compiled
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
-from safety_harness.trace.records import DECISION, TICK_COMPILED, Check, DecisionOutcome, Limit, Mode, Trigger
+from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, as_compiled
 from safety_harness.trace.trace import Trace, once_a_trace
 
 BOOLEANS, A_FLAG = ("hand_present", "object_visible", "track_valid"), "0 or 1"
@@ -78,7 +78,7 @@ def _length(trace: Trace) -> Iterator[Inconsistency]:
 def _ticks(trace: Trace) -> Iterator[Inconsistency]:
     scenario, ticks = trace.scenario, trace.ticks
     first = _first_wrong(
-        ticks.view(TICK_COMPILED),
+        as_compiled(ticks),
         ticks["object_visible"].view(np.uint8),
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
@@ -115,7 +115,7 @@ def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
 
 @compiled
 def _first_wrong(
-    ticks: NDArray[np.void],  # (n,) TICK_COMPILED
+    ticks: NDArray[np.void],  # (n,) ticks ``as_compiled``
     visible: NDArray[np.uint8],  # (n,) ``object_visible``, as its bytes are
     decided: NDArray[np.int64],  # (m,) ticks of the decisions
     period_s: float,

@@ -1,19 +1,23 @@
 """The layout of a trace: one record a control tick, one record a decision.
 
 Compiled code fills these records in place, so they are numpy structured types with fixed
-shapes.  Frames and units are in the field names; ``_in_base_`` is the robot's base frame.
+shapes.  How many hands a tick has room for is part of its type: compiled code takes it, as it takes
+every size, from the record that it is handed, so that what is kept of it is told apart by it.
+Frames and units are in the field names; ``_in_base_`` is the robot's base frame.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.scenario.model import MAX_HANDS
+from safety_harness.scenario.model import HAND_SLOTS
 
-MAX_TRACKS = 4
+TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
 FAULT_CHARACTERS = 240
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
 
@@ -69,59 +73,77 @@ class Check(IntFlag):
     LATE = 256  # no answer within the decision deadline, in simulated time
 
 
-TICK = np.dtype(
-    [
-        ("time_s", np.float64),
-        # truth: the world at this instant
-        ("joint_position_rad", np.float64, (6,)),
-        ("joint_velocity_radps", np.float64, (6,)),
-        ("transform_tcp_to_base", np.float64, (4, 4)),
-        ("tcp_speed_mps", np.float64),
-        ("hand_present", np.bool_, (MAX_HANDS,)),
-        ("hand_position_in_base_m", np.float64, (MAX_HANDS, 3)),
-        ("elbow_position_in_base_m", np.float64, (MAX_HANDS, 3)),
-        ("hand_distance_m", np.float64, (MAX_HANDS,)),  # surface to surface; +inf when absent
-        ("hand_distance_capsule", np.int64, (MAX_HANDS,)),  # index of the nearest robot capsule
-        # what the controller perceived
-        ("object_visible", np.bool_),
-        ("features", np.float64, (6,)),  # x_n, y_n, a_n [m], gamma, delta [-], alpha [rad]
-        ("feature_error", np.float64, (6,)),  # f - f*, alpha wrapped
-        ("sse", np.float64),  # eq. 15 as |f - f*|^2
-        ("track_valid", np.bool_, (MAX_TRACKS,)),
-        ("predicted_hand_in_base_m", np.float64, (MAX_TRACKS, 3)),
-        ("predicted_distance_m", np.float64),  # nearest predicted hand to TCP; +inf without one
-        # what it did
-        ("mode", np.int64),
-        ("gain", np.float64),
-        ("camera_twist", np.float64, (6,)),  # v, w of the camera in its own frame, as demanded
-        ("demanded_joint_velocity_radps", np.float64, (6,)),
-        ("limits", np.int64),  # Limit flags
-        ("faults", np.int64),  # bit k: fault k of the scenario acted at this tick
-        ("decision", np.int64),  # index of the decision made at this tick, or -1
-    ],
-    align=True,
-)
+@lru_cache
+def tick_dtype(hands: int) -> np.dtype[Any]:
+    """A tick with room for so many hands, one of HAND_SLOTS, and TRACKS_PER_HAND tracks for each."""
+    tracks = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("time_s", np.float64),
+            # truth: the world at this instant
+            ("joint_position_rad", np.float64, (6,)),
+            ("joint_velocity_radps", np.float64, (6,)),
+            ("transform_tcp_to_base", np.float64, (4, 4)),
+            ("tcp_speed_mps", np.float64),
+            ("hand_present", np.bool_, (hands,)),
+            ("hand_position_in_base_m", np.float64, (hands, 3)),
+            ("elbow_position_in_base_m", np.float64, (hands, 3)),
+            ("hand_distance_m", np.float64, (hands,)),  # surface to surface; +inf when absent
+            ("hand_distance_capsule", np.int64, (hands,)),  # index of the nearest robot capsule
+            # what the controller perceived
+            ("object_visible", np.bool_),
+            ("features", np.float64, (6,)),  # x_n, y_n, a_n [m], gamma, delta [-], alpha [rad]
+            ("feature_error", np.float64, (6,)),  # f - f*, alpha wrapped
+            ("sse", np.float64),  # eq. 15 as |f - f*|^2
+            ("track_valid", np.bool_, (tracks,)),
+            ("predicted_hand_in_base_m", np.float64, (tracks, 3)),
+            ("predicted_distance_m", np.float64),  # nearest predicted hand to TCP; +inf without one
+            # what it did
+            ("mode", np.int64),
+            ("gain", np.float64),
+            ("camera_twist", np.float64, (6,)),  # v, w of the camera in its own frame, as demanded
+            ("demanded_joint_velocity_radps", np.float64, (6,)),
+            ("limits", np.int64),  # Limit flags
+            ("faults", np.int64),  # bit k: fault k of the scenario acted at this tick
+            ("decision", np.int64),  # index of the decision made at this tick, or -1
+        ],
+        align=True,
+    )
 
-# Compiled code cannot handle arrays of booleans within a record: the same bytes, as it sees them.
-TICK_COMPILED = np.dtype(
-    [
-        (name, np.uint8 if field[0].base == np.bool_ and field[0].shape else field[0].base, field[0].shape)
-        for name, field in (TICK.fields or {}).items()
-    ],
-    align=True,
-)
 
-# Where the floating-point fields of a tick are, counted in float64 from its beginning.
-COLUMNS = {
-    name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
-    for name, field in (TICK.fields or {}).items()
-    if field[0].base == np.float64
-}
+TICK = tick_dtype(HAND_SLOTS[0])
+
+
+@lru_cache
+def _compiled(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    fields = [(name, *(field[0].subdtype or (field[0], ()))) for name, field in (dtype.fields or {}).items()]
+    return np.dtype(
+        [(name, np.uint8 if kind == np.bool_ and shape else kind, shape) for name, kind, shape in fields],
+        align=True,
+    )
+
+
+def as_compiled(ticks: NDArray[np.void]) -> NDArray[np.void]:
+    """(n,) ticks as compiled code sees them, which cannot handle arrays of booleans within a record.
+
+    The same bytes, with those as ``uint8``.
+    """
+    return ticks.view(_compiled(ticks.dtype))
+
+
+@lru_cache
+def columns(dtype: np.dtype[Any]) -> dict[str, slice]:
+    """Where the floating-point fields of a tick are, counted in float64 from its beginning."""
+    return {
+        name: slice(field[1] // 8, (field[1] + field[0].itemsize) // 8)
+        for name, field in (dtype.fields or {}).items()
+        if field[0].base == np.float64
+    }
 
 
 def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
-    """(n,) TICK as (n, c) float64 of the same bytes; only ``COLUMNS`` of them are numbers."""
-    return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), TICK.itemsize // 8)
+    """(n,) ticks as (n, c) float64 of the same bytes; only ``columns`` of them are numbers."""
+    return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
 DECISION = np.dtype(

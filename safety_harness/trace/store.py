@@ -34,7 +34,7 @@ from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import DECISION, TICK
+from safety_harness.trace.records import DECISION, tick_dtype
 from safety_harness.trace.trace import Line, Provenance, Trace
 from safety_harness.whole_file import replacing
 
@@ -192,7 +192,7 @@ class _Reader:
         most = scenario.ticks + 1
         old = self._format == BEFORE
         decisions = self._array(archive, "decisions.npy", DECISION_3 if old else DECISION, most)
-        ticks = self._array(archive, "ticks.npy", TICK, most)
+        ticks = self._array(archive, "ticks.npy", tick_dtype(scenario.hand_slots), most)
         if old:
             decisions = as_now(decisions, ticks, scenario.faults)
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)

@@ -39,7 +39,7 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trace:
-    """``ticks`` (n,) of dtype TICK, ``decisions`` (m,) of dtype DECISION, both read-only.
+    """``ticks`` (n,) of the scenario's ``hand_slots``, ``decisions`` (m,) of dtype DECISION, both read-only.
 
     A run that was cut short has fewer ticks than ``scenario.ticks`` + 1 (both ends of the
     duration are recorded) and ``ended`` says why; no property takes it for a safe one.

@@ -11,7 +11,7 @@ from safety_harness.admission.admit import admit, kinematics
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
-from safety_harness.controller.records import OBSERVATION, overhead_transform_sensor_to_base
+from safety_harness.controller.records import observation_dtype, overhead_transform_sensor_to_base
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.hand_boxes import sensor_principal_point_px, sphere_box
@@ -87,7 +87,7 @@ class Bench:
         self.joints = found
 
     def observation(self, hands: tuple[Position, ...]) -> np.ndarray:
-        o = np.zeros(1, OBSERVATION)
+        o = np.zeros(1, observation_dtype(2))
         o["time_s"] = o["boxes_time_s"] = self.ticks * self.settings.clock.control_period_s
         o["joint_position_rad"], o["joint_velocity_radps"] = self.joints, self.velocity
         moments = np.full(MOMENT_COUNT, np.nan)

@@ -18,7 +18,6 @@ from safety_harness.perception.detector import (
     copy_detections,
 )
 from safety_harness.perception.hand_boxes import rendered_principal_point_px, sphere_box
-from safety_harness.perception.tracking import MAX_DETECTIONS
 
 FOCAL, NEAR_M, FAR_M = 615.0, 0.05, 4.0
 RADIUS = 0.06
@@ -219,8 +218,8 @@ def test_one_wrong_depth_in_the_middle_does_not_matter() -> None:
 def test_copied_detections_are_the_largest_usable_ones_in_order() -> None:
     rows = np.array([[k, 0.0, 1.0, area, 1.0] for k, area in enumerate([5.0, 1.0, 9.0, 7.0, 8.0, 99.0])])
     rows[5, 2] = np.nan
-    out = np.zeros((MAX_DETECTIONS, 5))
-    assert copy_detections(rows, out) == MAX_DETECTIONS
+    out = np.zeros((4, 5))
+    assert copy_detections(rows, out) == 4
     assert list(out[:, 0]) == [0, 2, 3, 4]
     assert copy_detections(np.empty((0, 5)), out) == 0
 
@@ -228,4 +227,4 @@ def test_copied_detections_are_the_largest_usable_ones_in_order() -> None:
 @pytest.mark.parametrize("answer", [np.zeros(5), np.zeros((2, 4)), None, [["a"] * 5]])
 def test_an_answer_that_is_no_boxes_is_refused(answer: object) -> None:
     with pytest.raises(SimulationError, match="detector"):
-        copy_detections(answer, np.zeros((MAX_DETECTIONS, 5)))  # type: ignore[arg-type]
+        copy_detections(answer, np.zeros((4, 5)))  # type: ignore[arg-type]

@@ -10,13 +10,13 @@ from scipy.optimize import linear_sum_assignment
 from safety_harness.perception.hand_boxes import position_from_box, sphere_box
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import (
-    MAX_DETECTIONS,
     advance_tracks,
     no_tracks,
     predict_positions,
 )
+from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.settings import DEFAULTS
-from safety_harness.trace.records import MAX_TRACKS
+from safety_harness.trace.records import TRACKS_PER_HAND
 
 PARAMETERS = filter_parameters(DEFAULTS.hand_filter, DEFAULTS.hand_sensor)
 GATE = DEFAULTS.hand_filter.gate_px
@@ -30,7 +30,7 @@ TO_BASE = np.array(
 
 
 def frame(*boxes: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    rows = np.full((MAX_DETECTIONS, 5), np.nan)
+    rows = np.full((max(len(boxes), TRACKS_PER_HAND * HAND_SLOTS[0]), 5), np.nan)
     for row, box in zip(rows, boxes, strict=False):
         row[:] = box
     return rows, len(boxes)
@@ -47,7 +47,7 @@ def advance(tracks: NDArray[np.void], time_s: float, *boxes: NDArray[np.float64]
 def predicted(
     tracks: NDArray[np.void], time_s: float, transform: NDArray[np.float64] = TO_BASE
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    positions, valid = np.full((MAX_TRACKS, 3), 7.0), np.zeros(MAX_TRACKS, np.bool_)
+    positions, valid = np.full((len(tracks), 3), 7.0), np.zeros(len(tracks), np.bool_)
     predict_positions(tracks, time_s, PARAMETERS, transform, positions, valid)
     return positions, valid
 
@@ -73,13 +73,12 @@ def test_two_steadily_moving_hands_are_foreseen() -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(0, 10_000))
-def test_boxes_and_tracks_are_paired_at_the_globally_least_distance(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    track_count, box_count = rng.integers(0, MAX_TRACKS + 1), rng.integers(0, MAX_DETECTIONS + 1)
+@given(st.integers(0, 10_000), st.sampled_from(HAND_SLOTS))
+def test_boxes_and_tracks_are_paired_at_the_globally_least_distance(seed: int, hand_slots: int) -> None:
+    rng, tracks = np.random.default_rng(seed), no_tracks(hand_slots)
+    track_count, box_count = rng.integers(0, len(tracks) + 1, 2)
     spread = rng.choice([100.0, 300.0, 600.0])
     before, after = rng.uniform(0, spread, (track_count, 2)), rng.uniform(0, spread, (box_count, 2))
-    tracks = no_tracks()
     advance(tracks, 0.0, *(box_at(u, v) for u, v in before))
     # A new track and its first measurement weigh alike, so box j leaves the aspect 2 + j behind.
     advance(tracks, 0.0, *(box_at(u, v, aspect=3.0 + 2 * j) for j, (u, v) in enumerate(after)))
@@ -91,9 +90,20 @@ def test_boxes_and_tracks_are_paired_at_the_globally_least_distance(seed: int) -
     assert all(distance[j, i] <= GATE for j, i in pairs)
     total = sum(distance[j, i] for j, i in pairs) + GATE * (box_count - len(pairs))
     padded = np.hstack([np.where(distance <= GATE, distance, 1e6), np.full((box_count, box_count), GATE)])
-    replaced = any(tracks["id"] > MAX_TRACKS)
+    replaced = any(tracks["id"] > len(tracks))
     if not replaced:  # a replaced track no longer shows that it was not paired
         assert total == pytest.approx(padded[linear_sum_assignment(padded)].sum())
+
+
+@pytest.mark.parametrize("gate_px", [np.inf, np.nan])
+def test_without_a_bound_eight_boxes_find_their_tracks_all_the_same(gate_px: float) -> None:
+    tracks, places = no_tracks(8), np.arange(8) * 1000.0
+    parameters = PARAMETERS.copy()
+    parameters["gate_px"] = gate_px
+    for _ in range(2):
+        boxes, count = frame(*(box_at(u, 100.0) for u in places))
+        assert advance_tracks(tracks, boxes, count, 0.0, parameters)
+    assert sorted(tracks["mean"][:8, 0]) == sorted(places)
 
 
 def test_a_box_beyond_the_gate_is_another_hand() -> None:
@@ -237,15 +247,17 @@ def test_predicting_changes_no_track_and_marks_empty_slots() -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(0, 10_000))
-def test_whatever_is_seen_a_tracked_hand_has_a_place_in_front_of_the_sensor(seed: int) -> None:
+@given(st.integers(0, 10_000), st.sampled_from(HAND_SLOTS))
+def test_whatever_is_seen_a_tracked_hand_has_a_place_in_front_of_the_sensor(
+    seed: int, hand_slots: int
+) -> None:
     rng = np.random.default_rng(seed)
-    tracks, time_s = no_tracks(), 0.0
+    tracks, time_s = no_tracks(hand_slots), 0.0
     for _ in range(60):
         time_s += rng.choice([0.001, 0.008, 0.033, 0.3])
         boxes = [
             np.array([*rng.uniform(-200, 900, 2), 10 ** rng.uniform(-3, 1), rng.uniform(1, 1e5), 1.0])
-            for _ in range(rng.integers(0, MAX_DETECTIONS + 1))
+            for _ in range(rng.integers(0, len(tracks) + 1))
         ]
         assert advance(tracks, time_s, *boxes)
         alive = tracks[tracks["valid"]]

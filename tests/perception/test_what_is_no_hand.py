@@ -11,7 +11,6 @@ from safety_harness.exceptions import SettingsError
 from safety_harness.perception.detector import copy_detections
 from safety_harness.perception.hand_boxes import line_of_sight_blocked, sphere_box
 from safety_harness.perception.hand_filter import filter_parameters
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.settings import DEFAULTS
 
 
@@ -27,12 +26,10 @@ def test_a_sphere_without_a_size_has_no_box(radius_m: float) -> None:
     [(0, np.nan), (1, np.inf), (2, 0.0), (2, -1.0), (2, np.nan), (3, np.nan), (3, np.inf), (4, np.nan)],
 )
 def test_a_box_that_is_no_measurement_takes_the_place_of_none_that_is(column: int, value: float) -> None:
-    rows = np.array(
-        [[k, 0.0, 1.0, 10.0 + k, 1.0] for k in range(MAX_DETECTIONS)] + [[9.0, 0.0, 1.0, 99.0, 1.0]]
-    )
+    rows = np.array([[k, 0.0, 1.0, 10.0 + k, 1.0] for k in range(4)] + [[9.0, 0.0, 1.0, 99.0, 1.0]])
     rows[-1, column] = value
-    out = np.zeros((MAX_DETECTIONS, 5))
-    assert copy_detections(rows, out) == MAX_DETECTIONS
+    out = np.zeros((4, 5))
+    assert copy_detections(rows, out) == 4
     assert np.array_equal(out, rows[:-1])
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.scenario.model import MAX_HANDS, Claim, MovingHand, OffsetStart, Scenario, Verdict
+from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenario, Verdict
 from safety_harness.scenario.moves import ReachForTcp, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.trace.records import DECISION, TICK, Check, DecisionOutcome, Limit, Mode, Trigger
+from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, tick_dtype
 from safety_harness.trace.trace import Provenance, Trace
 
 PROVENANCE = Provenance(
@@ -69,7 +69,7 @@ def trace(
     """A servo loop that gives way while a hand is there; ``ticks`` cuts it short."""
     count = source.ticks + 1 if ticks is None else ticks
     rng = np.random.default_rng(source.seed)
-    out = np.zeros(count, dtype=TICK)
+    out = np.zeros(count, dtype=tick_dtype(source.hand_slots))
     period = source.settings.clock.control_period_s
     time = out["time_s"] = np.arange(count) * period
     desired = np.array(source.settings.cell.desired_tcp_position_in_base_m)
@@ -87,7 +87,7 @@ def trace(
     out["joint_position_rad"] = SEED_JOINTS + (tcp - desired)[:, 1:2] * swing * 4
     out["hand_distance_m"] = np.inf
     out["predicted_distance_m"] = np.inf
-    for index in range(min(len(source.hands), MAX_HANDS)):
+    for index in range(len(source.hands)):
         side = 1.0 if index == 0 else -1.0
         reach = np.exp(-(((time - 0.42 * source.duration_s) / (0.16 * source.duration_s)) ** 2))
         start = np.array([0.84, -0.65 * side, 0.0])

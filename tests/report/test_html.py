@@ -353,3 +353,15 @@ def test_a_claim_that_was_never_put_to_the_test_is_said_in_a_banner() -> None:
     knowing = replace(run.trace.scenario, claims=(replace(claim, expected=Verdict.INCONCLUSIVE),))
     silent = replace(idle, trace=replace(run.trace, scenario=knowing))
     assert "Never put to the test" not in text_for([silent])
+
+
+def test_each_of_eight_hands_has_an_ink_of_its_own_in_the_key_and_in_the_drawings() -> None:
+    run = factory.holds_run()
+    hands = tuple(factory.hand(f"hand {number}") for number in range(1, 9))
+    crowded = replace(run, trace=factory.trace(replace(run.trace.scenario, hands=hands)))
+    page = text_for([crowded])
+    drawings = "".join(re.findall(r"<svg.*?</svg>", page, re.DOTALL))
+    for number in range(1, 9):
+        assert f">hand {number}<" in page
+        assert f"var(--fig-hand-{number})" in drawings
+    assert "var(--fig-hand-3)" not in text_for([run])

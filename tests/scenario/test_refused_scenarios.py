@@ -134,14 +134,14 @@ def setting_text(group: str, key: Key, default: object, number: float) -> str:
     )
 
 
-def test_a_third_hand_is_refused() -> None:
+def test_a_ninth_hand_is_refused() -> None:
     hand = "  - {hand: NAME, starts at: [1 m, 0 m, 0 m], elbow towards: [2 m, 0 m, 0 m], moves: []}\n"
-    text = SHORTEST + "hands:\n" + "".join(hand.replace("NAME", name) for name in "abc")
+    text = SHORTEST + "hands:\n" + "".join(hand.replace("NAME", name) for name in "abcdefghi")
     error = refusal(text)
     assert (error.place.field, error.expected, error.got) == (
         "hands",
-        "a list of at most 2 hands",
-        "a list of 3",
+        "a list of at most 8 hands",
+        "a list of 9",
     )
 
 

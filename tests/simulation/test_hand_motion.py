@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from safety_harness.scenario.model import (
-    MAX_HANDS,
+    HAND_SLOTS,
     HandTrajectory,
     JoinedHand,
     MovingHand,
@@ -48,7 +48,7 @@ class Play:
     def __init__(self, *trajectories: HandTrajectory, seed: int = 1) -> None:
         self.hands = hands_at_start(scenario(*trajectories, duration_s=60.0, seed=seed))
         self.tick = 0
-        self.positions = [self.hands.state["position_in_base_m"].copy()]  # (n, MAX_HANDS, 3)
+        self.positions = [self.hands.state["position_in_base_m"].copy()]  # (n, hands, 3)
         self.elbows = [self.hands.state["elbow_in_base_m"].copy()]
 
     def advance(self, ticks: int, tcp: np.ndarray = TCP, dt_s: float = DT_S) -> np.ndarray:
@@ -409,7 +409,7 @@ def test_two_hands_do_not_disturb_each_other() -> None:
 def test_a_hand_that_does_not_exist_is_nowhere() -> None:
     play = Play(hand(at=START))
     play.advance(3)
-    assert list(play.hands.state["present"]) == [True] + [False] * (MAX_HANDS - 1)
+    assert list(play.hands.state["present"]) == [True] + [False] * (HAND_SLOTS[0] - 1)
     assert np.isnan(play.path(1)).all()
 
 

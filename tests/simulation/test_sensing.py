@@ -8,13 +8,12 @@ import pytest
 from examples import hand, scenario
 
 from safety_harness.admission.poses import kinematics, start_joint_position
-from safety_harness.controller.records import OBSERVATION, overhead_transform_sensor_to_base
+from safety_harness.controller.records import observation_dtype, overhead_transform_sensor_to_base
 from safety_harness.exceptions import SettingsError
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.perception.tracking import MAX_DETECTIONS
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import TCP
@@ -32,11 +31,12 @@ from safety_harness.simulation.steps import (
     send_object_frame,
 )
 from safety_harness.simulation.truth import cell_capsules
-from safety_harness.trace.records import TICK_COMPILED
+from safety_harness.trace.records import TICK, as_compiled
 from tests.robot.arms import transforms_of
 
 PERIOD_S = DEFAULTS.clock.control_period_s
 CENTRE_DEPTH_M = 1.2
+BOXES = 4  # of a frame of two hands
 
 
 def with_sensor(**changes: object) -> Settings:
@@ -69,14 +69,14 @@ def clock_at(tick: int) -> np.ndarray:
 def watch(settings: Settings, ticks: int, *, seed: int = 1, count: int = 1) -> list[Delivery]:
     """Show ``count`` boxes, whose u is the time of the tick, for ``ticks`` ticks; what arrives?"""
     cameras = sensors(settings, seed, ticks, overhead_transform_sensor_to_base(settings))
-    observation, truth = np.zeros(1, OBSERVATION), np.zeros(1, TICK_COMPILED)
-    boxes = np.zeros((MAX_DETECTIONS, 5))
+    observation, truth = np.zeros(1, observation_dtype(2)), as_compiled(np.zeros(1, TICK))
+    boxes = np.zeros((BOXES, 5))
     arrived = []
     for tick in range(ticks):
         time_s, clock = tick * PERIOD_S, clock_at(tick)
         if hand_frame_due(clock, cameras.state):
             boxes[:] = (time_s, 100.0, CENTRE_DEPTH_M, 3000.0, 1.0)
-            boxes[:, 1] += 10.0 * np.arange(MAX_DETECTIONS)
+            boxes[:, 1] += 10.0 * np.arange(BOXES)
             send_hand_frame(
                 truth,
                 clock,
@@ -129,7 +129,7 @@ def test_a_30_hz_sensor_delivers_late_by_its_latency_what_was_then(latency_s: fl
 def test_the_object_camera_has_a_clock_of_its_own() -> None:
     settings = replace(with_camera(rate_hz=30.0, latency_s=0.033), hand_sensor=with_sensor().hand_sensor)
     cameras = sensors(settings, 1, 100, overhead_transform_sensor_to_base(settings))
-    observation, truth = np.zeros(1, OBSERVATION), np.zeros(1, TICK_COMPILED)
+    observation, truth = np.zeros(1, observation_dtype(2)), as_compiled(np.zeros(1, TICK))
     hands = hands_at_start(scenario()).state
     arrived = []
     for tick in range(100):
@@ -174,16 +174,16 @@ def test_at_the_longest_latency_no_frame_is_lost() -> None:
 
 def test_boxes_drop_out_as_often_as_they_should() -> None:
     probability, ticks = 0.3, 2000
-    arrived = watch(with_sensor(dropout_probability=probability), ticks, count=MAX_DETECTIONS)
+    arrived = watch(with_sensor(dropout_probability=probability), ticks, count=BOXES)
     kept = sum(len(delivery.boxes) for delivery in arrived)
-    expected = (1.0 - probability) * ticks * MAX_DETECTIONS
+    expected = (1.0 - probability) * ticks * BOXES
     assert kept == pytest.approx(expected, abs=4.5 * np.sqrt(probability * expected))
     together = [len(delivery.boxes) for delivery in arrived].count(0)
     assert together == pytest.approx(ticks * probability**4, abs=4.5 * np.sqrt(ticks * probability**4))
 
 
 def test_a_box_that_drops_out_leaves_the_others_as_they_are() -> None:
-    for delivery in watch(with_sensor(dropout_probability=0.5), 100, count=MAX_DETECTIONS):
+    for delivery in watch(with_sensor(dropout_probability=0.5), 100, count=BOXES):
         assert set(delivery.boxes[:, 1]) <= {100.0, 110.0, 120.0, 130.0}
         assert list(delivery.boxes[:, 1]) == sorted(delivery.boxes[:, 1])
 
@@ -214,7 +214,7 @@ def test_one_seed_is_one_noise() -> None:
 
 def test_a_longer_run_begins_like_the_shorter_one() -> None:
     noisy = with_sensor(pixel_noise_px=1.0, depth_noise_per_m=0.001, dropout_probability=0.3)
-    short, long = (watch(noisy, ticks, count=MAX_DETECTIONS) for ticks in (60, 90))
+    short, long = (watch(noisy, ticks, count=BOXES) for ticks in (60, 90))
     for a, b in zip(short, long, strict=False):
         assert np.array_equal(a.boxes, b.boxes)
 
@@ -242,7 +242,7 @@ def seen(
         scenario(*(hand(at=tuple(position)) for position in hands), settings=settings)
     ).state
     cameras = sensors(settings, 1, 0, overhead_transform_sensor_to_base(settings))
-    boxes = np.zeros((MAX_DETECTIONS, 5))
+    boxes = np.zeros((BOXES, 5))
     count = exact_boxes(cameras.state, state, transforms[TCP], capsules.records, placed, boxes)
     return boxes[:count]
 

@@ -132,7 +132,7 @@
       });
       // hands with forearms, and where they are predicted
       this.hands = data.hands.map((name, k) => {
-        const ink = k ? "--fig-hand-2" : "--fig-hand-1";
+        const ink = `--fig-hand-${k + 1}`;
         const hand = new THREE.Mesh(new THREE.SphereGeometry(data.hand_radius_m, 28, 18), solid(ink));
         const forearm = new Body(data.forearm_radius_m, data.forearm_length_m, solid(ink, { transparent: true, opacity: 0.55 }));
         this.scene.add(hand, forearm.mesh);
