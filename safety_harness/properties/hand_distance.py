@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import ArrayNx6
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable, times_begun
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import (
     HandPaths,
     arm_of,
@@ -31,6 +32,19 @@ from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
+
+
+def distance_moved_m(trace: Trace) -> float:
+    """By how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    known, reach_m = trace.known, arm_of(trace).reach_m
+    hands_m = max(
+        known.of(name).uncertainty for name in ("hand_position_in_base_m", "elbow_position_in_base_m")
+    )
+    bend_s = trace.scenario.settings.clock.control_period_s / 2.0
+    turned_rad = known.of("joint_position_rad").uncertainty
+    turned_rad += bend_s * known.of("joint_velocity_radps").uncertainty
+    derived_m = hands_m + turned_rad * float(reach_m.sum())
+    return max(known.of("hand_distance_m").uncertainty, derived_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +70,16 @@ class HandDistance:
         """As the catalogue writes it."""
         return f"hand distance never below {self.minimum_m * 1e3:g} mm"
 
-    @readable(
+    @reads(
         "joint_position_rad",
         "joint_velocity_radps",
         "transform_tcp_to_base",
         "hand_position_in_base_m",
         "elbow_position_in_base_m",
         "hand_distance_m",
+        also=["hand_distance_capsule"],
+        of_each_hand=True,
+        moved_by=distance_moved_m,
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach, between ticks too."""

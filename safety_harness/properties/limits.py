@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.separation import faster_mps
 from safety_harness.properties.true_motion import arm_of, true_motion
 from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood
@@ -30,7 +31,7 @@ class JointLimits:
     unit: Unit = Unit.ANGLE
     sentence: str = "joint positions within limits"
 
-    @readable("joint_position_rad")
+    @reads("joint_position_rad")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
         arm = load_arm(trace.scenario.robot.arm_name)
@@ -50,7 +51,7 @@ class JointSpeedLimits:
     unit: Unit = Unit.ANGULAR_SPEED
     sentence: str = "joint speeds within limits"
 
-    @readable("joint_position_rad", "joint_velocity_radps")
+    @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
         arm = load_arm(trace.scenario.robot.arm_name)
@@ -77,7 +78,7 @@ class TcpSpeedLimit:
         """As the catalogue writes it."""
         return f"TCP speed never above {self.maximum_mps * 1e3:g} mm/s"
 
-    @readable("tcp_speed_mps", "transform_tcp_to_base")
+    @reads("tcp_speed_mps", "transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the TCP's speed."""
         fastest_mps, tick, moving = _fastest(
@@ -193,7 +194,7 @@ class JointAccelerations:
         """As the catalogue writes it."""
         return f"joint accelerations never above {np.degrees(self.maximum_radps2):g} deg/s2"
 
-    @readable("joint_velocity_radps")
+    @reads("joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint in every control period."""
         if len(trace.ticks) < 2:
@@ -223,7 +224,7 @@ class TcpAcceleration:
         """As the catalogue writes it."""
         return f"TCP acceleration never above {self.maximum_mps2:g} m/s2"
 
-    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps")
+    @reads("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every control period."""
         if len(trace.ticks) < 2:

@@ -14,11 +14,11 @@ from safety_harness.properties.base import (
     Evaluation,
     Unit,
     judged,
-    readable,
     runs_of,
     times_begun,
 )
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.separation import (
     WALKING_MPS,
     Separation,
@@ -70,7 +70,7 @@ class ProtectiveSeparation:
         """The v_h that is taken where the hands' own speeds are not."""
         return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
 
-    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps", *OF_HANDS)
+    @reads("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps", *OF_HANDS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the pair that has least to spare."""
         if not trace.scenario.hands:
