@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from safety_harness.trace.trace import Trace
 SEED = 20261123
 
 
-@lru_cache(maxsize=None)
+@cache
 def case(entry: CatalogueEntry) -> tuple[Property, Trace, Evaluation]:
     trace = shipped(entry.scenario)
     prop = property_of(claim(entry), trace.scenario)
