@@ -14,9 +14,11 @@ from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import (
     HandPaths,
+    apart_moved_m,
     arm_of,
     capsules_of,
     first_stray,
+    follows_unknown,
     hand_bend_m,
     hand_paths,
     true_motion,
@@ -34,17 +36,16 @@ RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
 
 
-def distance_moved_m(trace: Trace) -> float:
-    """By how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
-    known, reach_m = trace.known, arm_of(trace).reach_m
-    hands_m = max(
-        known.of(name).uncertainty for name in ("hand_position_in_base_m", "elbow_position_in_base_m")
-    )
+def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks."""
+    known, at_ticks_m = trace.known, trace.known.of("hand_distance_m").uncertainty
+    if follows_unknown(trace):
+        return -np.inf, np.inf, False
     bend_s = trace.scenario.settings.clock.control_period_s / 2.0
-    turned_rad = known.of("joint_position_rad").uncertainty
-    turned_rad += bend_s * known.of("joint_velocity_radps").uncertainty
-    derived_m = hands_m + turned_rad * float(reach_m.sum())
-    return max(known.of("hand_distance_m").uncertainty, derived_m)
+    bend_m = bend_s * known.of("joint_velocity_radps").uncertainty * float(arm_of(trace).reach_m.sum())
+    by_m = max(at_ticks_m, apart_moved_m(trace) + bend_m) + RESOLUTION_M
+    exercised = bool(true_motion(trace).nearest_m.min() + at_ticks_m < prop.near_m)
+    return margin_m - by_m, margin_m + by_m, exercised
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +80,7 @@ class HandDistance:
         "hand_distance_m",
         also=["hand_distance_capsule"],
         of_each_hand=True,
-        moved_by=distance_moved_m,
+        ends=_ends,
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach, between ticks too."""

@@ -2,15 +2,16 @@
 
 It never guesses: what reads a column that nobody measured is inconclusive, and names it.  Three things can be
 said all the same.  What is violated until a column ends is violated.  What is violated by the hands that were
-measured is violated, whatever the others did, if the property says the same of each hand.  And a margin that
-is farther from zero than the uncertainty of its columns can move it keeps its verdict.
+measured is violated, whatever the others did, if the property says the same of each hand.  And a verdict
+stands that every value within the uncertainty of its columns gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import wraps
+from math import inf
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -23,39 +24,55 @@ from safety_harness.properties.base import (
     inconclusive,
     unreadable,
 )
-from safety_harness.scenario.model import JoinedHand, Verdict
-from safety_harness.trace.known import PER_HAND, PRESENCE, Knowledge, Measurement, until
+from safety_harness.properties.true_motion import apart_moved_m, derived
+from safety_harness.scenario.model import MAX_HANDS, MovingHand, RecordedHand, Verdict
+from safety_harness.trace.known import (
+    PER_HAND,
+    PRESENCE,
+    UNMEASURED,
+    Knowledge,
+    Measurement,
+    Source,
+    until,
+)
 from safety_harness.trace.trace import Trace
 
 Judge = TypeVar("Judge", bound=Callable[[Any, Trace], Evaluation])
-Widening = Callable[[Trace], float]
+Ends = Callable[[Any, Trace, float], tuple[float, float, bool]]
+FAR_M = (100.0, 0.0, 0.0)
+WITHOUT_ARMS = {"elbow_position_in_base_m", "hand_distance_m", "hand_distance_capsule"}  # the rest is hands
 
 
 def reads(
     *finite: str,
     also: Sequence[str] = (),
+    bounded: Sequence[str] = (),
     of_each_hand: bool = False,
-    moved_by: Widening | None = None,
+    ends: Ends | None = None,
 ) -> Callable[[Judge], Judge]:
     """For ``evaluate``, which reads these columns and no others.
 
-    Those that are ``finite`` make it inconclusive where they are not; ``also`` are the rest.  Whether a hand
-    is there is read with everything of hands.  ``of_each_hand``: it is violated if it is for some of the
-    hands alone.  ``moved_by`` says by how much the margin may move (SI) as the columns are uncertain; without
-    it nothing is said of a trace in which any is.
+    Those that are ``finite`` make it inconclusive where they are not; ``also`` and ``bounded`` are the rest.
+    Whether a hand is there is read with everything of hands.  ``of_each_hand``: it is violated if it is for
+    some of the hands alone.
+
+    ``ends`` says of a margin (SI) how low and how high the true one may be, as the columns are uncertain, and
+    whether the property was exercised in any case; without it nothing is said of a trace in which any is.
+    It reckons with any value of those that are ``bounded``, where they were not measured.
     """
-    names = tuple(dict.fromkeys((*finite, *also, *([PRESENCE] if {*finite} & {*OF_HANDS} else []))))
+    there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
+    names = tuple(dict.fromkeys((*finite, *also, *bounded, *there)))
 
     def decorate(evaluate: Judge) -> Judge:
         def plain(prop: Property, trace: Trace) -> Evaluation:
             problem = unreadable(trace, finite)
             return evaluate(prop, trace) if problem is None else inconclusive(prop, problem)
 
+        judging = _Judging(plain, names, tuple(bounded), of_each_hand, ends)
+
         @wraps(evaluate)
         def evaluate_what_is_known(prop: Property, trace: Trace) -> Evaluation:
-            if trace.known.whole:
-                return plain(prop, trace)
-            return _in_part(plain, prop, trace, names, of_each_hand, moved_by)
+            return plain(prop, trace) if trace.known.whole else judging.evaluate(prop, trace)
 
         evaluate_what_is_known.reads = names  # type: ignore[attr-defined]
         return cast(Judge, evaluate_what_is_known)
@@ -75,41 +92,68 @@ def not_measured(prop: Said, columns: Sequence[str], what: str = "") -> Evaluati
     return replace(inconclusive(prop, f"not measured: {words}"), unmeasured=tuple(columns))
 
 
-def _in_part(
-    plain: Callable[[Property, Trace], Evaluation],
-    prop: Property,
-    trace: Trace,
-    names: tuple[str, ...],
-    of_each_hand: bool,
-    moved_by: Widening | None,
-) -> Evaluation:
-    """By all that was measured of ``names``."""
-    known = trace.known
-    missing = known.missing(names)
-    if missing and not (of_each_hand and missing == (PRESENCE,)):
-        return not_measured(prop, missing)
-    gap = known.first_gap(names)
-    if not missing and gap is None:
-        return _widened(plain(prop, trace), prop, trace, names, moved_by)
-    lacking = [name for name in names if known.of(name).gaps] or list(missing)
-    words = ", ".join(_lack(trace, name) for name in lacking)
-    told = []
-    for which, piece in _pieces(trace, names, of_each_hand):
-        found = _in_part(plain, prop, piece, names, of_each_hand, moved_by)
-        if found.verdict is Verdict.VIOLATED:
-            return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
-        told.append(f"{which}: {found.margin_text()} ({found.reason})")
-    return not_measured(prop, lacking, "; ".join([words, *told]))
+@dataclass(frozen=True)
+class _Judging:
+    """A property by all that was measured of the columns ``names``; the fields are those of ``reads``."""
+
+    plain: Callable[[Property, Trace], Evaluation]
+    names: tuple[str, ...]
+    bounded: tuple[str, ...]
+    of_each_hand: bool
+    ends: Ends | None
+
+    def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
+        """All of it, or else in parts: what one of them violates is violated."""
+        known = trace.known
+        limited = [name for name in self.names if known.of(name).limited]
+        lacking = [
+            name
+            for name in limited
+            if name not in self.bounded and (known.missing([name]) or known.of(name).gaps)
+        ]
+        if not lacking:
+            found = self.plain(prop, trace)
+            return self._widened(found, prop, trace, limited) if limited else found
+        words = ", ".join(_lack(trace, name) for name in lacking)
+        told = [words]
+        for which, piece in _pieces(trace, lacking, self.of_each_hand):
+            found = self.evaluate(prop, piece)
+            if found.verdict is Verdict.VIOLATED:
+                return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
+            told.append(f"{which}: {found.margin_text()} ({found.reason})")
+        return not_measured(prop, lacking, "; ".join(told))
+
+    def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
+        """The verdict that every value within the uncertainty gives, with the margin that is certain."""
+        if found.verdict is Verdict.INCONCLUSIVE:
+            return found
+        low, high, exercised = -inf, inf, False
+        if self.ends is not None and found.margin is not None:
+            low, high, exercised = self.ends(prop, trace, found.margin)
+        if found.verdict is Verdict.VIOLATED and high < 0.0:
+            return replace(found, margin=high)
+        if found.verdict is Verdict.HOLDS and low >= 0.0 and exercised:
+            return replace(found, margin=low)
+        unknown = [name for name in limited if trace.known.of(name).uncertainty == 0.0]
+        why = "not measured" if unknown else "known only to within an uncertainty"
+        why = f"{why}: {', '.join(unknown or limited)}; the margin is "
+        if low == -inf and high == inf:
+            why += "not bounded"
+        else:
+            why += f"from {found.unit.margin_text(low)} to {found.unit.margin_text(high)}"
+        if found.verdict is Verdict.HOLDS and not exercised:
+            why += ", and perhaps it was never exercised"
+        why = f"{why}; by what was measured {found.margin_text()}: {found.reason}"
+        return replace(inconclusive(prop, why, exercised=found.exercised), unmeasured=tuple(limited))
 
 
 def _lack(trace: Trace, name: str) -> str:
     """What is lacking of a column, in words."""
-    gaps = trace.known.of(name).gaps
-    if not gaps:
-        return "whether other hands were there" if name == PRESENCE else name
-    first = min(gaps, key=lambda gap: gap.first)
-    hands = trace.scenario.hands
-    whose = f" of {hands[first.hand].name}" if first.hand is not None and first.hand < len(hands) else ""
+    first = trace.known.first_gap([name])
+    if trace.known.missing([name]) or first is None:
+        return name
+    names = [hand.name for hand in trace.scenario.hands]
+    whose = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
     return f"{name}{whose} from {_time_s(trace, first.first):.3f} s"
 
 
@@ -117,64 +161,77 @@ def _time_s(trace: Trace, tick: int) -> float:
     return tick * trace.scenario.settings.clock.control_period_s
 
 
-def _pieces(trace: Trace, names: tuple[str, ...], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
-    """What was measured whole: the run until the first gap, and that of the hands without one."""
-    gap = trace.known.first_gap(names)
+def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
+    """What was measured whole: until the first gap, the hands without one, hands without their forearms."""
+    known, hands = trace.known, trace.scenario.hands
+    gap = known.first_gap(lacking)
     if gap is not None and gap.first > 0:
-        when = f"until {_time_s(trace, gap.first):.3f} s"
-        yield when, until(trace, gap.first, "what follows was not measured")
-    if not of_each_hand:
+        yield f"until {_time_s(trace, gap.first):.3f} s", until(trace, gap.first, UNMEASURED)
+    of_hands = {name for name in lacking if name in PER_HAND}
+    if not of_each_hand or not of_hands:
         return
-    gaps = [gap for name in names if name in PER_HAND for gap in trace.known.of(name).gaps]
-    lost = {gap.hand for gap in gaps if gap.hand is not None}
-    kept = [hand for hand in range(len(trace.scenario.hands)) if hand not in lost]
-    if trace.known.missing([PRESENCE]):
-        yield "of the hands that were measured", replace(trace, known=_presumed(trace.known))
-    elif kept and lost:
-        left = _of_hands(trace, kept)
-        if left is not None:
-            yield f"of {' and '.join(hand.name for hand in left.scenario.hands)} alone", left
+    gaps = [(name, gap.hand) for name in of_hands for gap in known.of(name).gaps]
+    gaps += [(name, None) for name in known.missing(of_hands)]
+    lost = {
+        k
+        for k in range(len(hands))
+        for name, hand in gaps
+        if hand == k or (hand is None and name != PRESENCE)  # that of others; these were measured
+    }
+    lost = {
+        k for k, hand in enumerate(hands) if hands.index(trace.scenario.leader(hand) or hand) in lost
+    } | lost
+    kept = [hand.name for k, hand in enumerate(hands) if k not in lost]
+    if kept:
+        yield f"of {' and '.join(kept)} alone", _without(trace, lost)
+    if of_hands <= WITHOUT_ARMS:
+        yield "of hands without their forearms", _without_arms(trace)
 
 
-def _presumed(known: Knowledge) -> Knowledge:
-    """As if no other hands had been there."""
-    return Knowledge({**known.columns, PRESENCE: Measurement()})
-
-
-def _of_hands(trace: Trace, kept: list[int]) -> Trace | None:
-    """The trace as if only the hands ``kept`` had been there; None if one of them is led by another."""
-    hands = tuple(trace.scenario.hands[hand] for hand in kept)
-    if any(isinstance(hand, JoinedHand) and hand.joined_to not in {h.name for h in hands} for hand in hands):
-        return None
-    ticks, columns = trace.ticks.copy(), dict(trace.known.columns)
-    for name in PER_HAND:
-        values = trace.ticks[name]
-        absent = {"hand_distance_m": np.inf, "hand_distance_capsule": -1}.get(name, 0)
-        ticks[name] = absent
-        ticks[name][:, : len(kept)] = values[:, kept]
-        if name in columns:
-            one = columns[name]
-            gaps = [gap for gap in one.gaps if gap.hand in (None, *kept)]
-            gaps = [gap if gap.hand is None else replace(gap, hand=kept.index(gap.hand)) for gap in gaps]
-            columns[name] = replace(one, gaps=tuple(gaps))
-    scenario = replace(trace.scenario, hands=hands)
+def _without(trace: Trace, lost: set[int]) -> Trace:
+    """The trace as if the hands ``lost`` had rested far away, and nobody else had been there."""
+    hands, ticks = list(trace.scenario.hands), trace.ticks.copy()
+    ticks["hand_present"] = np.arange(MAX_HANDS) < len(hands)
+    for k in lost:
+        hands[k] = MovingHand(
+            name=hands[k].name, starts_at_in_base_m=FAR_M, elbow_towards_in_base_m=FAR_M, moves=()
+        )
+        ticks["hand_position_in_base_m"][:, k] = ticks["elbow_position_in_base_m"][:, k] = FAR_M
+        ticks["elbow_position_in_base_m"][:, k, 2] += trace.scenario.settings.hand.forearm_length_m
+        ticks["hand_distance_m"][:, k], ticks["hand_distance_capsule"][:, k] = FAR_M[0], 0
+    columns = {
+        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand not in lost))
+        for name, one in trace.known.columns.items()
+        if name != PRESENCE
+    }
+    scenario = replace(trace.scenario, hands=tuple(hands))
     return replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
 
 
-def _widened(
-    found: Evaluation, prop: Property, trace: Trace, names: Sequence[str], moved_by: Widening | None
-) -> Evaluation:
-    """The verdict that every value within the uncertainty gives, with the margin that is certain."""
-    uncertain = trace.known.uncertain(names)
-    if not uncertain or found.verdict is Verdict.INCONCLUSIVE or found.margin is None:
-        return found
-    if moved_by is None:
-        why = f"known only to within an uncertainty, with which it is not judged: {', '.join(uncertain)}"
-        return replace(inconclusive(prop, why, exercised=found.exercised), unmeasured=uncertain)
-    by, holds = moved_by(trace), found.verdict is Verdict.HOLDS
-    low, high = found.margin - by, found.margin + by
-    if low < 0.0 <= high:
-        ends = " to ".join(found.unit.margin_text(end) for end in (low, high))
-        why = f"between {ends}, as {', '.join(uncertain)} may be that far off: {found.reason}"
-        return replace(inconclusive(prop, why, exercised=found.exercised), unmeasured=uncertain)
-    return replace(found, margin=low if holds else high)
+def _without_arms(trace: Trace) -> Trace:
+    """The trace as if there had been hands alone, spheres, with their distances from the arm."""
+    scenario, ticks = trace.scenario, trace.ticks.copy()
+    sphere = replace(
+        scenario.settings.hand,
+        forearm_length_m=0.0,
+        forearm_radius_m=min(scenario.settings.hand.forearm_radius_m, scenario.settings.hand.radius_m),
+    )
+    hands = tuple(
+        replace(
+            hand, motion=replace(hand.motion, elbow_position_in_base_m=hand.motion.hand_position_in_base_m)
+        )
+        if isinstance(hand, RecordedHand)
+        else hand
+        for hand in scenario.hands
+    )
+    scenario = replace(scenario, hands=hands, settings=replace(scenario.settings, hand=sphere))
+    ticks["elbow_position_in_base_m"] = ticks["hand_position_in_base_m"]
+    position = trace.known.of("hand_position_in_base_m")
+    columns = {**trace.known.columns, "elbow_position_in_base_m": position}
+    armless = replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
+    ticks = ticks.copy()
+    for name in ("hand_distance_m", "hand_distance_capsule"):
+        ticks[name] = derived(armless)[name]
+    distance = Measurement(source=Source.DERIVED, uncertainty=apart_moved_m(armless), gaps=position.gaps)
+    columns |= {"hand_distance_m": distance, "hand_distance_capsule": replace(distance, uncertainty=0.0)}
+    return replace(armless, ticks=ticks, known=Knowledge(columns))

@@ -21,17 +21,25 @@ from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, load_capsules
 from safety_harness.robot.description import load_arm
-from safety_harness.scenario.model import MAX_HANDS, RecordedHand
+from safety_harness.scenario.model import MAX_HANDS, MovingHand, RecordedHand
+from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.simulation.hand_motion import HAND, advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
+from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import COLUMNS, TICK, TICK_COMPILED, as_numbers
 from safety_harness.trace.trace import Trace, history, once_a_trace
 
 HANDS, ELBOWS = COLUMNS["hand_position_in_base_m"], COLUMNS["elbow_position_in_base_m"]
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
-DERIVED = ("transform_tcp_to_base", "tcp_speed_mps", "hand_distance_m")
+JOINTS = ("joint_position_rad", "joint_velocity_radps")
+BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
+DERIVED = {  # from what
+    "transform_tcp_to_base": JOINTS[:1],
+    "tcp_speed_mps": JOINTS,
+    "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
+}
 TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
 assert HANDS.stop == ELBOWS.start
 
@@ -150,9 +158,50 @@ def hand_paths(trace: Trace) -> HandPaths:
 
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
-    """The first tick at which a hand or elbow of the trace is not where its scenario moves it."""
-    stray = _first_stray(true_motion(trace).hands_m, paths.positions_in_base_m)
+    """The first tick at which a hand or elbow of the trace is not where its scenario moves it.
+
+    Within their uncertainty, and where they were measured; nothing is said of hands that follow a TCP of
+    which not all is known.
+    """
+    stored_m, moved_m, known = true_motion(trace).hands_m, paths.positions_in_base_m, trace.known
+    if not known.whole:
+        if follows_unknown(trace):
+            return None
+        stored_m = stored_m[:, : moved_m.shape[1]].copy()
+        for body, name in enumerate(BODIES):
+            off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
+            same = ~known.measured(name, len(off_m))[:, : off_m.shape[1]]
+            same |= off_m <= known.of(name).uncertainty + SAME_M
+            stored_m[:, :, body][same] = moved_m[:, :, body][same]
+    stray = _first_stray(stored_m, moved_m)
     return stray if stray >= 0 else None
+
+
+def follows_unknown(trace: Trace) -> bool:
+    """Does a hand head for the TCP, and was that not measured everywhere and exactly?"""
+    moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
+    seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
+    return seeks and trace.known.of("transform_tcp_to_base").limited
+
+
+def apart_moved_m(trace: Trace) -> float:
+    """By how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    known, turned_rad = trace.known, trace.known.of("joint_position_rad").uncertainty
+    return max(known.of(name).uncertainty for name in BODIES) + turned_rad * float(
+        arm_of(trace).reach_m.sum()
+    )
+
+
+def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain.
+
+    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
+    """
+    turned_rad, faster_radps = (trace.known.of(name).uncertainty for name in JOINTS)
+    reach_m = arm_of(trace).reach_m
+    farther_m = np.array([reach_m[np.maximum(np.arange(6), j)].sum() for j in range(6)])
+    rates_radps = np.abs(true_motion(trace).rates_radps)
+    return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
@@ -178,7 +227,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
     towards = np.array(trajectory.elbow_towards_in_base_m)
     return _hand_bends(
-        true_motion(trace).hands_m[:, hand, 0],
+        paths.positions_in_base_m[:, hand, 0],
         towards,
         paths.moving[:, hand],
         fastest,
@@ -303,35 +352,57 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     """The first tick whose pose, speed or hand distances are not those of its joints and hands.
 
     What is NaN must be NaN because joints or hands are; whether that can be judged is for the
-    properties to say.  The order of the fields counts before that of the ticks.
+    properties to say.  What was not measured is not compared, and nothing more closely than it is known.
+    The order of the fields counts before that of the ticks.
     """
-    settings = trace.scenario.settings
-    arm = load_arm(trace.scenario.robot.arm_name)
-    capsules = capsules_of(trace)
-    derived = np.zeros(len(trace.ticks), TICK)
-    _derive(
-        arm_record(arm, settings),
-        capsules.records,
-        np.empty((len(capsules.names), 2, 3)),
-        np.zeros(MAX_HANDS, HAND),
-        trace.ticks.copy().view(TICK_COMPILED),  # compiled code takes no array that is read-only
-        derived.view(TICK_COMPILED),
-    )
-    for name in DERIVED:
-        stored, true = trace.ticks[name], derived[name]
+    found, known, count = derived(trace), trace.known, len(trace.ticks)
+    for name, by in DERIVED.items():
+        stored, true = trace.ticks[name], found[name]
         same = np.isclose(stored, true, rtol=0.0, atol=TOLERANCE, equal_nan=True)
-        for found in at_first(~same, name, "tick", "what joints and hands give", stored):
-            return found
-    part = trace.ticks["hand_distance_capsule"]
-    expected = f"one of {len(capsules.names)} parts"
-    for found in at_first(part >= len(capsules.names), "hand_distance_capsule", "tick", expected, part):
-        return found
+        if not known.whole:
+            within = (TOLERANCE + known.of(name).uncertainty + _moved(trace, name)).reshape(
+                -1, *[1] * (stored.ndim - 1)
+            )
+            same |= np.abs(stored - true) <= within
+            for column in (name, *by):
+                measured = known.measured(column, count)
+                same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
+        for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
+            return wrong
+    part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
+    beyond = (part >= parts) & known.measured("hand_distance_capsule", count)
+    for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
+        return wrong
     stray = first_stray(trace, hand_paths(trace)) if len(trace.ticks) else None
     if stray is None:
         return None
     hands = trace.ticks["hand_position_in_base_m"][stray]
     expected = "hands and elbows where the scenario moves them"
     return Inconsistency("hand_position_in_base_m", "tick", stray, expected, str(hands.tolist()))
+
+
+def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
+    """(n,) by how much one of ``DERIVED`` may be off, as joints and hands are uncertain."""
+    if name == "tcp_speed_mps":
+        return tcp_velocity_moved_mps(trace)
+    turned_rad = trace.known.of("joint_position_rad").uncertainty
+    pose = turned_rad * (arm_of(trace).reach_m.sum() + 6.0)  # no entry of a rotation changes by more than it
+    return np.full(len(trace.ticks), apart_moved_m(trace) if name == "hand_distance_m" else pose)
+
+
+def derived(trace: Trace) -> NDArray[np.void]:
+    """(n,) TICK with the truth of every tick again, from its joints and hands."""
+    capsules = capsules_of(trace)
+    found = np.zeros(len(trace.ticks), TICK)
+    _derive(
+        arm_record(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings),
+        capsules.records,
+        np.empty((len(capsules.names), 2, 3)),
+        np.zeros(MAX_HANDS, HAND),
+        trace.ticks.copy().view(TICK_COMPILED),  # compiled code takes no array that is read-only
+        found.view(TICK_COMPILED),
+    )
+    return found
 
 
 @compiled

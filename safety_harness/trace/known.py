@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, TraceError
+from safety_harness.scenario.model import MAX_HANDS
 from safety_harness.trace.records import DECISION, TICK
 
 if TYPE_CHECKING:
@@ -26,6 +29,7 @@ TICK_COLUMNS = tuple(name for name in TICK.names or () if name != "time_s")  # w
 COLUMNS_OF_A_TRACE = TICK_COLUMNS + tuple(f"{OF_DECISIONS}{name}" for name in DECISION.names or ())
 PER_HAND = tuple(name for name in TICK_COLUMNS if name.startswith(("hand_", "elbow_")))
 PRESENCE = "hand_present"
+UNMEASURED = "what follows was not measured"  # the end of a part of a run
 
 
 class Source(Enum):
@@ -90,7 +94,7 @@ class Knowledge:
     def __reduce__(self) -> tuple[type[Knowledge], tuple[dict[str, Measurement]]]:
         return Knowledge, (dict(self.columns),)
 
-    @property
+    @cached_property
     def whole(self) -> bool:
         """Is every column known exactly at every tick?"""
         return not any(one.limited for one in self.columns.values())
@@ -117,6 +121,22 @@ class Knowledge:
         gaps = [gap for name in names for gap in self.of(name).gaps]
         return min(gaps, key=lambda gap: gap.first, default=None)
 
+    def measured(self, name: str, ticks: int) -> NDArray[np.bool_]:
+        """(n,), or (n, hands) of a column of hands: at which of n ticks was a column of them measured?"""
+        shape = (ticks, MAX_HANDS) if name in PER_HAND else (ticks,)
+        found = np.full(shape, self.of(name).source is not Source.NONE)
+        for gap in self.of(name).gaps:
+            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
+        return found
+
+    def refuse_gaps_beyond(self, ticks: int) -> None:
+        """TraceError for a gap that ends after the last of ``ticks``."""
+        for name, one in self.columns.items():
+            for gap in one.gaps:
+                if gap.after > ticks:
+                    place = Place(field=f"known.{name}")
+                    raise TraceError(place=place, expected=f"gaps within {ticks} ticks", got=str(gap))
+
 
 _SIMULATED = Measurement()
 WHOLLY_KNOWN = Knowledge()
@@ -136,14 +156,15 @@ def _refuse_impossible(name: str, one: Measurement) -> None:
     for gap in one.gaps:
         if not 0 <= gap.first < gap.after or name.startswith(OF_DECISIONS):
             raise refuse("gaps of ticks, each from one to a later one", str(gap))
-        if gap.hand is not None and (gap.hand < 0 or name not in PER_HAND):
-            raise refuse("gaps of one hand only in columns of hands", str(gap))
+        if gap.hand is not None and (gap.hand not in range(MAX_HANDS) or name not in PER_HAND):
+            raise refuse(f"gaps of one hand, 0 to {MAX_HANDS - 1}, only in columns of hands", str(gap))
 
 
 def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
     """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
 
-    Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge``.
+    Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
+    gaps beyond the last tick.
     """
     known = Knowledge({**trace.known.columns, **columns})
     ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
@@ -151,10 +172,10 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
         records = decisions if name.startswith(OF_DECISIONS) else ticks
         values = records[name.removeprefix(OF_DECISIONS)]
         blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
-        if one.source is Source.NONE:
-            values[:] = blank
-        for gap in one.gaps:
-            values[gap.first : gap.after, ... if gap.hand is None else gap.hand] = blank
+        if name.startswith(OF_DECISIONS):
+            values[...] = blank if one.source is Source.NONE else values
+        else:
+            values[~known.measured(name, len(ticks))] = blank
     return replace(trace, ticks=ticks, decisions=decisions, known=known)
 
 
@@ -165,7 +186,9 @@ def until(trace: Trace, tick: int, why: str) -> Trace:
     """The run before ``tick``, cut short for the reason ``why``."""
     before = trace.decisions["tick"] < tick
     columns = {
-        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.first < tick))
+        name: replace(
+            one, gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick)
+        )
         for name, one in trace.known.columns.items()
     }
     return replace(
