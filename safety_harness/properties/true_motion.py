@@ -11,6 +11,7 @@ And whether a trace's truth agrees with itself: poses, speeds and distances foll
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from safety_harness.simulation.truth import arm_record, cell_capsules, fill_trut
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
 from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import COLUMNS, TICK, TICK_COMPILED, as_numbers
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 HANDS, ELBOWS = COLUMNS["hand_position_in_base_m"], COLUMNS["elbow_position_in_base_m"]
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
@@ -44,35 +45,51 @@ TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another ma
 assert HANDS.stop == ELBOWS.start
 
 
-@dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """Of each of n ticks; positions in the base frame [m].  The arrays are read-only.
+    """Of each of n ticks; positions in the base frame [m]: read-only views, for copies would take longer.
 
-    ``joints_rad`` and ``rates_radps`` (n, 6), ``tcp_m`` (n, 3), ``hands_m`` (n, hands, 2, 3): hand and
-    elbow, ``present`` (n, hands), ``nearest_m`` (n,): the least hand distance, surface to surface.
+    Each is made when it is asked for, so that nobody reads what he does not say.
     """
 
-    joints_rad: NDArray[np.float64]
-    rates_radps: NDArray[np.float64]
-    tcp_m: NDArray[np.float64]
-    hands_m: NDArray[np.float64]
-    present: NDArray[np.bool_]
-    nearest_m: NDArray[np.float64]
+    def __init__(self, ticks: NDArray[np.void]) -> None:
+        self._ticks = ticks
+
+    @cached_property
+    def joints_rad(self) -> NDArray[np.float64]:
+        """(n, 6)."""
+        return self._ticks["joint_position_rad"]
+
+    @cached_property
+    def rates_radps(self) -> NDArray[np.float64]:
+        """(n, 6)."""
+        return self._ticks["joint_velocity_radps"]
+
+    @cached_property
+    def tcp_m(self) -> NDArray[np.float64]:
+        """(n, 3)."""
+        return self._ticks["transform_tcp_to_base"][:, :3, 3]
+
+    @cached_property
+    def hands_m(self) -> NDArray[np.float64]:
+        """(n, hands, 2, 3): hand and elbow."""
+        both = as_numbers(self._ticks)[:, HANDS.start : ELBOWS.stop].reshape(-1, 2, MAX_HANDS, 3)
+        return both.transpose(0, 2, 1, 3)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(n, hands)."""
+        return self._ticks["hand_present"]
+
+    @cached_property
+    def nearest_m(self) -> NDArray[np.float64]:
+        """(n,): the least hand distance, surface to surface."""
+        return np.array(self._ticks["hand_distance_m"], order="F").min(axis=1)
 
 
 @once_a_trace
 def true_motion(trace: Trace) -> TrueMotion:
-    """The true motion of arm and hands in a trace: views of its ticks, for copies would take longer."""
-    ticks = trace.ticks
-    hands_and_elbows = as_numbers(ticks)[:, HANDS.start : ELBOWS.stop].reshape(-1, 2, MAX_HANDS, 3)
-    return TrueMotion(
-        joints_rad=ticks["joint_position_rad"],
-        rates_radps=ticks["joint_velocity_radps"],
-        tcp_m=ticks["transform_tcp_to_base"][:, :3, 3],
-        hands_m=hands_and_elbows.transpose(0, 2, 1, 3),
-        present=ticks["hand_present"],
-        nearest_m=history(trace, "hand_distance_m").min(axis=1),
-    )
+    """The true motion of arm and hands in a trace."""
+    return TrueMotion(trace.ticks)
 
 
 @once_a_trace
