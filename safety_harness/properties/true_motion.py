@@ -375,15 +375,12 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     found, known, count = derived(trace), trace.known, len(trace.ticks)
     for name, by in DERIVED.items():
         stored, true = trace.ticks[name], found[name]
-        same = np.isclose(stored, true, rtol=0.0, atol=TOLERANCE, equal_nan=True)
-        if not known.whole:
-            within = (TOLERANCE + known.of(name).uncertainty + _moved(trace, name)).reshape(
-                -1, *[1] * (stored.ndim - 1)
-            )
-            same |= np.abs(stored - true) <= within
-            for column in (name, *by):
-                measured = known.measured(column, count)
-                same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
+        alike = (-1, *[1] * (stored.ndim - 1))
+        within = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
+        same = np.isclose(stored, true, rtol=0.0, atol=within, equal_nan=True)
+        for column in () if known.whole else (name, *by):
+            measured = known.measured(column, count)
+            same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
         for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
             return wrong
     part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
@@ -399,12 +396,15 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
-    """(n,) by how much one of ``DERIVED`` may be off, as joints and hands are uncertain."""
+    """(n,) by how much one of ``DERIVED`` may be off from the others, as all of them are uncertain."""
+    off = trace.known.of(name).uncertainty
     if name == "tcp_speed_mps":
-        return tcp_velocity_moved_mps(trace)
+        return off + tcp_velocity_moved_mps(trace)
     turned_rad = trace.known.of("joint_position_rad").uncertainty
-    pose = turned_rad * (arm_of(trace).reach_m.sum() + 6.0)  # no entry of a rotation changes by more than it
-    return np.full(len(trace.ticks), apart_moved_m(trace) if name == "hand_distance_m" else pose)
+    pose = turned_rad * (
+        arm_of(trace).reach_m.sum() + 6.0
+    )  # an entry of a rotation changes by no more than 6
+    return np.full(len(trace.ticks), off + (apart_moved_m(trace) if name == "hand_distance_m" else pose))
 
 
 def derived(trace: Trace) -> NDArray[np.void]:

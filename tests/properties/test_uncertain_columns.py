@@ -95,7 +95,7 @@ def stands(rng: np.random.Generator, trace: Trace) -> tuple[Property, Trace]:
     for name in (RATES, SPEED):
         ticks[name] *= rng.uniform(0.0, 4.0) * 1e-3 / np.abs(ticks[name]).max()
     ticks[TCP], ticks[JOINTS] = ticks[TCP][:1], ticks[JOINTS][:1]
-    ticks[DISTANCE] = derived(of(trace, ticks))[DISTANCE]
+    ticks[DISTANCE] = derived(of(trace, ticks.copy()))[DISTANCE]
     kind = int(rng.integers(5))
     return (
         TcpSpeedLimit(maximum_mps=1.0),
