@@ -199,8 +199,9 @@ def _without(trace: Trace, lost: set[int]) -> Trace:
         ticks["hand_position_in_base_m"][:, k] = ticks["elbow_position_in_base_m"][:, k] = FAR_M
         ticks["elbow_position_in_base_m"][:, k, 2] += trace.scenario.settings.hand.forearm_length_m
         ticks["hand_distance_m"][:, k], ticks["hand_distance_capsule"][:, k] = FAR_M[0], 0
+    kept = {*range(len(hands))} - lost
     columns = {
-        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand not in lost))
+        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand in (None, *kept)))
         for name, one in trace.known.columns.items()
         if name != PRESENCE
     }

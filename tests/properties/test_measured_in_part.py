@@ -156,7 +156,7 @@ def test_of_gaps_within_gaps_the_first_counts_and_all_are_named() -> None:
         "joint_position_rad": lost(Gap(first=250, after=260)),
         "tcp_speed_mps": lost(Gap(first=40, after=50)),
     }
-    found = SEPARATION.evaluate(knowing(trace, gaps))
+    found = ProtectiveSeparation(hand_speed_mps=0.01).evaluate(knowing(trace, gaps))
     assert found.verdict is Verdict.INCONCLUSIVE
     assert set(found.unmeasured) == set(gaps)
     seen = at_least(least(trace, 0) + 0.01).evaluate(knowing(trace, gaps))
