@@ -194,10 +194,6 @@ class _Reader:
         for name in ("run.json", "scenario.yaml", *recordings):
             self._unpack(archive, name, SMALL_BYTES if name not in recordings else MAX_BYTES)
         run = self._json("run.json", _Run)
-        known = WHOLLY_KNOWN
-        if self._format == IN_PART:
-            self._unpack(archive, KNOWN, SMALL_BYTES)
-            known = self._known()
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
@@ -208,6 +204,10 @@ class _Reader:
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
+        known = WHOLLY_KNOWN
+        if self._format == IN_PART:
+            self._unpack(archive, KNOWN, SMALL_BYTES)
+            known = self._known(len(ticks))
         trace = Trace(
             scenario=scenario,
             ticks=ticks,
@@ -257,11 +257,20 @@ class _Reader:
         found = parsed(self._parts[name], self._path, name, TraceError)
         return typed(found, kind, self._path, defaults=True, error=TraceError)
 
-    def _known(self) -> Knowledge:
+    def _known(self, ticks: int) -> Knowledge:
         try:
-            return Knowledge(self._json(KNOWN, dict[str, Measurement]))
+            found = self._json(KNOWN, dict[str, Any])
+            columns = {
+                name: typed(
+                    one, Measurement, self._path, where=f"known.{name}", defaults=True, error=TraceError
+                )
+                for name, one in found.items()
+            }
+            known = Knowledge(columns)
+            known.refuse_gaps_beyond(ticks)
         except TraceError as error:
-            raise self._error(error.expected, error.got, error.place.field) from error
+            raise self._error(error.expected, error.got, error.place.field or KNOWN) from error
+        return known
 
     def _check_header(self, archive: zipfile.ZipFile) -> None:
         """The format, and a hash for every other part."""
