@@ -205,7 +205,7 @@ class _Reader:
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
         known = WHOLLY_KNOWN
-        if self._format == IN_PART:
+        if self._format == IN_PART or KNOWN in self._parts:
             self._unpack(archive, KNOWN, SMALL_BYTES)
             known = self._known(len(ticks))
         trace = Trace(

@@ -241,3 +241,13 @@ def test_whether_all_is_known_is_asked_for_once(whole: Trace) -> None:
     known = knowing(whole, EVERY_KIND).known
     assert not known.whole
     assert "whole" in vars(known)
+
+
+def test_what_a_file_knows_counts_whatever_format_it_says_to_have(stored: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(stored) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    parts["trace.json"] = parts["trace.json"].replace(b"trace 5", b"trace 4")
+    with zipfile.ZipFile(tmp_path / "four.trace", "w") as archive:
+        for name, part in parts.items():
+            archive.writestr(name, part)
+    assert load_trace(tmp_path / "four.trace").known == load_trace(stored).known
