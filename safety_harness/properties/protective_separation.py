@@ -59,13 +59,15 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - faster_radps
     off_mps = 2.0 / period_s * max(known.of(name).uncertainty for name in OF_HANDS[:2])
     hand_mps = _steps_m(trace)[1] / period_s + off_mps
-    most_mps = hand_mps if prop.own_speeds else prop.assumed_mps
+    most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
     least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
 
-    in_doubt = known.of("limits").limited or speed_mps > 0.0
-    whole_s = braking.reaction_time_s + braking.stop_time_base_s
-    whole_s += per_speed_s2pm * (trace.ticks["tcp_speed_mps"] - speed_mps)
-    left_s = whole_s if in_doubt else reaction_s + stop_s
+    stops = bool((trace.ticks["limits"] & int(Limit.BRAKING)).any())
+    in_doubt = known.of("limits").limited or (stops and speed_mps > 0.0)
+    whole_s = per_speed_s2pm * trace.ticks["tcp_speed_mps"] + braking.stop_time_base_s
+    left_s = (
+        whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
+    ) - per_speed_s2pm * speed_mps
     high_m = np.where(sure, true.nearest_m + distance_m - least_mps * left_s, np.inf)
     ticks = ceil((braking.reaction_time_s + longest_s) / period_s) + 1 if in_doubt else 1
     high = float(high_m[0])
@@ -74,7 +76,7 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
 
     low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
     if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
-        stop_s = np.full_like(stop_s, longest_s) if in_doubt else stop_s
+        stop_s = np.full_like(stop_s, longest_s) if in_doubt else stop_s + per_speed_s2pm * speed_mps
         reaction_s = np.full_like(stop_s, braking.reaction_time_s) if in_doubt else reaction_s
         arm_mps = (turns_radps + faster_radps) @ reach_m
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)

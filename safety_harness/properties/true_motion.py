@@ -72,8 +72,8 @@ class TrueMotion:
     @cached_property
     def hands_m(self) -> NDArray[np.float64]:
         """(n, hands, 2, 3): hand and elbow."""
-        both = as_numbers(self._ticks)[:, HANDS.start : ELBOWS.stop].reshape(-1, 2, MAX_HANDS, 3)
-        return both.transpose(0, 2, 1, 3)
+        both = as_numbers(self._ticks)[:, HANDS.start : ELBOWS.stop]
+        return both.reshape(-1, 2, MAX_HANDS, 3).transpose(0, 2, 1, 3)
 
     @cached_property
     def present(self) -> NDArray[np.bool_]:
@@ -83,7 +83,8 @@ class TrueMotion:
     @cached_property
     def nearest_m(self) -> NDArray[np.float64]:
         """(n,): the least hand distance, surface to surface."""
-        return np.array(self._ticks["hand_distance_m"], order="F").min(axis=1)
+        nearest: NDArray[np.float64] = np.array(self._ticks["hand_distance_m"], order="F").min(axis=1)
+        return nearest
 
 
 @once_a_trace
