@@ -61,6 +61,7 @@ class Measurement:
 
     Every stored number is within ``uncertainty`` (in the column's own SI unit) of the true one, a position or
     that of a pose by its distance, but in ``gaps``.  One that is ``Source.NONE`` was not measured at all.
+    A derived one is as uncertain as what it was derived from makes it.
     """
 
     source: Source = Source.SIMULATED
