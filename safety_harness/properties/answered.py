@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_decision, unexercised
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -37,7 +38,7 @@ class AvoiderAnswered:
     unit: Unit = Unit.COUNT
     sentence: str = "the avoider answered"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision."""
         own, silent = _own(trace), unanswered(trace)
@@ -151,7 +152,7 @@ class DecisionTime:
         """As the catalogue writes it."""
         return f"decisions within {self.within_s * 1e3:g} ms"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s

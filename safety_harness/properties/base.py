@@ -12,9 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import wraps
 from math import isclose, isfinite
-from typing import Any, Protocol, TypeVar, cast
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,6 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
-
-Judge = TypeVar("Judge", bound=Callable[[Any, Trace], "Evaluation"])
 
 HORIZON_M = 1e3
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
@@ -86,6 +83,7 @@ class Evaluation:
     reason: str
     exercised: int
     parts: tuple[Evaluation, ...] = ()
+    unmeasured: tuple[str, ...] = ()
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
@@ -138,20 +136,6 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
         if name in unreal:
             return f"{name} is not finite from {trace.time_s[unreal[name]]:.3f} s"
     return None
-
-
-def readable(*fields: str) -> Callable[[Judge], Judge]:
-    """For ``evaluate``: what is ``unreadable`` on ``fields`` is inconclusive, and not looked at."""
-
-    def decorate(evaluate: Judge) -> Judge:
-        @wraps(evaluate)
-        def evaluate_readable(prop: Property, trace: Trace) -> Evaluation:
-            problem = unreadable(trace, fields)
-            return evaluate(prop, trace) if problem is None else inconclusive(prop, problem)
-
-        return cast(Judge, evaluate_readable)
-
-    return decorate
 
 
 @once_a_trace

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.own_body import wrist_distance
 from safety_harness.compiled import compiled
 from safety_harness.geometry.segments import segment_segment_distance
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
+from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import arm_of
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.capsules import Arm
@@ -56,7 +57,7 @@ class ClearWays:
     unit: Unit = Unit.LENGTH
     sentence: str = "repulsive ways clear of table, object and robot"
 
-    @readable("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base")
+    @reads("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every repulsion's planned and executed way."""
         ways: list[Way] = []

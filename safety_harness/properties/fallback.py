@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
+from safety_harness.properties.measured import reads
 from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.properties.unexercised import (
     millimetres,
@@ -100,7 +101,7 @@ class UncertainFallsBack:
         """As the catalogue writes it."""
         return f"uncertain answers fall back within {self.cycles} cycles"
 
-    @readable(*READS)
+    @reads(*READS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was uncertain."""
         findings: list[Finding] = []
@@ -135,7 +136,7 @@ class CertainIsUsed:
     unit: Unit = Unit.LENGTH
     sentence: str = "certain answers are used"
 
-    @readable(*READS)
+    @reads(*READS)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
         findings: list[Finding] = []
@@ -209,7 +210,7 @@ class FallbackPoses:
     unit: Unit = Unit.LENGTH
     sentence: str = "fallback poses reachable and away"
 
-    @readable("joint_position_rad", "transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("joint_position_rad", "transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the fallback pose of every decision."""
         if len(trace.decisions) == 0:
@@ -275,7 +276,7 @@ class StopsWhereNothingIsReachable:
     unit: Unit = Unit.LENGTH
     sentence: str = "stops where neither answer nor opposite pose can be reached"
 
-    @readable("joint_position_rad", "transform_tcp_to_base", "tcp_speed_mps")
+    @reads("joint_position_rad", "transform_tcp_to_base", "tcp_speed_mps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision that left nothing."""
         findings: list[Finding] = []

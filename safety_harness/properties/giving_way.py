@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3
-from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import nearest_of, no_hand, no_position, no_time, unexercised
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.units import LENGTH
@@ -85,7 +86,7 @@ class MovesAway:
         within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
         return f"repulsion moves away from every hand{nearer}{within}"
 
-    @readable("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision's planned and executed way."""
         findings: list[Finding] = []

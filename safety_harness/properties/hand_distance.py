@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import ArrayNx6
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable, times_begun
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import (
     HandPaths,
+    apart_moved_m,
     arm_of,
     capsules_of,
     first_stray,
+    follows_unknown,
     hand_bend_m,
     hand_paths,
     true_motion,
@@ -31,6 +34,18 @@ from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
+
+
+def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks."""
+    known, at_ticks_m = trace.known, trace.known.of("hand_distance_m").uncertainty
+    if follows_unknown(trace):
+        return -np.inf, np.inf, False
+    bend_s = trace.scenario.settings.clock.control_period_s / 2.0
+    bend_m = bend_s * known.of("joint_velocity_radps").uncertainty * float(arm_of(trace).reach_m.sum())
+    by_m = max(at_ticks_m, apart_moved_m(trace) + bend_m) + RESOLUTION_M
+    exercised = bool(true_motion(trace).nearest_m.min() + at_ticks_m < prop.near_m)
+    return margin_m - by_m, margin_m + by_m, exercised
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,13 +71,16 @@ class HandDistance:
         """As the catalogue writes it."""
         return f"hand distance never below {self.minimum_m * 1e3:g} mm"
 
-    @readable(
+    @reads(
         "joint_position_rad",
         "joint_velocity_radps",
         "transform_tcp_to_base",
         "hand_position_in_base_m",
         "elbow_position_in_base_m",
         "hand_distance_m",
+        also=["hand_distance_capsule"],
+        of_each_hand=True,
+        ends=_ends,
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach, between ticks too."""

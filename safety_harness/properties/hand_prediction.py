@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.properties.unexercised import no_hand, unexercised
 from safety_harness.scenario.units import LENGTH
@@ -34,7 +35,7 @@ class HandPredictions:
         """As the catalogue writes it."""
         return f"hand predictions within {self.maximum_m * 1e3:g} mm"
 
-    @readable("hand_position_in_base_m")
+    @reads("hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
         if not trace.scenario.hands:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import sqrt
 
@@ -9,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import Ends, reads
 from safety_harness.properties.separation import faster_mps
-from safety_harness.properties.true_motion import arm_of, true_motion
+from safety_harness.properties.true_motion import arm_of, tcp_velocity_moved_mps, true_motion
 from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.description import load_arm
@@ -23,6 +25,37 @@ from safety_harness.trace.trace import Trace
 ROUNDING_MPS = 1e-9  # by which a bound, computed otherwise, may be off
 
 
+def _by(moved: Callable[[Trace], float], speed: str = "") -> Ends:
+    """For ``reads``: how far a margin moves; exercised if the column ``speed`` says that something moves."""
+
+    def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
+        by = moved(trace)
+        exercised = not speed or float(np.abs(trace.ticks[speed]).max()) - _off(trace, speed) > MOVES
+        return margin - by, margin + by, exercised
+
+    return ends
+
+
+def _off(trace: Trace, column: str) -> float:
+    return trace.known.of(column).uncertainty
+
+
+def _mean_off(trace: Trace, at_ticks: str, way: str) -> float:
+    """By how much a speed may be off at the ticks, or its mean from one to the next."""
+    return max(_off(trace, at_ticks), _changed(trace, way))
+
+
+def _changed(trace: Trace, column: str) -> float:
+    """By how much the mean change of a column from tick to tick may be off, in its unit a second."""
+    return 2.0 * _off(trace, column) / trace.scenario.settings.clock.control_period_s
+
+
+def _tcp_changed_mps2(trace: Trace) -> float:
+    """The same of the TCP's velocity, as joints and their speeds are uncertain."""
+    off_mps = float(tcp_velocity_moved_mps(trace).max())
+    return 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
     """min over time and joints of the angle left to the nearer position limit of the URDF."""
@@ -30,7 +63,7 @@ class JointLimits:
     unit: Unit = Unit.ANGLE
     sentence: str = "joint positions within limits"
 
-    @readable("joint_position_rad")
+    @reads("joint_position_rad", ends=_by(lambda trace: _off(trace, "joint_position_rad")))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
         arm = load_arm(trace.scenario.robot.arm_name)
@@ -50,7 +83,14 @@ class JointSpeedLimits:
     unit: Unit = Unit.ANGULAR_SPEED
     sentence: str = "joint speeds within limits"
 
-    @readable("joint_position_rad", "joint_velocity_radps")
+    @reads(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        ends=_by(
+            lambda trace: _mean_off(trace, "joint_velocity_radps", "joint_position_rad"),
+            "joint_velocity_radps",
+        ),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
         arm = load_arm(trace.scenario.robot.arm_name)
@@ -77,7 +117,11 @@ class TcpSpeedLimit:
         """As the catalogue writes it."""
         return f"TCP speed never above {self.maximum_mps * 1e3:g} mm/s"
 
-    @readable("tcp_speed_mps", "transform_tcp_to_base")
+    @reads(
+        "tcp_speed_mps",
+        "transform_tcp_to_base",
+        ends=_by(lambda trace: _mean_off(trace, "tcp_speed_mps", "transform_tcp_to_base"), "tcp_speed_mps"),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the TCP's speed."""
         fastest_mps, tick, moving = _fastest(
@@ -193,7 +237,10 @@ class JointAccelerations:
         """As the catalogue writes it."""
         return f"joint accelerations never above {np.degrees(self.maximum_radps2):g} deg/s2"
 
-    @readable("joint_velocity_radps")
+    @reads(
+        "joint_velocity_radps",
+        ends=_by(lambda trace: _changed(trace, "joint_velocity_radps"), "joint_velocity_radps"),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint in every control period."""
         if len(trace.ticks) < 2:
@@ -223,7 +270,12 @@ class TcpAcceleration:
         """As the catalogue writes it."""
         return f"TCP acceleration never above {self.maximum_mps2:g} m/s2"
 
-    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps")
+    @reads(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "tcp_speed_mps",
+        ends=_by(_tcp_changed_mps2, "tcp_speed_mps"),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every control period."""
         if len(trace.ticks) < 2:

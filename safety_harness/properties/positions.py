@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
-from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged, readable
+from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged
 from safety_harness.properties.clear_ways import clearances_m
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
+from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics, straight_way
@@ -140,7 +141,7 @@ class RepulsivePosesReachable:
         """As the catalogue writes it."""
         return "proposed repulsive poses reachable" if self.proposed else "repulsive poses reachable"
 
-    @readable("joint_position_rad", "transform_tcp_to_base")
+    @reads("joint_position_rad", "transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision's position."""
         field = "proposed_position_in_base_m" if self.proposed else "chosen_position_in_base_m"

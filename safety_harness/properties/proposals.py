@@ -20,9 +20,9 @@ from safety_harness.properties.base import (
     Unit,
     is_somewhere,
     judged,
-    readable,
 )
 from safety_harness.properties.entry import CatalogueEntry, quantity, share
+from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_answer, spread_beside_threshold, unexercised
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.overruling import Overruling, answered, overruled
@@ -91,7 +91,7 @@ class ProposalsLeadAway:
         """As the catalogue writes it."""
         return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -115,7 +115,7 @@ class NearOptimum:
         """As the catalogue writes it."""
         return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -141,7 +141,7 @@ class WithinSpread:
         spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
         return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
         found = proposals(trace)
@@ -171,7 +171,7 @@ class NeverSureAndOff:
         """As the catalogue writes it."""
         return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal that is sure."""
         found = proposals(trace)
@@ -197,7 +197,7 @@ class FewOverruled:
         """As the catalogue writes it."""
         return f"at most {self.most * 100.0:.12g} % of proposals overruled"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the run as a whole."""
         found = Overruling.of([trace])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
@@ -14,11 +16,11 @@ from safety_harness.properties.base import (
     Evaluation,
     Unit,
     judged,
-    readable,
     runs_of,
     times_begun,
 )
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.separation import (
     WALKING_MPS,
     Separation,
@@ -26,14 +28,62 @@ from safety_harness.properties.separation import (
     least_separation,
     lengths,
 )
-from safety_harness.properties.true_motion import arm_of, capsules_of, true_motion
+from safety_harness.properties.true_motion import JOINTS, arm_of, capsules_of, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, no_hand, unexercised
 from safety_harness.scenario.units import SPEED
 from safety_harness.settings import Settings
+from safety_harness.trace.known import UNMEASURED
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace, once_a_trace
 
 GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
+
+
+def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``, with the true distances at the ticks, and any speed that the arm's points may have.
+
+    Which points are nearest may change at once, and their speeds with them.  Where braking is unknown, or
+    when it is over, a stop excuses no more than as many ticks in a row as it may take.
+    """
+    known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
+    braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
+    distance_m, faster_radps, speed_mps = (
+        known.of(name).uncertainty for name in ("hand_distance_m", "joint_velocity_radps", "tcp_speed_mps")
+    )
+    per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
+    reaction_s, stop_s = times_left_s(trace)
+    longest_s = braking.stop_time_base_s + grace_s
+    longest_s += per_speed_s2pm * float(trace.ticks["tcp_speed_mps"].max() + speed_mps)
+    turns_radps = np.abs(true.rates_radps)
+    sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + faster_radps
+    maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - faster_radps
+    off_mps = 2.0 / period_s * max(known.of(name).uncertainty for name in OF_HANDS[:2])
+    hand_mps = _steps_m(trace)[1] / period_s + off_mps
+    most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
+    least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
+
+    stops = bool((trace.ticks["limits"] & int(Limit.BRAKING)).any())
+    in_doubt = known.of("limits").limited or (stops and speed_mps > 0.0)
+    whole_s = per_speed_s2pm * trace.ticks["tcp_speed_mps"] + braking.stop_time_base_s
+    left_s = (
+        whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
+    ) - per_speed_s2pm * speed_mps
+    high_m = np.where(sure, true.nearest_m + distance_m - least_mps * left_s, np.inf)
+    ticks = ceil((braking.reaction_time_s + longest_s) / period_s) + 1 if in_doubt else 1
+    high = float(high_m[0])
+    if len(high_m) >= ticks:
+        high = min(high, float(sliding_window_view(high_m, ticks).max(axis=1).min()))
+
+    low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
+    if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
+        stop_s = np.full_like(stop_s, longest_s) if in_doubt else stop_s + per_speed_s2pm * speed_mps
+        reaction_s = np.full_like(stop_s, braking.reaction_time_s) if in_doubt else reaction_s
+        arm_mps = (turns_radps + faster_radps) @ reach_m
+        needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
+        needed_m += 0.5 * period_s * (hand_mps + arm_mps)
+        low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
+    near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
+    return low, high, bool(near.any())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +120,7 @@ class ProtectiveSeparation:
         """The v_h that is taken where the hands' own speeds are not."""
         return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
 
-    @readable("joint_position_rad", "joint_velocity_radps", "tcp_speed_mps", *OF_HANDS)
+    @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the pair that has least to spare."""
         if not trace.scenario.hands:
@@ -91,6 +141,8 @@ class ProtectiveSeparation:
     def worst(self, trace: Trace) -> Separation | None:
         """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
+        if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
+            turns = turns & (np.arange(len(turns)) < len(turns) - 1)
         reaction_s, stop_s = times_left_s(trace)
         which, what = least_separation(
             arm_of(trace),
@@ -161,13 +213,15 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
 
     All of both, but while a protective stop is carried out (the BRAKING flag of the drives): of an
-    arm that still moves when its ramp has been over for two ticks again all of both.
+    arm that still moves when its ramp has been over for two ticks again all of both.  None is carried out
+    in a trace that does not know of all its flags.
     """
     braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
     speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
     reaction_s = np.full(len(time_s), braking.reaction_time_s)
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
-    stopping = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    flag = 0 if trace.known.of("limits").limited else int(Limit.BRAKING)
+    stopping = trace.ticks["limits"] & flag != 0
     whole_s = stop_s.copy()
     for first, after in zip(*runs_of(stopping), strict=True):
         run = slice(first, after)

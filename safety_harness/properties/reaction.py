@@ -20,12 +20,12 @@ from safety_harness.properties.base import (
     begins_at,
     inconclusive,
     judged,
-    readable,
     runs_of,
     time_left_s,
     times_begun,
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.properties.unexercised import (
     millimetres,
@@ -103,7 +103,7 @@ class GivesWay:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
 
-    @readable("transform_tcp_to_base")
+    @reads("transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
         near, unknown = predicted_near(trace)
@@ -137,7 +137,7 @@ class GivesWayToTrueHand:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
 
-    @readable("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
         near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
@@ -220,7 +220,7 @@ class GivesWayAtMost:
         """As the catalogue writes it."""
         return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
 
-    @readable()
+    @reads()
     def evaluate(self, trace: Trace) -> Evaluation:
         """Count the transitions."""
         entered = gives_way_at(trace)
@@ -273,7 +273,7 @@ class NoFalseAlarms:
         words = "never gives way without a hand"
         return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
 
-    @readable("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every beginning of giving way."""
         limit_m = self.limit_m(trace.scenario.settings)

@@ -21,11 +21,11 @@ from safety_harness.properties.base import (
     Unit,
     inconclusive,
     judged,
-    readable,
     runs_of,
     time_left_s,
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.properties.measured import reads
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
@@ -135,7 +135,7 @@ class GainSwitchReached:
         """As the catalogue writes it."""
         return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
 
-    @readable("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         first = left_at(trace)
@@ -198,7 +198,7 @@ class Converged:
     unit: Unit = Unit.LENGTH
     sentence: str = "converged to the desired pose"
 
-    @readable("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the last tick."""
         first = left_at(trace)
@@ -333,7 +333,7 @@ class NeverStarved:
         """As the catalogue writes it."""
         return f"task never starved longer than {self.longest_s:g} s"
 
-    @readable("transform_tcp_to_base")
+    @reads("transform_tcp_to_base")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the whole run."""
         if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
@@ -418,7 +418,7 @@ class ObjectInView:
         """As the catalogue writes it."""
         return f"object in view or recovered within {self.within_s:g} s"
 
-    @readable("tcp_speed_mps")
+    @reads("tcp_speed_mps")
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every loss from its first tick to that of the recovery."""
         lost = ~trace.ticks["object_visible"]

@@ -11,6 +11,7 @@ And whether a trace's truth agrees with itself: poses, speeds and distances foll
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 from pathlib import Path
 
@@ -21,51 +22,75 @@ from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, load_capsules
 from safety_harness.robot.description import load_arm
-from safety_harness.scenario.model import RecordedHand
+from safety_harness.scenario.model import MovingHand, RecordedHand
+from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.simulation.hand_motion import HAND, advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
+from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import as_compiled, as_numbers, columns
-from safety_harness.trace.trace import Trace, history, once_a_trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
-DERIVED = ("transform_tcp_to_base", "tcp_speed_mps", "hand_distance_m")
+JOINTS = ("joint_position_rad", "joint_velocity_radps")
+BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
+DERIVED = {  # from what
+    "transform_tcp_to_base": JOINTS[:1],
+    "tcp_speed_mps": JOINTS,
+    "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
+}
 TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
 
 
-@dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """Of each of n ticks; positions in the base frame [m].  The arrays are read-only.
+    """Of each of n ticks; positions in the base frame [m]: read-only views, for copies would take longer.
 
-    ``joints_rad`` and ``rates_radps`` (n, 6), ``tcp_m`` (n, 3), ``hands_m`` (n, hands, 2, 3): hand and
-    elbow, ``present`` (n, hands), ``nearest_m`` (n,): the least hand distance, surface to surface.
+    Each is made when it is asked for, so that nobody reads what he does not say.
     """
 
-    joints_rad: NDArray[np.float64]
-    rates_radps: NDArray[np.float64]
-    tcp_m: NDArray[np.float64]
-    hands_m: NDArray[np.float64]
-    present: NDArray[np.bool_]
-    nearest_m: NDArray[np.float64]
+    def __init__(self, ticks: NDArray[np.void]) -> None:
+        self._ticks = ticks
+
+    @cached_property
+    def joints_rad(self) -> NDArray[np.float64]:
+        """(n, 6)."""
+        return self._ticks["joint_position_rad"]
+
+    @cached_property
+    def rates_radps(self) -> NDArray[np.float64]:
+        """(n, 6)."""
+        return self._ticks["joint_velocity_radps"]
+
+    @cached_property
+    def tcp_m(self) -> NDArray[np.float64]:
+        """(n, 3)."""
+        return self._ticks["transform_tcp_to_base"][:, :3, 3]
+
+    @cached_property
+    def hands_m(self) -> NDArray[np.float64]:
+        """(n, hands, 2, 3): hand and elbow."""
+        hands, elbows = (columns(self._ticks.dtype)[body] for body in BODIES)
+        assert hands.stop == elbows.start
+        both = as_numbers(self._ticks)[:, hands.start : elbows.stop]
+        return both.reshape(len(both), 2, -1, 3).transpose(0, 2, 1, 3)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(n, hands)."""
+        return self._ticks["hand_present"]
+
+    @cached_property
+    def nearest_m(self) -> NDArray[np.float64]:
+        """(n,): the least hand distance, surface to surface."""
+        nearest: NDArray[np.float64] = np.array(self._ticks["hand_distance_m"], order="F").min(axis=1)
+        return nearest
 
 
 @once_a_trace
 def true_motion(trace: Trace) -> TrueMotion:
-    """The true motion of arm and hands in a trace: views of its ticks, for copies would take longer."""
-    ticks = trace.ticks
-    hands, elbows = (columns(ticks.dtype)[f"{which}_position_in_base_m"] for which in ("hand", "elbow"))
-    assert hands.stop == elbows.start
-    slots = ticks["hand_present"].shape[1]
-    hands_and_elbows = as_numbers(ticks)[:, hands.start : elbows.stop].reshape(-1, 2, slots, 3)
-    return TrueMotion(
-        joints_rad=ticks["joint_position_rad"],
-        rates_radps=ticks["joint_velocity_radps"],
-        tcp_m=ticks["transform_tcp_to_base"][:, :3, 3],
-        hands_m=hands_and_elbows.transpose(0, 2, 1, 3),
-        present=ticks["hand_present"],
-        nearest_m=history(trace, "hand_distance_m").min(axis=1),
-    )
+    """The true motion of arm and hands in a trace."""
+    return TrueMotion(trace.ticks)
 
 
 @once_a_trace
@@ -151,9 +176,50 @@ def hand_paths(trace: Trace) -> HandPaths:
 
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
-    """The first tick at which a hand or elbow of the trace is not where its scenario moves it."""
-    stray = _first_stray(true_motion(trace).hands_m, paths.positions_in_base_m)
+    """The first tick at which a hand or elbow of the trace is not where its scenario moves it.
+
+    Within their uncertainty, and where they were measured; nothing is said of hands that follow a TCP of
+    which not all is known.
+    """
+    stored_m, moved_m, known = true_motion(trace).hands_m, paths.positions_in_base_m, trace.known
+    if not known.whole:
+        if follows_unknown(trace):
+            return None
+        stored_m = stored_m[:, : moved_m.shape[1]].copy()
+        for body, name in enumerate(BODIES):
+            off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
+            same = ~known.measured(name, trace.ticks[name])[:, : off_m.shape[1]]
+            same |= off_m <= known.of(name).uncertainty + SAME_M
+            stored_m[:, :, body][same] = moved_m[:, :, body][same]
+    stray = _first_stray(stored_m, moved_m)
     return stray if stray >= 0 else None
+
+
+def follows_unknown(trace: Trace) -> bool:
+    """Does a hand head for the TCP, and was that not measured everywhere and exactly?"""
+    moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
+    seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
+    return seeks and trace.known.of("transform_tcp_to_base").limited
+
+
+def apart_moved_m(trace: Trace) -> float:
+    """By how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    known, turned_rad = trace.known, trace.known.of("joint_position_rad").uncertainty
+    return max(known.of(name).uncertainty for name in BODIES) + turned_rad * float(
+        arm_of(trace).reach_m.sum()
+    )
+
+
+def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain.
+
+    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
+    """
+    turned_rad, faster_radps = (trace.known.of(name).uncertainty for name in JOINTS)
+    reach_m = arm_of(trace).reach_m
+    farther_m = np.array([reach_m[np.maximum(np.arange(6), j)].sum() for j in range(6)])
+    rates_radps = np.nan_to_num(np.abs(true_motion(trace).rates_radps), nan=0.0, posinf=0.0)
+    return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
@@ -179,7 +245,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
     towards = np.array(trajectory.elbow_towards_in_base_m)
     return _hand_bends(
-        true_motion(trace).hands_m[:, hand, 0],
+        paths.positions_in_base_m[:, hand, 0],
         towards,
         paths.moving[:, hand],
         fastest,
@@ -304,35 +370,55 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     """The first tick whose pose, speed or hand distances are not those of its joints and hands.
 
     What is NaN must be NaN because joints or hands are; whether that can be judged is for the
-    properties to say.  The order of the fields counts before that of the ticks.
+    properties to say.  What was not measured is not compared, and nothing more closely than it is known.
+    The order of the fields counts before that of the ticks.
     """
-    settings = trace.scenario.settings
-    arm = load_arm(trace.scenario.robot.arm_name)
-    capsules = capsules_of(trace)
-    derived = np.zeros(len(trace.ticks), trace.ticks.dtype)
-    _derive(
-        arm_record(arm, settings),
-        capsules.records,
-        np.empty((len(capsules.names), 2, 3)),
-        np.zeros(trace.ticks["hand_present"].shape[1], HAND),
-        as_compiled(trace.ticks.copy()),  # compiled code takes no array that is read-only
-        as_compiled(derived),
-    )
-    for name in DERIVED:
-        stored, true = trace.ticks[name], derived[name]
-        same = np.isclose(stored, true, rtol=0.0, atol=TOLERANCE, equal_nan=True)
-        for found in at_first(~same, name, "tick", "what joints and hands give", stored):
-            return found
-    part = trace.ticks["hand_distance_capsule"]
-    expected = f"one of {len(capsules.names)} parts"
-    for found in at_first(part >= len(capsules.names), "hand_distance_capsule", "tick", expected, part):
-        return found
+    found, known = derived(trace), trace.known
+    for name, by in DERIVED.items():
+        stored, true = trace.ticks[name], found[name]
+        alike = (-1, *[1] * (stored.ndim - 1))
+        within = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
+        same = np.isclose(stored, true, rtol=0.0, atol=within, equal_nan=True)
+        for column in () if known.whole else (name, *by):
+            measured = known.measured(column, trace.ticks[column])
+            same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
+        for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
+            return wrong
+    part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
+    beyond = (part >= parts) & known.measured("hand_distance_capsule", part)
+    for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
+        return wrong
     stray = first_stray(trace, hand_paths(trace)) if len(trace.ticks) else None
     if stray is None:
         return None
     hands = trace.ticks["hand_position_in_base_m"][stray]
     expected = "hands and elbows where the scenario moves them"
     return Inconsistency("hand_position_in_base_m", "tick", stray, expected, str(hands.tolist()))
+
+
+def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
+    """(n,) by how much one of ``DERIVED`` may be off from the others, as all of them are uncertain."""
+    off = trace.known.of(name).uncertainty
+    if name == "tcp_speed_mps":
+        return off + tcp_velocity_moved_mps(trace)
+    turned_rad = trace.known.of("joint_position_rad").uncertainty
+    pose = turned_rad * (arm_of(trace).reach_m.sum() + 6.0)  # an entry of a rotation changes by 6 at most
+    return np.full(len(trace.ticks), off + (apart_moved_m(trace) if name == "hand_distance_m" else pose))
+
+
+def derived(trace: Trace) -> NDArray[np.void]:
+    """(n,) ticks with the truth of every tick again, from its joints and hands."""
+    capsules = capsules_of(trace)
+    found = np.zeros(len(trace.ticks), trace.ticks.dtype)
+    _derive(
+        arm_record(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings),
+        capsules.records,
+        np.empty((len(capsules.names), 2, 3)),
+        np.zeros(trace.ticks["hand_present"].shape[1], HAND),
+        as_compiled(trace.ticks.copy()),  # compiled code takes no array that is read-only
+        as_compiled(found),
+    )
+    return found
 
 
 @compiled

@@ -19,6 +19,7 @@ from safety_harness.compiled import compiled
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderFault, Fault
 from safety_harness.scenario.model import Scenario
+from safety_harness.trace.known import OF_DECISIONS, Knowledge
 from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, as_compiled
 from safety_harness.trace.trace import Trace, once_a_trace
 
@@ -26,6 +27,13 @@ BOOLEANS, A_FLAG = ("hand_present", "object_visible", "track_valid"), "0 or 1"
 MODES = tuple(int(mode) for mode in Mode)
 LIMITS, FAILURES = (reduce(or_, (int(flag) for flag in flags)) for flags in (Limit, Check))  # all of them
 CHECKS = 13  # of the ticks
+COMPARED = {  # columns that are checked by others
+    "predicted_distance_m": ("track_valid", "predicted_hand_in_base_m"),
+    "decision": ("decision.tick",),
+    "decision.time_s": ("decision.tick",),
+    "decision.asked_tick": ("decision.tick",),
+    "decision.decision_time_s": ("decision.tick", "decision.asked_tick"),
+}
 LARGEST_CHARACTER, SURROGATES = 0x10FFFF, (0xD800, 0xDFFF)
 
 
@@ -55,7 +63,16 @@ class Inconsistency:
 def first_inconsistency(trace: Trace) -> Inconsistency | None:
     """The first thing in ``trace`` that contradicts its scenario or itself, or None."""
     checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (_length, _decisions, _ticks)
-    return next((found for check in checks for found in check(trace)), None)
+    wrong = (found for check in checks for found in check(trace))
+    return next((found for found in wrong if _is_known(trace.known, found)), None)
+
+
+def _is_known(known: Knowledge, found: Inconsistency) -> bool:
+    """Was the field that is wrong measured there, and what it is compared with?"""
+    name = OF_DECISIONS * (found.what == "decision") + found.field
+    names = (name, *COMPARED.get(name, ()))
+    gap = known.first_gap(names)
+    return not known.missing(names) and (found.what != "tick" or gap is None or found.index < gap.first)
 
 
 def at_first(

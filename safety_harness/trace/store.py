@@ -34,16 +34,19 @@ from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
 from safety_harness.trace.records import DECISION, tick_dtype
 from safety_harness.trace.trace import Line, Provenance, Trace
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
+IN_PART = "safety-harness trace 5"  # that says what is known of its columns, which others know all of
 BEFORE = "safety-harness trace 3"  # whose decisions do not say when the avoider was asked
 HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
-MOST_PARTS = 6 + MAX_HANDS
+KNOWN = "known.json"
+MOST_PARTS = 7 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 NEW = ("asked_tick", "decision_time_s")
 DECISION_3 = np.dtype(
@@ -101,8 +104,11 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "provenance": asdict(trace.provenance),
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
+    if not trace.known.simulated:
+        columns = {n: {**asdict(one), "source": one.source.value} for n, one in trace.known.columns.items()}
+        parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
     header = {
-        "format": FORMAT,
+        "format": IN_PART if KNOWN in parts else FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(parts.items())},
     }
     parts["trace.json"] = json.dumps(header, indent=1, sort_keys=True).encode()
@@ -198,6 +204,10 @@ class _Reader:
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
+        known = WHOLLY_KNOWN
+        if self._format == IN_PART or KNOWN in self._parts:
+            self._unpack(archive, KNOWN, SMALL_BYTES)
+            known = self._known(ticks)
         trace = Trace(
             scenario=scenario,
             ticks=ticks,
@@ -205,6 +215,7 @@ class _Reader:
             decision_latency_s=latencies_s,
             provenance=run.provenance,
             ended=run.ended,
+            known=known,
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:
@@ -246,11 +257,26 @@ class _Reader:
         found = parsed(self._parts[name], self._path, name, TraceError)
         return typed(found, kind, self._path, defaults=True, error=TraceError)
 
+    def _known(self, ticks: NDArray[np.void]) -> Knowledge:
+        try:
+            found = self._json(KNOWN, dict[str, Any])
+            columns = {
+                name: typed(
+                    one, Measurement, self._path, where=f"known.{name}", defaults=True, error=TraceError
+                )
+                for name, one in found.items()
+            }
+            known = Knowledge(columns)
+            known.refuse_gaps_beyond(ticks)
+        except TraceError as error:
+            raise self._error(error.expected, error.got, error.place.field or KNOWN) from error
+        return known
+
     def _check_header(self, archive: zipfile.ZipFile) -> None:
         """The format, and a hash for every other part."""
         self._unpack(archive, HEADER, SMALL_BYTES)
         header = self._json(HEADER, _Header)
-        if header.format not in (FORMAT, BEFORE):
+        if header.format not in (FORMAT, BEFORE, IN_PART):
             raise self._error(f"the format {FORMAT!r}", repr(header.format), "format")
         self._hashes, self._format = header.sha256, header.format
         for name in sorted(header.sha256.keys() ^ (self._parts.keys() - {HEADER})):

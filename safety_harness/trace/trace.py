@@ -13,6 +13,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
+from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
 
 R = TypeVar("R")
 Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
@@ -46,6 +47,7 @@ class Trace:
     ``decision_latency_s`` (m,) is the wall-clock time that each decision took, NaN for one that was not
     timed since it was made together with others: the one thing here that a repetition does not give
     again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
+    ``known`` says which columns were measured, and how well; of a simulated run all are known.
     """
 
     scenario: Scenario
@@ -54,11 +56,13 @@ class Trace:
     decision_latency_s: NDArray[np.float64]
     provenance: Provenance
     ended: str = "complete"
+    known: Knowledge = WHOLLY_KNOWN
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)
         self.decisions.setflags(write=False)
         self.decision_latency_s.setflags(write=False)
+        self.known.refuse_gaps_beyond(self.ticks)
 
     @property
     def complete(self) -> bool:

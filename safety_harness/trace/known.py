@@ -1,0 +1,201 @@
+"""What of a trace was measured, by what, and how well: a log is seldom as whole as a simulated run.
+
+A column is a field of the ticks, by its name, or one of the decisions, as ``decision.outcome``.  What nobody
+measured is stored as NaN, zero or -1, and must not be read: claims on it are inconclusive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cached_property
+from math import isfinite
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import Place, TraceError
+from safety_harness.trace.records import DECISION, TICK
+
+if TYPE_CHECKING:
+    from safety_harness.trace.trace import Trace
+
+OF_DECISIONS = "decision."
+TICK_COLUMNS = tuple(name for name in TICK.names or () if name != "time_s")  # which every trace has
+COLUMNS_OF_A_TRACE = TICK_COLUMNS + tuple(f"{OF_DECISIONS}{name}" for name in DECISION.names or ())
+PER_HAND = tuple(name for name in TICK_COLUMNS if name.startswith(("hand_", "elbow_")))
+PRESENCE = "hand_present"
+UNMEASURED = "what follows was not measured"  # the end of a part of a run
+
+
+class Source(Enum):
+    """By what a column was measured."""
+
+    SIMULATED = "simulated truth"
+    SENSOR = "sensor"
+    LOG = "log"
+    DERIVED = "derived"
+    NONE = "not measured"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """Ticks from ``first`` to the one before ``after`` in which a column was not measured.
+
+    Of one ``hand``, counted from 0, or of all that the column holds.  A gap of ``hand_present`` says that a
+    hand is not known to be absent.
+    """
+
+    first: int
+    after: int
+    hand: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """How a column was measured.
+
+    Every stored number is within ``uncertainty`` (in the column's own SI unit) of the true one, a position or
+    that of a pose by its distance, but in ``gaps``.  One that is ``Source.NONE`` was not measured at all.
+    A derived one is as uncertain as what it was derived from makes it.
+    """
+
+    source: Source = Source.SIMULATED
+    uncertainty: float = 0.0
+    gaps: tuple[Gap, ...] = ()
+
+    @property
+    def limited(self) -> bool:
+        """Is anything in it unknown or uncertain?"""
+        return self.source is Source.NONE or self.uncertainty > 0.0 or bool(self.gaps)
+
+
+NOT_MEASURED = Measurement(source=Source.NONE)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What is known of each column; those that are not named were simulated, and are exact.
+
+    TraceError names a column that no trace has, an uncertainty that is no finite number of at least zero or
+    is one of whole numbers, and a gap without ticks or of a hand that the column does not hold.
+    """
+
+    columns: Mapping[str, Measurement] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", MappingProxyType(dict(self.columns)))
+        for name, one in self.columns.items():
+            _refuse_impossible(name, one)
+
+    def __reduce__(self) -> tuple[type[Knowledge], tuple[dict[str, Measurement]]]:
+        return Knowledge, (dict(self.columns),)
+
+    @cached_property
+    def whole(self) -> bool:
+        """Is every column known exactly at every tick?"""
+        return not any(one.limited for one in self.columns.values())
+
+    @property
+    def simulated(self) -> bool:
+        """Was all of it simulated, so that it can be run again?"""
+        return all(one.source is Source.SIMULATED and not one.limited for one in self.columns.values())
+
+    def of(self, name: str) -> Measurement:
+        """Of one column."""
+        return self.columns.get(name, _SIMULATED)
+
+    def missing(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Those of ``names`` that were not measured at all."""
+        return tuple(name for name in names if self.of(name).source is Source.NONE)
+
+    def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Those of ``names`` that are known to within some uncertainty only."""
+        return tuple(name for name in names if self.of(name).uncertainty > 0.0)
+
+    def first_gap(self, names: Iterable[str]) -> Gap | None:
+        """The gap of any of ``names`` that begins first."""
+        gaps = [gap for name in names for gap in self.of(name).gaps]
+        return min(gaps, key=lambda gap: gap.first, default=None)
+
+    def measured(self, name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
+        """(n,), or (n, hands) of a column of hands: where ``values`` (n, ...) of a column were measured."""
+        found = np.full(values.shape[: 1 + (name in PER_HAND)], self.of(name).source is not Source.NONE)
+        for gap in self.of(name).gaps:
+            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
+        return found
+
+    def refuse_gaps_beyond(self, ticks: NDArray[np.void]) -> None:
+        """TraceError for a gap that ends after the last of ``ticks``, or of a hand that they have no room for."""
+        count, hands = ticks["hand_present"].shape
+        for name, one in self.columns.items():
+            for gap in one.gaps:
+                if gap.after > count or (gap.hand or 0) >= hands:
+                    expected = f"gaps within {count} ticks, of hands 0 to {hands - 1}"
+                    raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(gap))
+
+
+_SIMULATED = Measurement()
+WHOLLY_KNOWN = Knowledge()
+
+
+def _refuse_impossible(name: str, one: Measurement) -> None:
+    def refuse(expected: str, got: str) -> TraceError:
+        return TraceError(place=Place(field=f"known.{name}"), expected=expected, got=got)
+
+    if name not in COLUMNS_OF_A_TRACE:
+        raise refuse("the name of a column of ticks or decisions", name)
+    whole = (DECISION[name.removeprefix(OF_DECISIONS)] if name.startswith(OF_DECISIONS) else TICK[name]).base
+    if not (isfinite(one.uncertainty) and one.uncertainty >= 0.0):
+        raise refuse("an uncertainty of at least 0", repr(one.uncertainty))
+    if one.uncertainty > 0.0 and whole.kind != "f":
+        raise refuse("no uncertainty, as the column has no real numbers", repr(one.uncertainty))
+    for gap in one.gaps:
+        if not 0 <= gap.first < gap.after or name.startswith(OF_DECISIONS):
+            raise refuse("gaps of ticks, each from one to a later one", str(gap))
+        if gap.hand is not None and (gap.hand < 0 or name not in PER_HAND):
+            raise refuse("gaps of one hand, counted from 0, only in columns of hands", str(gap))
+
+
+def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
+    """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
+
+    Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
+    gaps beyond the last tick.
+    """
+    known = Knowledge({**trace.known.columns, **columns})
+    ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
+    for name, one in columns.items():
+        records = decisions if name.startswith(OF_DECISIONS) else ticks
+        values = records[name.removeprefix(OF_DECISIONS)]
+        blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
+        if name.startswith(OF_DECISIONS):
+            values[...] = blank if one.source is Source.NONE else values
+        else:
+            values[~known.measured(name, values)] = blank
+    return replace(trace, ticks=ticks, decisions=decisions, known=known)
+
+
+_INDICES = ("decision", "hand_distance_capsule")
+
+
+def until(trace: Trace, tick: int, why: str) -> Trace:
+    """The run before ``tick``, cut short for the reason ``why``."""
+    before = trace.decisions["tick"] < tick
+    columns = {
+        name: replace(
+            one, gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick)
+        )
+        for name, one in trace.known.columns.items()
+    }
+    return replace(
+        trace,
+        ticks=trace.ticks[:tick],
+        decisions=trace.decisions[before],
+        decision_latency_s=trace.decision_latency_s[before],
+        ended=why,
+        known=Knowledge(columns),
+    )
