@@ -17,7 +17,9 @@ from safety_harness.properties.base import (
     nonfinite_count,
 )
 from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.unexercised import only_whole
 from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import COLUMNS, DECISION, ENDLESS, DecisionOutcome, as_numbers
 from safety_harness.trace.trace import Trace
 
@@ -33,6 +35,22 @@ def _needs(name: str) -> int:
     return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
 
 
+THERE = (
+    "hand_present",
+    "object_visible",
+    "track_valid",
+    "decision.tick",
+    "decision.outcome",
+    "decision.fault",
+)
+OF_A_DECISION = tuple(
+    name for name in DECISION.names or () if DECISION[name].base.kind == "f" and name != "spread_threshold_m"
+)
+READ = (
+    *(name for name in COLUMNS if name != "time_s"),
+    *(OF_DECISIONS + name for name in OF_A_DECISION),
+    *THERE,
+)
 # (f, 3): first column, the one after the last, and what has to be there
 FIELDS = np.array([(c.start, c.stop, _needs(name)) for name, c in COLUMNS.items()])
 
@@ -49,6 +67,7 @@ class FiniteTrace:
     unit: Unit = Unit.COUNT
     sentence: str = "trace finite and monotone"
 
+    @only_whole(*READ)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge ticks and decisions."""
         ticks, decisions = trace.ticks, trace.decisions
@@ -127,9 +146,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     answered, chosen = decisions["fault"] == "", decisions["outcome"] != DecisionOutcome.STOP
     opposite = decisions["outcome"] == DecisionOutcome.OPPOSITE
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
-    for name in DECISION.names or ():
-        if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
-            continue
+    for name in OF_A_DECISION:
         wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
         bad |= wrong & expected.get(name.split("_")[0], np.True_)
     return bad
