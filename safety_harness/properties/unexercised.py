@@ -116,9 +116,11 @@ def _not_all_seen(trace: Trace) -> bool:
 
 def no_decision(trace: Trace) -> str:
     """Why the controller never had to decide."""
+    if _not_all_seen(trace):
+        return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     near = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
-    if len(near) == 0 or _not_all_seen(trace):
+    if len(near) == 0:
         return no_predicted_hand(trace)
     came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {trace.time_s[near[0]]:.3f} s"
     return f"{came}, and nothing was decided by the end of the run; a longer duration exercises it"
