@@ -35,7 +35,7 @@ SEED = 20261123
 
 @cache
 def traces_for(entry: CatalogueEntry) -> tuple[Trace, ...]:
-    """One that exercises a claim, one that breaks it, some that do neither, one cut short, some with faults."""
+    """One that exercises a claim, one that breaks it, some that do neither, one cut short, faults."""
     own = shipped(entry.scenario)
     faulty = ("fault-avoider-late", "fault-avoider-answers-nan", "fault-false-hand", "second-hand")
     return (
