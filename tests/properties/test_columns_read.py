@@ -19,6 +19,12 @@ from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.measured import columns_read_by
+from safety_harness.properties.servoing import (
+    CONVERGED,
+    GAIN_SWITCH,
+    GAIN_SWITCH_ITERATIONS,
+    GAIN_SWITCH_WITHIN,
+)
 from safety_harness.properties.true_motion import true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.known import (
@@ -26,11 +32,17 @@ from safety_harness.trace.known import (
     NOT_MEASURED,
     OF_DECISIONS,
     PRESENCE,
+    Gap,
+    Measurement,
+    Source,
     knowing,
+    until,
 )
+from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
 
 SEED = 20261123
+UNDONE = (GAIN_SWITCH, GAIN_SWITCH_WITHIN, GAIN_SWITCH_ITERATIONS, CONVERGED)
 
 
 @cache
@@ -151,3 +163,18 @@ def test_a_claim_touches_no_column_that_it_does_not_declare(entry: CatalogueEntr
         assert without_words(prop.evaluate(watched)) == without_words(whole)
         asked = watched.ticks.asked | {f"{OF_DECISIONS}{name}" for name in watched.decisions.asked}
         assert asked - {"time_s"} <= set(columns_read_by(prop) or ())
+
+
+@pytest.mark.parametrize("entry", UNDONE, ids=[entry.example for entry in UNDONE])
+def test_what_later_ticks_may_undo_is_not_said_of_a_part_of_a_run(entry: CatalogueEntry) -> None:
+    """Nothing is done until the arm gives way: to nobody yet, for all that is known until then."""
+    trace = BROKEN[entry.example]()
+    prop, end = property_of(claim(entry), trace.scenario), len(trace.ticks)
+    ticks = trace.ticks.copy()
+    ticks["mode"][-100:] = Mode.REPULSING
+    whole = replace(trace, ticks=ticks)
+    assert prop.evaluate(until(whole, end - 100, "cut short")).verdict is Verdict.VIOLATED
+    assert prop.evaluate(whole).verdict is Verdict.INCONCLUSIVE
+    gap = Measurement(source=Source.LOG, gaps=(Gap(first=end - 100, after=end),))
+    found = prop.evaluate(knowing(whole, {"mode": gap}))
+    assert (found.verdict, found.unmeasured) == (Verdict.INCONCLUSIVE, ("mode",))
