@@ -50,7 +50,7 @@ def measurement(trace: Trace, column: str, rng: np.random.Generator) -> Measurem
         return NOT_MEASURED
     hands, gaps = len(trace.scenario.hands), []
     for _ in range(rng.integers(1, 3)):
-        first = int(rng.integers(0, len(trace.ticks)))
+        first = int(rng.integers(0, len(trace.ticks))) if rng.random() < 0.7 else 0
         hand = int(rng.integers(hands)) if hands and column in PER_HAND and rng.random() < 0.5 else None
         gaps.append(Gap(first=first, after=int(rng.integers(first, len(trace.ticks))) + 1, hand=hand))
     return Measurement(source=Source.LOG, gaps=tuple(gaps))
