@@ -115,7 +115,7 @@ def of_garbage(trace: Trace, columns: Iterable[str], seed: int) -> Trace:
         elif values.dtype.kind == "U":
             values[...] = "anything"
         else:
-            values[...] = rng.integers(0, 2 if values.dtype.kind == "b" else 5, values.shape)
+            values[...] = rng.integers(0, 2 if values.dtype.kind == "b" else 4**seed + 1, values.shape)
     for records in (unknown.ticks, unknown.decisions):
         records.setflags(write=False)
     return unknown
