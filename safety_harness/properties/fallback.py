@@ -226,7 +226,6 @@ class FallbackPoses:
         "transform_tcp_to_base",
         "hand_position_in_base_m",
         also=["decision.tick", "decision.time_s", "decision.opposite_position_in_base_m"],
-        of_each_hand=True,
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the fallback pose of every decision."""

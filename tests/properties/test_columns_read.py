@@ -11,24 +11,20 @@ import numpy as np
 import pytest
 from broken import (
     BROKEN,
-    IN_DOUBT,
-    gate_of,
     never_answers,
     proposes_far_away,
     sees_no_hand,
     uses_what_it_doubts,
 )
-from examples import VISIT, TowardsTheHand, hand, run, scenario
+from examples import VISIT, hand, run, scenario
 from test_catalogue import IDS, claim, shipped
 from test_no_evidence import truncated
 from test_unexercised import IDLE
 
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.gate import Gate
 from safety_harness.properties.base import Evaluation, Property, unreadable
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.fallback import FALLBACK_POSES
 from safety_harness.properties.measured import columns_read_by
 from safety_harness.properties.reaction import GIVES_WAY_TO_TRUE_HAND
 from safety_harness.properties.servoing import (
@@ -197,16 +193,10 @@ def test_what_later_ticks_may_undo_is_not_said_of_a_part_of_a_run(entry: Catalog
 OTHER = hand(Wait(duration_s=9.0), at=(1.1, 0.9, 0.4), name="left")
 
 
-@pytest.mark.parametrize("entry", [FALLBACK_POSES, GIVES_WAY_TO_TRUE_HAND], ids=["fallback", "true hand"])
-def test_what_the_measured_hand_violates_is_violated_whatever_the_other_did(entry: CatalogueEntry) -> None:
-    """The right hand comes and is answered wrongly; the left one rests far away."""
-    what = scenario(VISIT, OTHER)
-    trace = (
-        run(what, avoider=IN_DOUBT, gate=gate_of(Gate, fallback=TowardsTheHand()))
-        if entry is FALLBACK_POSES
-        else run(replace(what, faults=(HandSensorBlind(),)))
-    )
-    prop, verdicts = property_of(claim(entry), trace.scenario), []
+def test_what_the_measured_hand_violates_is_violated_whatever_the_other_did() -> None:
+    """The right hand comes and is not answered; the left one rests far away."""
+    trace = run(replace(scenario(VISIT, OTHER), faults=(HandSensorBlind(),)))
+    prop, verdicts = property_of(claim(GIVES_WAY_TO_TRUE_HAND), trace.scenario), []
     assert prop.evaluate(trace).verdict is Verdict.VIOLATED
     for unseen in range(2):
         gap = Measurement(source=Source.SENSOR, gaps=(Gap(first=0, after=len(trace.ticks), hand=unseen),))
