@@ -33,7 +33,7 @@ def show(files: Sequence[Path], *, out: Path, draws: int, seed: int) -> int:
     if gathered.errors:
         raise gathered.errors[0]
     if out.suffix in (".png", ".pdf"):
-        raise ScenarioError(place=Place(field="--out"), expected="a folder, or a file.svg", got=str(out))
+        raise ScenarioError.of_option("--out", "a folder, or a file.svg", str(out))
     alone = out.suffix == PICTURE and len(gathered.scenarios) + len(gathered.spaces) == 1
     pictures = []
     for scenario in gathered.scenarios:

@@ -38,7 +38,16 @@ class AvoiderAnswered:
     unit: Unit = Unit.COUNT
     sentence: str = "the avoider answered"
 
-    @reads()
+    @reads(
+        also=[
+            "faults",
+            "decision.tick",
+            "decision.time_s",
+            "decision.proposed_position_in_base_m",
+            "decision.proposed_failed",
+            "decision.fault",
+        ]
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision."""
         own, silent = _own(trace), unanswered(trace)
@@ -152,7 +161,15 @@ class DecisionTime:
         """As the catalogue writes it."""
         return f"decisions within {self.within_s * 1e3:g} ms"
 
-    @reads()
+    @reads(
+        also=[
+            "decision.tick",
+            "decision.time_s",
+            "decision.asked_tick",
+            "decision.decision_time_s",
+            "decision.proposed_failed",
+        ]
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision."""
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s

@@ -57,7 +57,18 @@ class ClearWays:
     unit: Unit = Unit.LENGTH
     sentence: str = "repulsive ways clear of table, object and robot"
 
-    @reads("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base")
+    @reads(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "transform_tcp_to_base",
+        also=[
+            "mode",
+            "decision.tick",
+            "decision.time_s",
+            "decision.chosen_position_in_base_m",
+            "decision.outcome",
+        ],
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every repulsion's planned and executed way."""
         ways: list[Way] = []

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Property, Unit
+from safety_harness.properties.measured import columns_read_by
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
     ACCELERATION,
@@ -117,6 +118,7 @@ def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     yield "exercised", entry.exercised
     also = entry.inconclusive
     yield "inconclusive", "only for the reasons that make any claim so" if also == NONE else also
+    yield "reads", ", ".join(columns_read_by(entry.prop) or ())
     yield "tried in", f"shipped:{entry.scenario}"
     yield "broken by", entry.broken_by
 

@@ -34,6 +34,17 @@ READS = (
     "tcp_speed_mps",
     "demanded_joint_velocity_radps",
 )
+ALSO = (
+    "mode",
+    "limits",
+    "track_valid",
+    "predicted_hand_in_base_m",
+    "decision.tick",
+    "decision.time_s",
+    "decision.proposed_spread_m",
+    "decision.spread_threshold_m",
+    "decision.chosen_position_in_base_m",
+)
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
 
 
@@ -101,7 +112,7 @@ class UncertainFallsBack:
         """As the catalogue writes it."""
         return f"uncertain answers fall back within {self.cycles} cycles"
 
-    @reads(*READS)
+    @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was uncertain."""
         findings: list[Finding] = []
@@ -136,7 +147,7 @@ class CertainIsUsed:
     unit: Unit = Unit.LENGTH
     sentence: str = "certain answers are used"
 
-    @reads(*READS)
+    @reads(*READS, also=[*ALSO, "decision.proposed_position_in_base_m", "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
         findings: list[Finding] = []
@@ -210,7 +221,12 @@ class FallbackPoses:
     unit: Unit = Unit.LENGTH
     sentence: str = "fallback poses reachable and away"
 
-    @reads("joint_position_rad", "transform_tcp_to_base", "hand_position_in_base_m")
+    @reads(
+        "joint_position_rad",
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        also=["decision.tick", "decision.time_s", "decision.opposite_position_in_base_m"],
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the fallback pose of every decision."""
         if len(trace.decisions) == 0:
@@ -276,7 +292,20 @@ class StopsWhereNothingIsReachable:
     unit: Unit = Unit.LENGTH
     sentence: str = "stops where neither answer nor opposite pose can be reached"
 
-    @reads("joint_position_rad", "transform_tcp_to_base", "tcp_speed_mps")
+    @reads(
+        "joint_position_rad",
+        "transform_tcp_to_base",
+        "tcp_speed_mps",
+        also=[
+            "mode",
+            "track_valid",
+            "predicted_hand_in_base_m",
+            "decision.tick",
+            "decision.time_s",
+            "decision.hand_position_in_base_m",
+            "decision.proposed_position_in_base_m",
+        ],
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision that left nothing."""
         findings: list[Finding] = []

@@ -17,8 +17,10 @@ from safety_harness.properties.base import (
     nonfinite_count,
 )
 from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.unexercised import only_whole
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.records import DECISION, ENDLESS, DecisionOutcome, as_numbers, columns
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns
 from safety_harness.trace.trace import Trace
 
 OF_IMAGES = ("features", "feature_error", "sse")
@@ -33,6 +35,24 @@ def _needs(name: str) -> int:
     return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
 
 
+THERE = (
+    "hand_present",
+    "object_visible",
+    "track_valid",
+    "decision.tick",
+    "decision.outcome",
+    "decision.fault",
+)
+OF_A_DECISION = tuple(
+    name for name in DECISION.names or () if DECISION[name].base.kind == "f" and name != "spread_threshold_m"
+)
+READ = (
+    *(name for name in columns(TICK) if name != "time_s"),
+    *(OF_DECISIONS + name for name in OF_A_DECISION),
+    *THERE,
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class FiniteTrace:
     """Minus the number of records in which a number is none, or which are not later than the one before.
@@ -45,6 +65,7 @@ class FiniteTrace:
     unit: Unit = Unit.COUNT
     sentence: str = "trace finite and monotone"
 
+    @only_whole(*READ)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge ticks and decisions."""
         ticks, decisions = trace.ticks, trace.decisions
@@ -123,9 +144,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     answered, chosen = decisions["fault"] == "", decisions["outcome"] != DecisionOutcome.STOP
     opposite = decisions["outcome"] == DecisionOutcome.OPPOSITE
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
-    for name in DECISION.names or ():
-        if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
-            continue
+    for name in OF_A_DECISION:
         wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
         bad |= wrong & expected.get(name.split("_")[0], np.True_)
     return bad

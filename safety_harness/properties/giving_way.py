@@ -86,7 +86,20 @@ class MovesAway:
         within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
         return f"repulsion moves away from every hand{nearer}{within}"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m", "demanded_joint_velocity_radps")
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        "demanded_joint_velocity_radps",
+        also=[
+            "mode",
+            "limits",
+            "decision.tick",
+            "decision.time_s",
+            "decision.trigger",
+            "decision.chosen_position_in_base_m",
+            "decision.outcome",
+        ],
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision's planned and executed way."""
         findings: list[Finding] = []

@@ -35,7 +35,7 @@ class HandPredictions:
         """As the catalogue writes it."""
         return f"hand predictions within {self.maximum_m * 1e3:g} mm"
 
-    @reads("hand_position_in_base_m")
+    @reads("hand_position_in_base_m", also=["track_valid", "predicted_hand_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
         if not trace.scenario.hands:

@@ -22,12 +22,14 @@ from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics, straight_way
+from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
 
 WAY_STEP_M = 0.005
 STOP_SLACK_M = 0.002  # of way, and of time
 STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
+WAYS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
 BEYOND_M = 0.100  # how far beyond the position reachability is looked for
 
 
@@ -141,9 +143,19 @@ class RepulsivePosesReachable:
         """As the catalogue writes it."""
         return "proposed repulsive poses reachable" if self.proposed else "repulsive poses reachable"
 
-    @reads("joint_position_rad", "transform_tcp_to_base")
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What was chosen is not asked for where proposals are judged, nor the other way round."""
+        positions = (
+            ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
+        )
+        return (*WAYS, *(f"{OF_DECISIONS}{name}" for name in ("tick", "time_s", *positions)))
+
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision's position."""
+        return reads(*WAYS, also=self.reads)(RepulsivePosesReachable._worst)(self, trace)
+
+    def _worst(self, trace: Trace) -> Evaluation:
         field = "proposed_position_in_base_m" if self.proposed else "chosen_position_in_base_m"
         worst, worst_time_s, count = np.inf, 0.0, 0
         for decision in trace.decisions:

@@ -25,11 +25,23 @@ from safety_harness.properties.entry import CatalogueEntry, quantity, share
 from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_answer, spread_beside_threshold, unexercised
 from safety_harness.scenario.units import LENGTH, NUMBER
+from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.overruling import Overruling, answered, overruled
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m")
+ANSWER = ("decision.time_s", "decision.proposed_position_in_base_m", "decision.fault")
+PROPOSAL = (
+    *ANSWER,
+    *(f"{OF_DECISIONS}{name}" for name in QUESTION),
+    "decision.tick",
+    "decision.asked_tick",
+    "transform_tcp_to_base",  # as the next two of the tick at which the avoider was asked, if it was another
+    "track_valid",
+    "predicted_hand_in_base_m",
+)
+SURENESS = ("decision.proposed_spread_m", "decision.spread_threshold_m")
 
 
 @once_a_trace
@@ -91,7 +103,7 @@ class ProposalsLeadAway:
         """As the catalogue writes it."""
         return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
 
-    @reads()
+    @reads(also=PROPOSAL)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -115,7 +127,7 @@ class NearOptimum:
         """As the catalogue writes it."""
         return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
 
-    @reads()
+    @reads(also=PROPOSAL)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -141,7 +153,7 @@ class WithinSpread:
         spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
         return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
 
-    @reads()
+    @reads(also=[*PROPOSAL, *SURENESS])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
         found = proposals(trace)
@@ -171,7 +183,7 @@ class NeverSureAndOff:
         """As the catalogue writes it."""
         return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
 
-    @reads()
+    @reads(also=[*PROPOSAL, *SURENESS])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal that is sure."""
         found = proposals(trace)
@@ -197,17 +209,19 @@ class FewOverruled:
         """As the catalogue writes it."""
         return f"at most {self.most * 100.0:.12g} % of proposals overruled"
 
-    @reads()
+    @reads(also=[*ANSWER, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the run as a whole."""
-        found = Overruling.of([trace])
-        if found.proposals == 0:
+        made, vetoed = answered(trace), overruled(trace)
+        asked, count = int(np.count_nonzero(made)), int(np.count_nonzero(vetoed))
+        if asked == 0:
             return unexercised(self, no_answer(trace))
-        why = ", ".join(f"{check.name} {n}" for check, n in found.reasons.items()).lower().replace("_", " ")
-        reason = f"{found.overruled} of {found.proposals} overruled" + (f" ({why})" if why else "")
-        first = int(np.argmax(overruled(trace) if found.overruled else answered(trace)))
-        time_s = float(trace.decisions["time_s"][first])
-        return judged(self, trace, self.most - found.share, time_s, reason, exercised=found.proposals)
+        told = not trace.known.missing(["decision.proposed_failed"])
+        reasons = Overruling.of([trace]).reasons if told else {}
+        why = ", ".join(f"{check.name} {n}" for check, n in reasons.items()).lower().replace("_", " ")
+        reason = f"{count} of {asked} overruled" + (f" ({why})" if why else "")
+        time_s = float(trace.decisions["time_s"][int(np.argmax(vetoed if count else made))])
+        return judged(self, trace, self.most - count / asked, time_s, reason, exercised=asked)
 
 
 YARDSTICK = (

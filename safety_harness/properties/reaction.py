@@ -103,7 +103,7 @@ class GivesWay:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
 
-    @reads("transform_tcp_to_base")
+    @reads("transform_tcp_to_base", also=["mode", "track_valid", "predicted_hand_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
         near, unknown = predicted_near(trace)
@@ -137,7 +137,7 @@ class GivesWayToTrueHand:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
         near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
@@ -220,7 +220,7 @@ class GivesWayAtMost:
         """As the catalogue writes it."""
         return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
 
-    @reads()
+    @reads(also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Count the transitions."""
         entered = gives_way_at(trace)
@@ -273,7 +273,7 @@ class NoFalseAlarms:
         words = "never gives way without a hand"
         return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m")
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode", "limits", "decision.tick"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every beginning of giving way."""
         limit_m = self.limit_m(trace.scenario.settings)

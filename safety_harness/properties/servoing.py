@@ -25,10 +25,10 @@ from safety_harness.properties.base import (
     time_left_s,
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
-from safety_harness.properties.measured import reads
+from safety_harness.properties.measured import columns_read_by, reads
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
+from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, only_whole, tcp_stood
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
@@ -135,7 +135,8 @@ class GainSwitchReached:
         """As the catalogue writes it."""
         return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m")
+    @only_whole()
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse", "mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         first = left_at(trace)
@@ -198,7 +199,8 @@ class Converged:
     unit: Unit = Unit.LENGTH
     sentence: str = "converged to the desired pose"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m")
+    @only_whole()
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the last tick."""
         first = left_at(trace)
@@ -285,6 +287,11 @@ class GainSwitchIterations:
         """As the catalogue writes it."""
         return f"gain switch reached within {self.within} iterations"
 
+    @property
+    def reads(self) -> tuple[str, ...] | None:
+        """What the claim in seconds does."""
+        return columns_read_by(GainSwitchReached())
+
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         period_s = trace.scenario.settings.clock.control_period_s
@@ -333,7 +340,7 @@ class NeverStarved:
         """As the catalogue writes it."""
         return f"task never starved longer than {self.longest_s:g} s"
 
-    @reads("transform_tcp_to_base")
+    @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the whole run."""
         if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
@@ -418,7 +425,7 @@ class ObjectInView:
         """As the catalogue writes it."""
         return f"object in view or recovered within {self.within_s:g} s"
 
-    @reads("tcp_speed_mps")
+    @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every loss from its first tick to that of the recovery."""
         lost = ~trace.ticks["object_visible"]

@@ -18,6 +18,7 @@ from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate
 from safety_harness.properties.base import Evaluation, Unit, inconclusive
+from safety_harness.properties.measured import not_measured
 from safety_harness.proportions import Proportion
 from safety_harness.scenario.model import Verdict
 from safety_harness.seeds import Branch, seed
@@ -25,6 +26,15 @@ from safety_harness.settings import Settings, Vector3
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
 
+READ = (
+    *(
+        "decision.hand_position_in_base_m",
+        "decision.tcp_position_in_base_m",
+        "decision.seed",
+        "decision.fault",
+    ),
+    *("decision.proposed_position_in_base_m", "decision.proposed_spread_m"),
+)
 LEAST_DECISIONS = 100
 AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
 
@@ -88,6 +98,8 @@ class SpreadCalibration:
         wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
         if wrong is not None:
             return inconclusive(self, f"a trace contradicts itself: {wrong}")
+        if lacking := [name for name in READ if any(trace.known.of(name).limited for trace in every)]:
+            return not_measured(self, lacking)
         intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
         if intervals is None:
             return inconclusive(self, "the avoider states no intervals")

@@ -6,16 +6,44 @@ or of its scenario's settings.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Said, inconclusive
+from safety_harness.properties.base import Evaluation, Property, Said, inconclusive
+from safety_harness.properties.measured import Judge, not_measured
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace
 
 MOVES = 1e-3  # m/s and rad/s: what is slower stands
+SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_m", PRESENCE)
 OFF_THE_GOAL = "a TCP start farther from the desired pose"
+
+
+def only_whole(*columns: str) -> Callable[[Judge], Judge]:
+    """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
+
+    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout.
+    """
+
+    def decorate(evaluate: Judge) -> Judge:
+        names = (*columns, *getattr(evaluate, "reads", ()))
+
+        @wraps(evaluate)
+        def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
+            known = trace.known
+            lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+            return not_measured(prop, lacking) if lacking else evaluate(prop, trace)
+
+        evaluate_whole.reads = names  # type: ignore[attr-defined]
+        return cast(Judge, evaluate_whole)
+
+    return decorate
 
 
 def unexercised(prop: Said, lacked: str) -> Evaluation:
@@ -67,8 +95,13 @@ def no_hand(trace: Trace) -> str:
 
 
 def no_predicted_hand(trace: Trace) -> str:
-    """Why no predicted hand was within the critical distance of the TCP: none near, or none seen."""
+    """Why no predicted hand was within the critical distance of the TCP: none near, or none seen.
+
+    Where not all of that was measured, only what would have been enough.
+    """
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    if _not_all_seen(trace):
+        return f"a predicted hand within {critical_m * 1e3:g} mm of the TCP exercises it"
     predicted = nearest_of(trace, trace.ticks["predicted_distance_m"], critical_m, "predicted hand")
     if predicted:
         return predicted
@@ -76,8 +109,15 @@ def no_predicted_hand(trace: Trace) -> str:
     return f"no hand was ever tracked; {true} if the hand sensor sees it" if true else no_hand(trace)
 
 
+def _not_all_seen(trace: Trace) -> bool:
+    """Are the words on hands that came near, predicted or true, more than is known?"""
+    return any(trace.known.of(name).limited for name in SEEN)
+
+
 def no_decision(trace: Trace) -> str:
     """Why the controller never had to decide."""
+    if _not_all_seen(trace):
+        return no_predicted_hand(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     near = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
     if len(near) == 0:

@@ -129,7 +129,7 @@ class Knowledge:
         return found
 
     def refuse_gaps_beyond(self, ticks: NDArray[np.void]) -> None:
-        """TraceError for a gap that ends after the last of ``ticks``, or of a hand that they have no room for."""
+        """TraceError for a gap that ends after the last of ``ticks``, or of a hand without room."""
         count, hands = ticks["hand_present"].shape
         for name, one in self.columns.items():
             for gap in one.gaps:

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from test_columns_read import of_garbage
 
 from safety_harness.avoidance.candidates import CandidateCap
 from safety_harness.avoidance.learned import LearnedAvoider
@@ -16,6 +17,7 @@ from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.properties.spread_calibration import (
     LEAST_DECISIONS,
+    READ,
     IntervalRule,
     SpreadCalibration,
     Target,
@@ -24,6 +26,7 @@ from safety_harness.properties.spread_calibration import (
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.settings import DEFAULTS
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, knowing
 from safety_harness.trace.trace import Trace
 
 Floats = NDArray[np.float64]
@@ -152,3 +155,17 @@ def test_a_label_is_one_of_a_hundred_candidates_and_never_nearer_than_the_exact_
         assert np.linalg.norm(label - DESIRED) >= np.linalg.norm(best - DESIRED) - 1e-12
         again = target_in_base_m(decision, DEFAULTS, Target.LABEL) - pull
         assert np.array_equal(label, again)
+
+
+def test_a_column_that_one_run_lacks_is_named(visit: Trace) -> None:
+    runs = asked(visit, "mc-dropout", LEAST_DECISIONS)
+    for column in READ:
+        found = SpreadCalibration().evaluate([*runs[1:], knowing(runs[0], {column: NOT_MEASURED})])
+        assert (found.verdict, found.unmeasured) == (Verdict.INCONCLUSIVE, (column,))
+
+
+def test_columns_that_are_not_read_may_hold_anything(visit: Trace) -> None:
+    runs = asked(visit, "mc-dropout", LEAST_DECISIONS)
+    others = [column for column in COLUMNS_OF_A_TRACE if column not in READ]
+    unknown = [of_garbage(run, others, seed=1) for run in runs]
+    assert SpreadCalibration().evaluate(unknown) == SpreadCalibration().evaluate(runs)
