@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from safety_harness.formulas.formula import (
     signals_of,
     unit_of,
 )
+from safety_harness.formulas.measured import as_known, blanked, gaps_of
 from safety_harness.formulas.semantics import (
     LEAST,
     MarginBounds,
@@ -34,6 +36,7 @@ from safety_harness.formulas.semantics import (
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
+from safety_harness.properties.measured import not_measured
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -63,6 +66,11 @@ class FormulaClaim:
     def unit(self) -> Unit:
         """Of the first part's margin."""
         return unit_of(parts_of(self.formula)[0])
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The columns of a trace that its signals read."""
+        return _columns_of(self.formula)
 
     def check(self, scenario: Scenario, place: Place | None = None) -> None:
         """FormulaError at ``place`` for windows that a run of ``scenario`` has no room for."""
@@ -95,7 +103,12 @@ def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
     same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
     worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])
     each = (f"{p.sentence}: {p.verdict.value}, {p.margin_text()} ({p.reason})" for p in parts)
-    return replace(worst, reason="; ".join(each))
+    unmeasured = tuple(dict.fromkeys(name for part in grave for name in part.unmeasured))
+    return replace(worst, reason="; ".join(each), unmeasured=unmeasured)
+
+
+def _columns_of(formula: Formula) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for signal in signals_of(formula) for name in signal.reads))
 
 
 WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
@@ -123,8 +136,14 @@ class _Asked:
         return unit_of(self.part)
 
     def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
-        value = _whole_run(self.sampled[atom.signal].value, self.trace)
-        return truth_bounds(value) if isinstance(atom, Truth) else comparison_bounds(atom, value, value)
+        one = self.sampled[atom.signal]
+        value = _whole_run(one.value, self.trace)
+        if isinstance(atom, Truth):
+            return truth_bounds(value)
+        if one.value_low is None or one.value_high is None:
+            return comparison_bounds(atom, value, value)
+        low, high = (_whole_run(side, self.trace) for side in (one.value_low, one.value_high))
+        return comparison_bounds(atom, low, high)
 
     def between(self, atom: Comparison | Truth) -> MarginBounds:
         """From each tick to the next; what is not known at the tick is not known after it either."""
@@ -136,7 +155,7 @@ class _Asked:
         return comparison_bounds(atom, low, high)
 
     def exercised(self, at_ticks: Margins) -> tuple[int, str]:
-        """How often the part was put to the test, and what it is that never happened if that is 0.
+        """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
         A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
         anything else every tick that is known.  A signal that counts its own occasions bounds the
@@ -146,20 +165,57 @@ class _Asked:
         known = np.all([~np.isnan(one.value) for one in self.sampled.values()], axis=0)
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
-            count = times_begun(at_ticks.parts[0].bounds.low >= 0.0)
+            trigger = at_ticks.parts[0].bounds
+            count = self.begun(trigger.low >= 0.0, trigger.high < 0.0)
             untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
         elif isinstance(part, Initially):
             count = int(known[0])
         elif isinstance(part, Until):
-            ends = np.flatnonzero(at_ticks.parts[1].bounds.low >= 0.0)
+            second = at_ticks.parts[1].bounds
+            ends = np.flatnonzero((second.high if self.lacking else second.low) >= 0.0)
             count = min(count, int(ends[0])) if len(ends) else count
             untried = f'"{part.second}" holds from the beginning'
         for signal in tried:
             one = self.sampled[signal]
-            if one.occasions is not None and one.occasions < count:
-                count, untried = one.occasions, one.untried
+            if one.tried is not None:
+                surely, never = one.tried[0] > 0.0, one.tried[1] <= 0.0
+                own = self.begun(surely, never) if one.begins else int(np.count_nonzero(surely))
+                count, untried = (own, one.untried) if own < count else (count, untried)
         return count, untried
+
+    def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
+        """How often something begins, at least: between two unknown ticks it may have gone on."""
+        return times_begun(surely[surely | never] if self.lacking else surely)
+
+    def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
+        """Inconclusive: it was never exercised, or only by what was not measured if at all."""
+        part, tried, perhaps = self.part, set(self.sampled), bool(self.lacking)
+        if isinstance(part, Globally):
+            perhaps &= bool((at_ticks.parts[0].bounds.high >= 0.0).any())
+            tried -= set(signals_of(part.trigger))
+        elif isinstance(part, Until):
+            perhaps &= bool(at_ticks.parts[1].bounds.low[0] < 0.0)
+        for one in (self.sampled[signal] for signal in tried):
+            perhaps &= one.tried is None or bool((one.tried[1] > 0.0).any())
+        if perhaps:
+            return self.lacks(self.lacking, "which alone can tell whether it was exercised")
+        return inconclusive(self, f"never exercised: {untried}")
+
+    @cached_property
+    def lacking(self) -> tuple[str, ...]:
+        """The columns that it reads of which not everything is known."""
+        return tuple(name for name in _columns_of(self.part) if self.trace.known.of(name).limited)
+
+    def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
+        """Inconclusive for want of what ``columns`` do not tell."""
+        gaps = gaps_of(self.trace, columns)
+        words = f"not measured: {', '.join(gaps)}" if gaps else ""
+        rest = [name for name in columns if name not in gaps]
+        if rest:
+            words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
+        words += f", {told}" * bool(told)
+        return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
         """By how little a trigger did not hold, and when; empty where that is no one quantity."""
@@ -175,26 +231,42 @@ class _Asked:
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
     def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
-        """Inconclusive: something is unknown, or the bounds between the ticks are too wide."""
-        if at_ticks.bounds.low[0] >= 0.0:
+        """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
+        holds = at_ticks.bounds.low[0] >= 0.0
+        seen = between if holds else at_ticks
+        ends = [float(side[0]) for side in (seen.bounds.low, at_ticks.bounds.high)]
+        uncertain = self.trace.known.uncertain(self.lacking)
+        if uncertain and np.isfinite(ends).all():
+            reason = self.told(Verdict.INCONCLUSIVE, seen, exercised).reason
+            least, most = (self.unit.margin_text(end) for end in ends)
+            why = f"between {least} to {most}, as {', '.join(uncertain)} may be that far off: {reason}"
+            return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
+        if holds and not (self.lacking and np.isinf(ends[0])):
             told = self.told(Verdict.INCONCLUSIVE, between, exercised)
             why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
             return replace(told, reason=why)
-        why = self.unknown(witness(at_ticks, 0, self.period_s, low=True))
-        return inconclusive(self, why, exercised=exercised)
+        return self.unknown(witness(seen, 0, self.period_s, low=True), exercised)
 
-    def unknown(self, found: Witness) -> str:
+    def unknown(self, found: Witness, exercised: int) -> Evaluation:
         """What is not known: at the tick that would decide, else the first thing of all."""
         trace = self.trace
         if found.tick < len(trace.ticks) and found.atom is not None:
-            holes = {signal: np.flatnonzero(np.isnan(one.value)) for signal, one in self.sampled.items()}
-            for signal in (found.atom.signal, *holes):
-                if len(holes[signal]):
-                    tick = found.tick if found.tick in holes[signal] else holes[signal][0]
-                    return f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+            for signal in (found.atom.signal, *self.sampled):
+                one = self.sampled[signal]
+                holes = np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
+                if holes.any():
+                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    at = f"at {trace.time_s[tick]:.3f} s"
+                    if one.lost is not None and one.lost[tick]:
+                        columns = gaps_of(trace, signal.reads, tick) or gaps_of(trace, signal.reads)
+                        return self.lacks(columns, f"so that {signal.words} is not known {at}", exercised)
+                    return inconclusive(self, f"{signal.words} is not known {at}", exercised=exercised)
+            if self.lacking:
+                return self.lacks(self.lacking, exercised=exercised)
+        why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
-            return f"the run was cut short ({trace.ended})"
-        return "a window runs beyond the end of the run, which does not decide it"
+            why = f"the run was cut short ({trace.ended})"
+        return inconclusive(self, why, exercised=exercised)
 
     def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
         """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
@@ -224,25 +296,34 @@ class _Asked:
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
+    missing = trace.known.missing(_columns_of(part))
+    if missing:
+        return not_measured(_Asked(part, trace, {}), missing)
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
-        sampled = {signal: signal.sample(trace) for signal in signals_of(part)}
+        sampled = {signal: signal.sample(blanked(trace)) for signal in signals_of(part)}
     asked = _Asked(part, trace, sampled)
     for signal, one in sampled.items():
+        gaps, uncertain = gaps_of(trace, signal.reads), trace.known.uncertain(signal.reads)
+        if one.absent and gaps:
+            return asked.lacks(gaps, f"so that {signal.words} is not known")
         why = one.absent or _impossible(signal, one, trace)
         if why:
             return inconclusive(asked, why)
+        if uncertain and signal.off is None:
+            return asked.lacks(uncertain, f"with which {signal.words} is not judged")
+        sampled[signal] = as_known(signal, one, trace)
     at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
-        if np.isfinite(low):
+        if np.isfinite(low) and not trace.known.uncertain(asked.lacking):
             return asked.told(Verdict.VIOLATED, between, exercised)
         return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
         return asked.undecided(at_ticks, between, exercised)
-    if exercised == 0 and np.isinf(low):  # nothing was asked at all
-        return inconclusive(asked, f"never exercised: {untried}")
+    if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
+        return asked.unexercised(at_ticks, untried)
     told = asked.told(Verdict.HOLDS, between, exercised)
     if exercised == 0:
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
