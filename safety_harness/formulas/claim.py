@@ -205,7 +205,8 @@ class _Asked:
     @cached_property
     def lacking(self) -> tuple[str, ...]:
         """The columns that it reads of which not everything is known."""
-        return tuple(name for name in _columns_of(self.part) if self.trace.known.of(name).limited)
+        known = self.trace.known
+        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
 
     def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
         """Inconclusive for want of what ``columns`` do not tell."""
@@ -232,38 +233,39 @@ class _Asked:
 
     def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
         """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
-        holds = at_ticks.bounds.low[0] >= 0.0
-        seen = between if holds else at_ticks
-        ends = [float(side[0]) for side in (seen.bounds.low, at_ticks.bounds.high)]
-        uncertain = self.trace.known.uncertain(self.lacking)
+        holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
+        ends = [float(side[0]) for side in (between.bounds.low, at_ticks.bounds.high)]
         if uncertain and np.isfinite(ends).all():
-            reason = self.told(Verdict.INCONCLUSIVE, seen, exercised).reason
+            reason = self.told(Verdict.INCONCLUSIVE, between, exercised).reason
             least, most = (self.unit.margin_text(end) for end in ends)
             why = f"between {least} to {most}, as {', '.join(uncertain)} may be that far off: {reason}"
             return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
-        if holds and not (self.lacking and np.isinf(ends[0])):
+        if holds and not self.lacking:
             told = self.told(Verdict.INCONCLUSIVE, between, exercised)
             why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
             return replace(told, reason=why)
-        return self.unknown(witness(seen, 0, self.period_s, low=True), exercised)
+        return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
 
     def unknown(self, found: Witness, exercised: int) -> Evaluation:
         """What is not known: at the tick that would decide, else the first thing of all."""
-        trace = self.trace
+        trace, why = self.trace, "a window runs beyond the end of the run, which does not decide it"
         if found.tick < len(trace.ticks) and found.atom is not None:
-            for signal in (found.atom.signal, *self.sampled):
-                one = self.sampled[signal]
-                holes = np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
-                if holes.any():
+            signals = (found.atom.signal, *self.sampled)
+            for signal in signals if self.lacking else ():
+                gone = self.sampled[signal].lost
+                if gone is not None and gone.any():
+                    tick = found.tick if gone[found.tick] else int(np.argmax(gone))
+                    columns = gaps_of(trace, signal.reads, tick) or gaps_of(trace, signal.reads)
+                    told = f"so that {signal.words} is not known at {trace.time_s[tick]:.3f} s"
+                    return self.lacks(columns, told, exercised)
+            for signal in signals:
+                holes = np.isnan(self.sampled[signal].value)
+                if holes[found.tick] or (holes.any() and not self.lacking):
                     tick = found.tick if holes[found.tick] else int(np.argmax(holes))
-                    at = f"at {trace.time_s[tick]:.3f} s"
-                    if one.lost is not None and one.lost[tick]:
-                        columns = gaps_of(trace, signal.reads, tick) or gaps_of(trace, signal.reads)
-                        return self.lacks(columns, f"so that {signal.words} is not known {at}", exercised)
-                    return inconclusive(self, f"{signal.words} is not known {at}", exercised=exercised)
+                    why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+                    return inconclusive(self, why, exercised=exercised)
             if self.lacking:
                 return self.lacks(self.lacking, exercised=exercised)
-        why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
             why = f"the run was cut short ({trace.ended})"
         return inconclusive(self, why, exercised=exercised)
@@ -296,28 +298,31 @@ class _Asked:
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
-    missing = trace.known.missing(_columns_of(part))
+    whole = trace.known.whole
+    missing = () if whole else trace.known.missing(_columns_of(part))
     if missing:
         return not_measured(_Asked(part, trace, {}), missing)
+    seen = trace if whole else blanked(trace)
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
-        sampled = {signal: signal.sample(blanked(trace)) for signal in signals_of(part)}
+        sampled = {signal: signal.sample(seen) for signal in signals_of(part)}
     asked = _Asked(part, trace, sampled)
     for signal, one in sampled.items():
-        gaps, uncertain = gaps_of(trace, signal.reads), trace.known.uncertain(signal.reads)
-        if one.absent and gaps:
-            return asked.lacks(gaps, f"so that {signal.words} is not known")
+        gaps = () if whole else gaps_of(trace, signal.reads)
+        uncertain = () if whole else trace.known.uncertain(signal.reads)
+        if one.absent and (gaps or (uncertain and one.lost is not None and one.lost.any())):
+            return asked.lacks(gaps or uncertain, f"so that {signal.words} is not known ({one.absent})")
         why = one.absent or _impossible(signal, one, trace)
         if why:
             return inconclusive(asked, why)
         if uncertain and signal.off is None:
             return asked.lacks(uncertain, f"with which {signal.words} is not judged")
-        sampled[signal] = as_known(signal, one, trace)
+        sampled[signal] = one if whole else as_known(signal, one, trace)
     at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
-        if np.isfinite(low) and not trace.known.uncertain(asked.lacking):
+        if np.isfinite(low) and not (asked.lacking and trace.known.uncertain(asked.lacking)):
             return asked.told(Verdict.VIOLATED, between, exercised)
         return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:

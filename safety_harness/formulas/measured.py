@@ -23,7 +23,7 @@ TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position
 @once_a_trace
 def blanked(trace: Trace) -> Trace:
     """``trace`` with nothing left in it where nothing was measured."""
-    return trace if trace.known.whole else knowing(trace, trace.known.columns)
+    return knowing(trace, trace.known.columns)
 
 
 def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
@@ -48,6 +48,8 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
 
 def lost(trace: Trace, columns: Iterable[str]) -> Truths:
     """(n,) the ticks at which one of ``columns`` was not measured, of any hand."""
+    if trace.known.whole:
+        return np.zeros(len(trace.ticks), np.bool_)
     found: Truths = lost_of_hands(trace, columns).any(axis=1)
     return found
 

@@ -134,7 +134,7 @@ def hand_distance(trace: Trace) -> Sampled:
     """
     paths, why = followed(trace)
     if paths is None:
-        return absent(trace, why)
+        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
     low, high = value.copy(), value.copy()
     for hand in range(value.shape[1]):
@@ -156,7 +156,7 @@ def nearest_hand_to_tcp(trace: Trace) -> Sampled:
     """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
     paths, why = followed(trace)
     if paths is None:
-        return absent(trace, why)
+        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]
     hands = trace.ticks["hand_position_in_base_m"][:, : len(trace.scenario.hands)]
     value = np.linalg.norm(hands - tcp, axis=2)  # (n, hands)
@@ -305,12 +305,11 @@ def prediction_error(trace: Trace) -> Sampled:
     value = np.full(len(valid), np.nan)
     value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
     value[np.isneginf(value)] = np.nan  # nothing is tracked
-    gone = lost(trace, prediction_error.reads)
-    if gone.any():
-        then, last = lost(trace, [HANDS, PRESENCE]), len(valid) - 1
+    gone, then = lost(trace, ["track_valid", "predicted_hand_in_base_m"]), lost(trace, [HANDS, PRESENCE])
+    if then.any():
         for later in (-1, 0, 1):  # the ticks about the time that it is for
             ticks = np.arange(len(errors_m)) + len(valid) - len(errors_m) + later
-            gone[: len(errors_m)] |= then[np.clip(ticks, 0, last)]
+            gone[: len(errors_m)] |= then[np.clip(ticks, 0, len(valid) - 1)]
     return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
 
 
