@@ -154,33 +154,33 @@ class _Asked:
         low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
         return comparison_bounds(atom, low, high)
 
-    def exercised(self, at_ticks: Margins) -> tuple[int, str]:
+    def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
         """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
         A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
         anything else every tick that is known.  A signal that counts its own occasions bounds the
-        number, unless the trigger has set it.
+        number, unless the trigger has set it.  ``perhaps``: as if all that is unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
-        known = np.all([~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        known = np.all([perhaps | ~np.isnan(one.value) for one in self.sampled.values()], axis=0)
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
             trigger = at_ticks.parts[0].bounds
-            count = self.begun(trigger.low >= 0.0, trigger.high < 0.0)
+            count = self.begun((trigger.high if perhaps else trigger.low) >= 0.0, trigger.high < 0.0)
             untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
         elif isinstance(part, Initially):
             count = int(known[0])
         elif isinstance(part, Until):
             second = at_ticks.parts[1].bounds
-            ends = np.flatnonzero((second.high if self.lacking else second.low) >= 0.0)
+            ends = np.flatnonzero((second.high if self.lacking and not perhaps else second.low) >= 0.0)
             count = min(count, int(ends[0])) if len(ends) else count
             untried = f'"{part.second}" holds from the beginning'
         for signal in tried:
             one = self.sampled[signal]
             if one.tried is not None:
-                surely, never = one.tried[0] > 0.0, one.tried[1] <= 0.0
-                own = self.begun(surely, never) if one.begins else int(np.count_nonzero(surely))
+                tries, never = one.tried[perhaps] > 0.0, one.tried[1] <= 0.0
+                own = self.begun(tries, never) if one.begins else int(np.count_nonzero(tries))
                 count, untried = (own, one.untried) if own < count else (count, untried)
         return count, untried
 
@@ -190,16 +190,8 @@ class _Asked:
 
     def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
         """Inconclusive: it was never exercised, or only by what was not measured if at all."""
-        part, tried, perhaps = self.part, set(self.sampled), bool(self.lacking)
-        if isinstance(part, Globally):
-            perhaps &= bool((at_ticks.parts[0].bounds.high >= 0.0).any())
-            tried -= set(signals_of(part.trigger))
-        elif isinstance(part, Until):
-            perhaps &= bool(at_ticks.parts[1].bounds.low[0] < 0.0)
-        for one in (self.sampled[signal] for signal in tried):
-            perhaps &= one.tried is None or bool((one.tried[1] > 0.0).any())
-        if perhaps:
-            return self.lacks(self.lacking, "which alone can tell whether it was exercised")
+        if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
+            return self.lacks(self.lacking, "nothing else tells whether it was exercised")
         return inconclusive(self, f"never exercised: {untried}")
 
     @cached_property
@@ -215,7 +207,7 @@ class _Asked:
         rest = [name for name in columns if name not in gaps]
         if rest:
             words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
-        words += f", {told}" * bool(told)
+        words += f"; {told}" * bool(told)
         return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
@@ -248,26 +240,22 @@ class _Asked:
 
     def unknown(self, found: Witness, exercised: int) -> Evaluation:
         """What is not known: at the tick that would decide, else the first thing of all."""
-        trace, why = self.trace, "a window runs beyond the end of the run, which does not decide it"
-        if found.tick < len(trace.ticks) and found.atom is not None:
-            signals = (found.atom.signal, *self.sampled)
-            for signal in signals if self.lacking else ():
-                gone = self.sampled[signal].lost
-                if gone is not None and gone.any():
-                    tick = found.tick if gone[found.tick] else int(np.argmax(gone))
-                    columns = gaps_of(trace, signal.reads, tick) or gaps_of(trace, signal.reads)
-                    told = f"so that {signal.words} is not known at {trace.time_s[tick]:.3f} s"
-                    return self.lacks(columns, told, exercised)
-            for signal in signals:
-                holes = np.isnan(self.sampled[signal].value)
-                if holes[found.tick] or (holes.any() and not self.lacking):
-                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
-                    why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
-                    return inconclusive(self, why, exercised=exercised)
-            if self.lacking:
-                return self.lacks(self.lacking, exercised=exercised)
+        trace, columns = self.trace, self.lacking
+        why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
             why = f"the run was cut short ({trace.ended})"
+        if found.tick < len(trace.ticks) and found.atom is not None:
+            every = sorted((found.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads))
+            for signal in every:  # first those that were not always measured
+                holes = _holes(self.sampled[signal])
+                if holes.any():
+                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+                    gaps = gaps_of(trace, signal.reads)
+                    columns = gaps_of(trace, gaps, tick) or gaps or columns
+                    break
+        if columns:
+            return self.lacks(columns, why, exercised)
         return inconclusive(self, why, exercised=exercised)
 
     def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
@@ -310,12 +298,12 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
         gaps = () if whole else gaps_of(trace, signal.reads)
         uncertain = () if whole else trace.known.uncertain(signal.reads)
         if one.absent and (gaps or (uncertain and one.lost is not None and one.lost.any())):
-            return asked.lacks(gaps or uncertain, f"so that {signal.words} is not known ({one.absent})")
+            return asked.lacks(gaps or uncertain, one.absent)
         why = one.absent or _impossible(signal, one, trace)
         if why:
             return inconclusive(asked, why)
         if uncertain and signal.off is None:
-            return asked.lacks(uncertain, f"with which {signal.words} is not judged")
+            return asked.lacks(uncertain, f"{signal.words} is not judged by that")
         sampled[signal] = one if whole else as_known(signal, one, trace)
     at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
@@ -336,6 +324,11 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
         cut = f"the run was cut short ({trace.ended}): {told.reason}"
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=cut)
     return told
+
+
+def _holes(one: Sampled) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a signal is not known, or not wholly."""
+    return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
 
 
 def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:

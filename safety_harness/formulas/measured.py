@@ -50,8 +50,7 @@ def lost(trace: Trace, columns: Iterable[str]) -> Truths:
     """(n,) the ticks at which one of ``columns`` was not measured, of any hand."""
     if trace.known.whole:
         return np.zeros(len(trace.ticks), np.bool_)
-    found: Truths = lost_of_hands(trace, columns).any(axis=1)
-    return found
+    return np.asarray(lost_of_hands(trace, columns).any(axis=1))
 
 
 def or_next(state: Truths) -> Truths:

@@ -89,7 +89,7 @@ def test_what_is_known_elsewhere_still_decides(visit: Trace) -> None:
         assert unknown.verdict is INCONCLUSIVE
         time_s = visit.time_s[repulses]
         words = sentence.split()[-1]
-        assert unknown.reason == f"not measured: mode, so that {words} is not known at {time_s:.3f} s"
+        assert unknown.reason == f"not measured: mode; {words} is not known at {time_s:.3f} s"
         assert unknown.unmeasured == ("mode",)
 
 
@@ -131,7 +131,7 @@ def test_never_exercised_and_not_measured_are_said_apart(visit: Trace) -> None:
     assert never.reason.startswith('never exercised: "stopped" never holds')
     assert never.unmeasured == ()
     perhaps = judged("whenever stopped then TCP speed < 1 m/s", knowing(visit, {"mode": gap(0, 9)}))
-    assert perhaps.reason == "not measured: mode, which alone can tell whether it was exercised"
+    assert perhaps.reason == "not measured: mode; nothing else tells whether it was exercised"
     assert (perhaps.verdict, perhaps.unmeasured) == (INCONCLUSIVE, ("mode",))
     far = ran("recorded-handover")
     nearest_m = far.ticks["hand_distance_m"].min(axis=1)
@@ -229,8 +229,8 @@ def test_an_angle_is_not_judged_by_an_uncertain_pose(visit: Trace) -> None:
     found = judged("angle to desired pose < 90 deg", knowing(visit, {"transform_tcp_to_base": within(1e-3)}))
     assert (found.verdict, found.unmeasured) == (INCONCLUSIVE, ("transform_tcp_to_base",))
     assert found.reason == (
-        "known only to within an uncertainty: transform_tcp_to_base, "
-        "with which angle to desired pose is not judged"
+        "known only to within an uncertainty: transform_tcp_to_base; "
+        "angle to desired pose is not judged by that"
     )
 
 
