@@ -49,7 +49,8 @@ class FormulaClaim:
 
     It is violated if that is certain at the ticks, whatever is unknown; it holds if that is certain
     at the ticks and between them, in a run that was not cut short and put it to the test; else it
-    is inconclusive, with the reason.  Of several parts the gravest verdict counts.
+    is inconclusive, with the reason.  Of several parts the gravest verdict counts.  Where not everything
+    was measured, or not exactly, both are asked of all that may have been.
     """
 
     formula: Formula
