@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from safety_harness.formulas.formula import (
     signals_of,
     unit_of,
 )
+from safety_harness.formulas.measured import as_known, blanked, gaps_of
 from safety_harness.formulas.semantics import (
     LEAST,
     MarginBounds,
@@ -34,6 +36,7 @@ from safety_harness.formulas.semantics import (
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
+from safety_harness.properties.measured import not_measured
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -46,7 +49,8 @@ class FormulaClaim:
 
     It is violated if that is certain at the ticks, whatever is unknown; it holds if that is certain
     at the ticks and between them, in a run that was not cut short and put it to the test; else it
-    is inconclusive, with the reason.  Of several parts the gravest verdict counts.
+    is inconclusive, with the reason.  Of several parts the gravest verdict counts.  Where not everything
+    was measured, or not exactly, both are asked of all that may have been.
     """
 
     formula: Formula
@@ -63,6 +67,11 @@ class FormulaClaim:
     def unit(self) -> Unit:
         """Of the first part's margin."""
         return unit_of(parts_of(self.formula)[0])
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The columns of a trace that its signals read."""
+        return _columns_of(self.formula)
 
     def check(self, scenario: Scenario, place: Place | None = None) -> None:
         """FormulaError at ``place`` for windows that a run of ``scenario`` has no room for."""
@@ -95,7 +104,12 @@ def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
     same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
     worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])
     each = (f"{p.sentence}: {p.verdict.value}, {p.margin_text()} ({p.reason})" for p in parts)
-    return replace(worst, reason="; ".join(each))
+    unmeasured = tuple(dict.fromkeys(name for part in grave for name in part.unmeasured))
+    return replace(worst, reason="; ".join(each), unmeasured=unmeasured)
+
+
+def _columns_of(formula: Formula) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for signal in signals_of(formula) for name in signal.reads))
 
 
 WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
@@ -123,8 +137,14 @@ class _Asked:
         return unit_of(self.part)
 
     def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
-        value = _whole_run(self.sampled[atom.signal].value, self.trace)
-        return truth_bounds(value) if isinstance(atom, Truth) else comparison_bounds(atom, value, value)
+        one = self.sampled[atom.signal]
+        value = _whole_run(one.value, self.trace)
+        if isinstance(atom, Truth):
+            return truth_bounds(value)
+        if one.value_low is None or one.value_high is None:
+            return comparison_bounds(atom, value, value)
+        low, high = (_whole_run(side, self.trace) for side in (one.value_low, one.value_high))
+        return comparison_bounds(atom, low, high)
 
     def between(self, atom: Comparison | Truth) -> MarginBounds:
         """From each tick to the next; what is not known at the tick is not known after it either."""
@@ -135,31 +155,61 @@ class _Asked:
         low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
         return comparison_bounds(atom, low, high)
 
-    def exercised(self, at_ticks: Margins) -> tuple[int, str]:
-        """How often the part was put to the test, and what it is that never happened if that is 0.
+    def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
+        """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
         A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
         anything else every tick that is known.  A signal that counts its own occasions bounds the
-        number, unless the trigger has set it.
+        number, unless the trigger has set it.  ``perhaps``: as if all that is unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
-        known = np.all([~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        known = np.all([perhaps | ~np.isnan(one.value) for one in self.sampled.values()], axis=0)
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
-            count = times_begun(at_ticks.parts[0].bounds.low >= 0.0)
+            trigger = at_ticks.parts[0].bounds
+            count = self.begun((trigger.high if perhaps else trigger.low) >= 0.0, trigger.high < 0.0)
             untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
         elif isinstance(part, Initially):
             count = int(known[0])
         elif isinstance(part, Until):
-            ends = np.flatnonzero(at_ticks.parts[1].bounds.low >= 0.0)
+            second = at_ticks.parts[1].bounds
+            ends = np.flatnonzero((second.high if self.lacking and not perhaps else second.low) >= 0.0)
             count = min(count, int(ends[0])) if len(ends) else count
             untried = f'"{part.second}" holds from the beginning'
         for signal in tried:
             one = self.sampled[signal]
-            if one.occasions is not None and one.occasions < count:
-                count, untried = one.occasions, one.untried
+            if one.tried is not None:
+                tries, never = one.tried[perhaps] > 0.0, one.tried[1] <= 0.0
+                own = self.begun(tries, never) if one.begins else int(np.count_nonzero(tries))
+                count, untried = (own, one.untried) if own < count else (count, untried)
         return count, untried
+
+    def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
+        """How often something begins, at least: between two unknown ticks it may have gone on."""
+        return times_begun(surely[surely | never] if self.lacking else surely)
+
+    def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
+        """Inconclusive: it was never exercised, or only by what was not measured if at all."""
+        if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
+            return self.lacks(self.lacking, "nothing else tells whether it was exercised")
+        return inconclusive(self, f"never exercised: {untried}")
+
+    @cached_property
+    def lacking(self) -> tuple[str, ...]:
+        """The columns that it reads of which not everything is known."""
+        known = self.trace.known
+        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
+
+    def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
+        """Inconclusive for want of what ``columns`` do not tell."""
+        gaps = gaps_of(self.trace, columns)
+        words = f"not measured: {', '.join(gaps)}" if gaps else ""
+        rest = [name for name in columns if name not in gaps]
+        if rest:
+            words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
+        words += f"; {told}" * bool(told)
+        return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
 
     def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
         """By how little a trigger did not hold, and when; empty where that is no one quantity."""
@@ -175,26 +225,39 @@ class _Asked:
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
     def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
-        """Inconclusive: something is unknown, or the bounds between the ticks are too wide."""
-        if at_ticks.bounds.low[0] >= 0.0:
+        """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
+        holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
+        ends = [float(side[0]) for side in (between.bounds.low, at_ticks.bounds.high)]
+        if uncertain and np.isfinite(ends).all():
+            reason = self.told(Verdict.INCONCLUSIVE, between, exercised).reason
+            least, most = (self.unit.margin_text(end) for end in ends)
+            why = f"between {least} to {most}, as {', '.join(uncertain)} may be that far off: {reason}"
+            return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
+        if holds and not self.lacking:
             told = self.told(Verdict.INCONCLUSIVE, between, exercised)
             why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
             return replace(told, reason=why)
-        why = self.unknown(witness(at_ticks, 0, self.period_s, low=True))
-        return inconclusive(self, why, exercised=exercised)
+        return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
 
-    def unknown(self, found: Witness) -> str:
+    def unknown(self, found: Witness, exercised: int) -> Evaluation:
         """What is not known: at the tick that would decide, else the first thing of all."""
-        trace = self.trace
-        if found.tick < len(trace.ticks) and found.atom is not None:
-            holes = {signal: np.flatnonzero(np.isnan(one.value)) for signal, one in self.sampled.items()}
-            for signal in (found.atom.signal, *holes):
-                if len(holes[signal]):
-                    tick = found.tick if found.tick in holes[signal] else holes[signal][0]
-                    return f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+        trace, columns = self.trace, self.lacking
+        why = "a window runs beyond the end of the run, which does not decide it"
         if not trace.complete:
-            return f"the run was cut short ({trace.ended})"
-        return "a window runs beyond the end of the run, which does not decide it"
+            why = f"the run was cut short ({trace.ended})"
+        if found.tick < len(trace.ticks) and found.atom is not None:
+            every = sorted((found.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads))
+            for signal in every:  # first those that were not always measured
+                holes = _holes(self.sampled[signal])
+                if holes.any():
+                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+                    gaps = gaps_of(trace, signal.reads)
+                    columns = gaps_of(trace, gaps, tick) or gaps or columns
+                    break
+        if columns:
+            return self.lacks(columns, why, exercised)
+        return inconclusive(self, why, exercised=exercised)
 
     def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
         """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
@@ -224,25 +287,37 @@ class _Asked:
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
+    whole = trace.known.whole
+    missing = () if whole else trace.known.missing(_columns_of(part))
+    if missing:
+        return not_measured(_Asked(part, trace, {}), missing)
+    seen = trace if whole else blanked(trace)
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
-        sampled = {signal: signal.sample(trace) for signal in signals_of(part)}
+        sampled = {signal: signal.sample(seen) for signal in signals_of(part)}
     asked = _Asked(part, trace, sampled)
     for signal, one in sampled.items():
+        gaps = () if whole else gaps_of(trace, signal.reads)
+        uncertain = () if whole else trace.known.uncertain(signal.reads)
+        if one.absent and (gaps or (uncertain and one.lost is not None and one.lost.any())):
+            return asked.lacks(gaps or uncertain, one.absent)
         why = one.absent or _impossible(signal, one, trace)
         if why:
             return inconclusive(asked, why)
+        if uncertain and signal.off is None:
+            return asked.lacks(uncertain, f"{signal.words} is not judged by that")
+        sampled[signal] = one if whole else as_known(signal, one, trace)
     at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
-        if np.isfinite(low):
+        if np.isfinite(low) and not (asked.lacking and trace.known.uncertain(asked.lacking)):
             return asked.told(Verdict.VIOLATED, between, exercised)
         return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
         return asked.undecided(at_ticks, between, exercised)
-    if exercised == 0 and np.isinf(low):  # nothing was asked at all
-        return inconclusive(asked, f"never exercised: {untried}")
+    if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
+        return asked.unexercised(at_ticks, untried)
     told = asked.told(Verdict.HOLDS, between, exercised)
     if exercised == 0:
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
@@ -250,6 +325,11 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
         cut = f"the run was cut short ({trace.ended}): {told.reason}"
         return replace(told, verdict=Verdict.INCONCLUSIVE, reason=cut)
     return told
+
+
+def _holes(one: Sampled) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a signal is not known, or not wholly."""
+    return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
 
 
 def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:

@@ -40,24 +40,36 @@ class Sampled:
     """A signal along a trace of n ticks, in SI; a truth is 1.0 or 0.0; NaN is unknown, inf a value.
 
     ``value`` (n,) at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next one.
-    ``absent`` says why there is no such signal in this run at all, else it is empty.  ``occasions``
-    counts how often the run has put a claim on it to the test (None: every tick does), and ``untried``
-    says what it is that did not happen if that is 0.
+    ``absent`` says why there is no such signal in this run at all, else it is empty.  ``tried`` (n,) are
+    bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does); it
+    counts as often as that ``begins``, or at each such tick.  ``untried`` says what it is that never
+    happened.
+
+    Of a trace that was measured in part, ``lost`` (n,) are the ticks at which it is not known, and
+    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: it is ``value``).  ``value`` at a lost
+    tick is of the hands that were measured, NaN without one; it is at most that.
     """
 
     value: Values
     low: Values
     high: Values
     absent: str = ""
-    occasions: int | None = None
+    tried: tuple[Values, Values] | None = None
+    begins: bool = False
     untried: str = ""
+    value_low: Values | None = None
+    value_high: Values | None = None
+    lost: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signal:
     """``words`` name it in sentences; ``dimension`` is None for one that is true or false.
 
-    ``sample`` takes it from a trace.  Two signals are the same only if they are one object.
+    ``sample`` takes it from a trace, of which it ``reads`` these columns and no others.  ``off`` says by how
+    much it may be off as they are uncertain (SI), at the ticks, and below and above its bounds between them;
+    without it nothing is said of a trace in which any is.  Two signals are the same only if they are one
+    object.
     """
 
     words: str
@@ -65,6 +77,8 @@ class Signal:
     meaning: str
     between: Interpolation
     sample: Callable[[Trace], Sampled]
+    reads: tuple[str, ...]
+    off: Callable[[Trace], tuple[float, float, float]] | None = None
 
     def __str__(self) -> str:
         return f'the signal "{self.words}" alone'
@@ -163,10 +177,9 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
     high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
     within_a_row = tuple(range(1, at_tick.ndim))
     value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
-    moves = value > MOVING
-    moves[:-1] |= mean > MOVING
-    count = int(np.count_nonzero(moves))
-    return Sampled(value=value, low=low, high=high, occasions=count, untried=f"{of} never moves")
+    moves = value - MOVING
+    moves[:-1] = np.fmax(moves[:-1], mean - MOVING)
+    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
 
 
 def bounded(value: Values, way: Values) -> Sampled:

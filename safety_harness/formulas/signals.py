@@ -12,6 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.formulas.measured import (
+    HANDS,
+    TCP,
+    TCP_SPEED,
+    by_uncertainty_of,
+    followed,
+    gaps_of,
+    lost,
+    lost_of_hands,
+    of_hand_distance,
+    of_nearest_hand,
+    of_place,
+    of_speed,
+    or_next,
+)
 from safety_harness.formulas.signal import (
     Flag,
     Interpolation,
@@ -26,15 +41,15 @@ from safety_harness.formulas.signal import (
     tent,
     turned_rad,
 )
-from safety_harness.properties.base import times_begun
-from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
+from safety_harness.properties.hand_distance import RESOLUTION_M, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m
+from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m, true_motion
 from safety_harness.properties.unexercised import nearest_of, no_decision, no_hand, no_predicted_hand
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
+from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
@@ -48,16 +63,19 @@ def measure(
     dimension: Dimension,
     meaning: str,
     between: Interpolation = Interpolation.BOUNDED,
+    *,
+    reads: Sequence[str],
     **more: Any,
 ) -> Callable[[Sample], Measure]:
     """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
     said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
+    said = partial(said, reads=tuple(reads))
     return lambda sample: _listed(said(sample=sample))
 
 
-def flag(words: str, meaning: str) -> Callable[[Sample], Flag]:
+def flag(words: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
     """The same for what is true or false."""
-    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample))
+    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample, reads=tuple(reads)))
 
 
 def _listed(signal: Listed) -> Listed:
@@ -68,6 +86,16 @@ def _listed(signal: Listed) -> Listed:
 def in_force(trace: Trace) -> NDArray[np.int64]:
     """(n,) the latest decision at each tick, -1 before the first."""
     return np.maximum.accumulate(trace.ticks["decision"])
+
+
+def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
+    """(n,) where ``signal``, of the latest decision, is not known: from a gap up to the next decision."""
+    gone = lost(trace, signal.reads)
+    if gone.any():
+        ticks, made = np.arange(len(gone)), trace.ticks["decision"] >= 0
+        unsure = np.where(lost(trace, ["decision"]), ticks, -1)
+        gone |= np.maximum.accumulate(unsure) > np.maximum.accumulate(np.where(made, ticks, -1))
+    return gone
 
 
 def in_mode(mode: Mode) -> Sample:
@@ -85,6 +113,16 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
     LENGTH,
     "of any hand or forearm from any link of the robot, surface to surface; negative inside",
     least=-np.inf,
+    reads=[
+        "joint_position_rad",
+        "joint_velocity_radps",
+        TCP,
+        HANDS,
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+        PRESENCE,
+    ],
+    off=of_hand_distance,
 )
 @lru_cache(maxsize=4)
 def hand_distance(trace: Trace) -> Sampled:
@@ -94,25 +132,31 @@ def hand_distance(trace: Trace) -> Sampled:
     both ends and the ways of arm and hand allow.  Occasions: a hand comes within the critical
     distance of the arm's surface.
     """
-    paths, why = followed_hands(trace)
+    paths, why = followed(trace)
     if paths is None:
-        return absent(trace, why)
+        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
     low, high = value.copy(), value.copy()
     for hand in range(value.shape[1]):
         way_m, slack_m = _ways(trace, paths, hand)
         low[:-1, hand] = np.minimum(low[:-1, hand], _certified(trace, paths, hand))
         high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
-    return _nearest(trace, value, low, high, "the arm's surface")
+    return _nearest(hand_distance, trace, value, low, high, "the arm's surface")
 
 
-@measure("nearest hand to TCP", LENGTH, "from the TCP to the centre of the nearest true hand")
+@measure(
+    "nearest hand to TCP",
+    LENGTH,
+    "from the TCP to the centre of the nearest true hand",
+    reads=["joint_position_rad", TCP, TCP_SPEED, HANDS, "elbow_position_in_base_m", PRESENCE],
+    off=of_nearest_hand,
+)
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
     """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
-    paths, why = followed_hands(trace)
+    paths, why = followed(trace)
     if paths is None:
-        return absent(trace, why)
+        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]
     hands = trace.ticks["hand_position_in_base_m"][:, : len(trace.scenario.hands)]
     value = np.linalg.norm(hands - tcp, axis=2)  # (n, hands)
@@ -121,10 +165,16 @@ def nearest_hand_to_tcp(trace: Trace) -> Sampled:
         way_m = tcp_way_m(trace) + _path_m(trace, paths, hand)[0]
         slack_m = hand_bend_m(trace, paths, hand)
         low[:-1, hand], high[:-1, hand] = tent(value[:, hand], way_m, slack_m)
-    return _nearest(trace, value, low, high, "the TCP")
+    return _nearest(nearest_hand_to_tcp, trace, value, low, high, "the TCP")
 
 
-@measure("TCP speed", SPEED, "of the TCP; between ticks the mean speed counts too")
+@measure(
+    "TCP speed",
+    SPEED,
+    "of the TCP; between ticks the mean speed counts too",
+    reads=[TCP_SPEED, TCP],
+    off=of_speed(TCP_SPEED, TCP),
+)
 def tcp_speed(trace: Trace) -> Sampled:
     """Of the TCP; between ticks the mean speed counts too."""
     at_tick = trace.ticks["tcp_speed_mps"]
@@ -133,26 +183,50 @@ def tcp_speed(trace: Trace) -> Sampled:
     return speeds(at_tick, mean, of="the TCP")
 
 
-@measure("TCP height", LENGTH, "of the TCP above the origin of the robot's base frame", least=-np.inf)
+@measure(
+    "TCP height",
+    LENGTH,
+    "of the TCP above the origin of the robot's base frame",
+    least=-np.inf,
+    reads=[TCP, TCP_SPEED],
+    off=of_place,
+)
 def tcp_height(trace: Trace) -> Sampled:
     """Above the base frame's origin."""
     return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
 
 
-@measure("distance to desired pose", LENGTH, "of the TCP from where servoing wants it")
+@measure(
+    "distance to desired pose",
+    LENGTH,
+    "of the TCP from where servoing wants it",
+    reads=[TCP, TCP_SPEED],
+    off=of_place,
+)
 def distance_to_desired_pose(trace: Trace) -> Sampled:
     """Of the TCP from where servoing wants it."""
     return bounded(pose_errors(trace)[0], tcp_way_m(trace))
 
 
-@measure("angle to desired pose", ANGLE, "by which the TCP is turned away from how servoing wants it")
+@measure(
+    "angle to desired pose",
+    ANGLE,
+    "by which the TCP is turned away from how servoing wants it",
+    reads=[TCP, "joint_position_rad", "joint_velocity_radps"],
+)
 def angle_to_desired_pose(trace: Trace) -> Sampled:
     """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
     none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
     return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
 
-@measure("joint speed", ANGULAR_SPEED, "of the fastest joint; between ticks the mean speed counts too")
+@measure(
+    "joint speed",
+    ANGULAR_SPEED,
+    "of the fastest joint; between ticks the mean speed counts too",
+    reads=["joint_velocity_radps", "joint_position_rad"],
+    off=of_speed("joint_velocity_radps", "joint_position_rad"),
+)
 def joint_speed(trace: Trace) -> Sampled:
     """Of the fastest joint, likewise."""
     at_tick = np.abs(trace.ticks["joint_velocity_radps"])
@@ -165,6 +239,8 @@ def joint_speed(trace: Trace) -> Sampled:
     NUMBER,
     "eq. 15 of the paper as the controller has it; unknown while the object is not seen",
     Interpolation.HELD,
+    reads=["sse"],
+    off=by_uncertainty_of("sse"),
 )
 def image_error(trace: Trace) -> Sampled:
     """Eq. 15 as the controller has it; unknown while the object is not seen."""
@@ -179,16 +255,18 @@ def image_error(trace: Trace) -> Sampled:
     LENGTH,
     "of the latest decision's proposal, largest of the three axes; unknown before the first decision",
     Interpolation.HELD,
+    reads=["decision", "decision.proposed_spread_m"],
+    off=by_uncertainty_of("decision.proposed_spread_m"),
 )
 def spread(trace: Trace) -> Sampled:
     """The largest of the three axes, as the gate takes it."""
     if len(trace.decisions) == 0:
-        return absent(trace, f"never exercised: {no_decision(trace)}")
+        return _untried(trace, no_decision, "nothing was decided")
     spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
     if not np.any(np.isfinite(spread_m)):
         return absent(trace, "the avoider says no spread")
-    number = in_force(trace)
-    return at_ticks(np.where(number >= 0, spread_m[number], np.nan))
+    number, gone = in_force(trace), out_of_knowledge(trace, spread)
+    return replace(at_ticks(np.where((number >= 0) & ~gone, spread_m[number], np.nan)), lost=gone)
 
 
 @measure(
@@ -197,12 +275,14 @@ def spread(trace: Trace) -> Sampled:
     "from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
     Interpolation.HELD,
     endless=True,
+    reads=["predicted_distance_m"],
+    off=by_uncertainty_of("predicted_distance_m"),
 )
 def predicted_hand_distance(trace: Trace) -> Sampled:
     """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
-        return absent(trace, f"never exercised: {no_predicted_hand(trace)}")
+        return _untried(trace, no_predicted_hand, "no hand was predicted")
     return _coming_near(at_ticks(distance_m), trace, "predicted hand", "the TCP")
 
 
@@ -212,21 +292,28 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
     "of each prediction made now from the nearest true hand at the time that it is for, the largest; "
     "unknown where none is made, or that time is after the run",
     Interpolation.TICKS_ONLY,
+    reads=["track_valid", "predicted_hand_in_base_m", HANDS, PRESENCE],
+    off=by_uncertainty_of("predicted_hand_in_base_m", HANDS),
 )
 def prediction_error(trace: Trace) -> Sampled:
     """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
-        return absent(trace, f"never exercised: {no_predicted_hand(trace) if hands else no_hand(trace)}")
+        return _untried(trace, no_predicted_hand if hands else no_hand, "no hand was predicted")
     errors_m = prediction_errors_m(trace)
     tracked = valid[: len(errors_m)]
     value = np.full(len(valid), np.nan)
     value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
     value[np.isneginf(value)] = np.nan  # nothing is tracked
-    return at_ticks(value)
+    gone, then = lost(trace, ["track_valid", "predicted_hand_in_base_m"]), lost(trace, [HANDS, PRESENCE])
+    if then.any():
+        for later in (-1, 0, 1):  # the ticks about the time that it is for
+            ticks = np.arange(len(errors_m)) + len(valid) - len(errors_m) + later
+            gone[: len(errors_m)] |= then[np.clip(ticks, 0, len(valid) - 1)]
+    return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
 
 
-@measure("elapsed time", TIME, "since the run began")
+@measure("elapsed time", TIME, "since the run began", reads=[])
 def elapsed_time(trace: Trace) -> Sampled:
     """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
     period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
@@ -236,35 +323,41 @@ def elapsed_time(trace: Trace) -> Sampled:
     return Sampled(value=time_s, low=time_s, high=later)
 
 
-object_visible = flag("object visible", "the controller's image shows the object")(
+object_visible = flag("object visible", "the controller's image shows the object", reads=["object_visible"])(
     lambda trace: truth(trace.ticks["object_visible"])
 )
-servoing = flag("servoing", "the controller servoes")(in_mode(Mode.SERVOING))
-repulsing = flag("repulsing", "the controller gives way")(in_mode(Mode.REPULSING))
-stopped = flag("stopped", "a protective stop")(in_mode(Mode.PROTECTIVE_STOP))
-object_lost = flag("object lost", "the controller waits for the object to be seen")(in_mode(Mode.OBJECT_LOST))
-deciding = flag("deciding", "a decision is made at this tick")(
+servoing = flag("servoing", "the controller servoes", reads=["mode"])(in_mode(Mode.SERVOING))
+repulsing = flag("repulsing", "the controller gives way", reads=["mode"])(in_mode(Mode.REPULSING))
+stopped = flag("stopped", "a protective stop", reads=["mode"])(in_mode(Mode.PROTECTIVE_STOP))
+object_lost = flag("object lost", "the controller waits for the object to be seen", reads=["mode"])(
+    in_mode(Mode.OBJECT_LOST)
+)
+deciding = flag("deciding", "a decision is made at this tick", reads=["decision"])(
     lambda trace: truth(trace.ticks["decision"] >= 0)
 )
 
 
-@flag("falling back", "it gives way to the opposite pose, or stops, since the latest proposal was refused")
+@flag(
+    "falling back",
+    "it gives way to the opposite pose, or stops, since the latest proposal was refused",
+    reads=["mode", "decision", "decision.outcome"],
+)
 def falling_back(trace: Trace) -> Sampled:
     """While it gives way to the opposite pose, or stops, because of its latest decision."""
     if len(trace.decisions) == 0:
-        return absent(trace, f"never exercised: {no_decision(trace)}")
-    number = in_force(trace)
+        return _untried(trace, no_decision, "nothing was decided")
+    number, gone = in_force(trace), out_of_knowledge(trace, falling_back)
     gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
     refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
-    return truth(gives_way & (number >= 0) & refused)
+    return replace(at_ticks(np.where(gone, np.nan, gives_way & (number >= 0) & refused)), lost=gone)
 
 
-hand_tracked = flag("hand tracked", "the controller predicts a hand at least")(
+hand_tracked = flag("hand tracked", "the controller predicts a hand at least", reads=["track_valid"])(
     lambda trace: truth(trace.ticks["track_valid"].any(axis=1))
 )
 
 
-@flag("fault acting", "one of the scenario's faults acts")
+@flag("fault acting", "one of the scenario's faults acts", reads=["faults"])
 def fault_acting(trace: Trace) -> Sampled:
     """At least one of the scenario's faults acts."""
     if not trace.scenario.faults:
@@ -272,33 +365,51 @@ def fault_acting(trace: Trace) -> Sampled:
     return truth(trace.ticks["faults"] != 0)
 
 
+def _untried(trace: Trace, lacked: Callable[[Trace], str], words: str) -> Sampled:
+    """A signal that this run lacks, as ``lacked`` tells of a trace that is wholly known, else ``words``."""
+    return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else words}")
+
+
 def _nearest(
+    signal: Signal,
     trace: Trace,
     value: NDArray[np.float64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
     what: str,
 ) -> Sampled:
-    """The nearest of the hands of (n, hands) distances and bounds of them."""
-    nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1))
+    """The nearest of the hands of (n, hands) distances and bounds of them: of those that were measured."""
+    gone = None
+    if gaps_of(trace, signal.reads):
+        gone = lost(trace, signal.reads)
+        own = lost_of_hands(trace, signal.reads)[:, : value.shape[1]]
+        sides = ((value, own), (low, or_next(own)), (high, or_next(own)))
+        value, low, high = (
+            np.where(unknown.all(axis=1, keepdims=True), np.nan, np.where(unknown, np.inf, side))
+            for side, unknown in sides
+        )
+    nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1), lost=gone)
     return _coming_near(nearest, trace, "hand", what)
 
 
 def _coming_near(distance: Sampled, trace: Trace, whose: str, what: str) -> Sampled:
     """The distance of ``whose`` from ``what``, exercised each time that it falls below the critical one."""
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    times = times_begun(distance.value < critical_m)
-    untried = "" if times else nearest_of(trace, distance.value, critical_m, whose, what)
-    return replace(distance, occasions=times, untried=untried)
+    near = critical_m - distance.value
+    untried = "" if (near > 0.0).any() else nearest_of(trace, distance.value, critical_m, whose, what)
+    return replace(distance, tried=(near, near), begins=True, untried=untried)
 
 
 def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n-1,) ways of a hand and of its elbow within each tick [m], corners of a recording included."""
-    at, _, hand_m, elbow_m, _, _ = instants(trace, paths, hand)
-    tick = np.minimum(at[:-1].astype(int), max(len(trace.ticks) - 2, 0))
-    ways = np.zeros((2, max(len(trace.ticks) - 1, 0)))
-    for way, points in zip(ways, (hand_m, elbow_m), strict=True):
-        np.add.at(way, tick, np.linalg.norm(np.diff(points, axis=0), axis=1))
+    own, last = paths.corner_hand == hand, len(trace.ticks) - 1
+    at = np.append(np.arange(last + 1, dtype=np.float64), paths.corner_at[own])
+    points = np.append(true_motion(trace).hands_m[:, hand], paths.corners_in_base_m[own], axis=0)
+    order = np.argsort(at, kind="stable")
+    tick = np.minimum(at[order][:-1].astype(int), max(last - 1, 0))
+    ways = np.zeros((2, max(last, 0)))
+    for way, place in zip(ways, points[order].transpose(1, 0, 2), strict=True):
+        np.add.at(way, tick, np.linalg.norm(np.diff(place, axis=0), axis=1))
     return ways[0], ways[1]
 
 

@@ -47,10 +47,10 @@ def never(trace: Trace) -> Sampled:
 
 
 X, Y = (
-    Measure(words=words, dimension=LENGTH, meaning="-", between=Interpolation.HELD, sample=never)
+    Measure(words=words, dimension=LENGTH, meaning="-", between=Interpolation.HELD, sample=never, reads=())
     for words in ("x", "y")
 )
-P, Q = (Flag(words=words, meaning="-", sample=never) for words in ("p", "q"))
+P, Q = (Flag(words=words, meaning="-", sample=never, reads=()) for words in ("p", "q"))
 
 millimetres = st.integers(-3, 3)
 relations = st.sampled_from(list(Relation))

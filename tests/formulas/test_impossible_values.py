@@ -57,6 +57,8 @@ def with_value(trace: Trace, name: str, value: float) -> Trace:
 
 
 def same(one: object, other: object) -> bool:
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return all(map(same, one, other))
     if isinstance(one, np.ndarray):
         return np.array_equal(one, other, equal_nan=True)
     return one == other
