@@ -22,6 +22,7 @@ from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +51,12 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace; TraceError.  Its scenario's files are sought where the plan's space is now."""
+    """A stored trace, simulated; TraceError.  Its scenario's files are sought where the plan's space is now."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
         file.write_bytes(data)
         trace = load_trace(file)
+    refuse_not_simulated(trace)
     return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 

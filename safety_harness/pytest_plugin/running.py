@@ -237,5 +237,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             "avoider": worst.run.avoider,
             "seed": worst.run.seed,
         }
+        if evaluation.unmeasured:
+            values["not measured"] = ", ".join(evaluation.unmeasured)
         found += [(name + end, value) for name, value in values.items()]
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import Place, TraceError
-from safety_harness.trace.known import OF_DECISIONS, PER_HAND, Source, knowing
+from safety_harness.trace.known import OF_DECISIONS, PER_HAND, Measurement, Source, knowing
 from safety_harness.trace.records import DECISION
 from safety_harness.trace.trace import Trace
 
@@ -51,13 +52,10 @@ def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
     """TraceError, naming ``file``, for a trace that cannot be run again, as no run of ours gave it."""
     if trace.known.simulated:
         return
-    columns = trace.known.columns.items()
-    by = [f"{name}: {one.source.value}" for name, one in columns if one.source is not Source.SIMULATED]
-    by += [f"{name}: only in part" for name, one in columns if one.source is Source.SIMULATED and one.limited]
-    more = f" and {len(by) - 2} others" if len(by) > 2 else ""
+    sources = Counter(one.source.value for one in trace.known.columns.values() if one != Measurement())
     raise TraceError(
         place=Place(file=file, field="known"),
         expected="a trace that was simulated, since only that can be run again",
-        got=f"one that was not ({', '.join(by[:2])}{more})",
+        got=f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}",
         hint="" if file is None else f"safety-harness judge {file}",
     )

@@ -152,6 +152,7 @@
       this.scene.add(new THREE.Line(path, stroke("--fig-muted", { transparent: true, opacity: 0.45 })));
       this.travelled = new THREE.Line(path.clone(), stroke("--fig-tcp"));
       this.scene.add(this.travelled);
+      this.scene.children.slice(-2).forEach((line) => { line.frustumCulled = false; });  // a TCP that was not measured is NaN
       this.critical = new THREE.Group();  // three great circles
       const ring = Array.from({ length: 96 }, (_, k) => new THREE.Vector3(
         Math.cos((k * Math.PI) / 48), Math.sin((k * Math.PI) / 48), 0).multiplyScalar(data.critical_distance_m));
@@ -282,7 +283,8 @@
       this.clock.textContent = `${time.toFixed(2)} s`;
       const parts = this.data.hands.map((name, k) => {
         const distance = this.columns.hand_distance_m[tick * this.data.hands.length + k];
-        return `${name} ${Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : "absent"}`.replace("-", "\u2212");
+        const far = Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : Number.isNaN(distance) ? "not measured" : "absent";
+        return `${name} ${far}`.replace("-", "\u2212");
       });
       parts.unshift(this.data.modes[this.columns.mode[tick]]);
       this.says.textContent = parts.join(" \u00b7 ");
