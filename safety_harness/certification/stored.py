@@ -51,7 +51,7 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace, simulated; TraceError.  Its scenario's files are sought where the plan's space is now."""
+    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
         file.write_bytes(data)
