@@ -119,7 +119,8 @@ def _mark(
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions with something that was measured and is no number, or no later than the one before."""
-    in_time, trace = decided(trace, "time_s"), filled(trace)
+    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
+    trace = filled(trace)
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:
@@ -127,8 +128,9 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0) & in_time
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed
-    answered, chosen = decisions["fault"] == "", decisions["outcome"] != DecisionOutcome.STOP
-    opposite = decisions["outcome"] == DecisionOutcome.OPPOSITE
+    answered = said & (decisions["fault"] == "")
+    chosen = chose & (decisions["outcome"] != DecisionOutcome.STOP)
+    opposite = chose & (decisions["outcome"] == DecisionOutcome.OPPOSITE)
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
     for name in DECISION.names or ():
         if DECISION[name].base.kind != "f" or name == "spread_threshold_m":
