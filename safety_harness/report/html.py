@@ -21,6 +21,7 @@ from safety_harness.proportions import share_words
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
+    are_counted,
     avoiders,
     computing_time_lines,
     decision_rows,
@@ -143,6 +144,8 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "avoiders": avoiders(traces),  # name, runs
         "computing_time": computing_time_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
+        "uncounted": sum(not are_counted(trace) for trace in traces),
+        "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),
         "decisions": DecisionTally.of(traces),
     }
 
@@ -171,6 +174,7 @@ def _section(run: JudgedRun, number: int) -> Row:
         "faults": fault_notes(trace),
         "latency": latency_words(trace),
         "decided": decided(trace, "tick", "time_s"),
+        "counted": are_counted(trace),
         "limits": _ticks_rows(trace, "limits", limits),
         "modes": _ticks_rows(trace, "mode", modes),
         "measured": measured_rows(trace),

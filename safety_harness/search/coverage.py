@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from safety_harness.space.regions import Seen
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
-from safety_harness.trace.unmeasured import decided, measured
 
 # From the TCP, in the base: +x -x +y -y +z -z.
 DIRECTIONS = ("front", "back", "left", "right", "above", "below")
@@ -28,7 +27,10 @@ SEEN = ("seen", "hand unseen", "TCP unseen", "both unseen")
 OUTCOMES = ("no decision", "proposed position", "opposite pose", "protective stop")
 AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen": SEEN, "outcome": OUTCOMES}
 
-READ = ("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m")
+READ = (
+    *("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m"),
+    *("decision.tick", "decision.outcome"),
+)
 _AT_REST_MPS = 0.05
 _GRAVITY = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutcome.STOP: 3}
 
@@ -97,7 +99,7 @@ class Coverage:
 
 def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
     """Where a run belongs; None if no hand was there, or what it takes was not all measured or finite."""
-    if not (decided(trace, "tick", "outcome") and all(measured(trace, name).all() for name in READ)):
+    if any(trace.known.missing([name]) or trace.known.of(name).gaps for name in READ):
         return None
     distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
     if not np.any(np.isfinite(distances)):

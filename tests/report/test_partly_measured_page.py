@@ -74,6 +74,8 @@ def test_modes_decisions_and_limits_are_not_measured_instead_of_none() -> None:
     assert "No limit acted." not in text
     assert "No decision was asked for." not in text
     assert "protective stop 0 %" not in text
+    assert "<dt>Decisions</dt><dd> not measured in 1 run</dd>" in text
+    assert "Of 1 not all was measured that it reads." in text
 
 
 @pytest.mark.parametrize("first", range(4))
@@ -88,6 +90,13 @@ def test_any_column_may_be_lacking(first: int) -> None:
     assert len(article) > 1_000
     assert re.search(r"\bnan\b", article, re.IGNORECASE) is None
     assert json.loads(replay_json(run))["columns"]
+
+
+def test_decisions_of_which_something_was_not_measured_have_a_dash_there() -> None:
+    run = factory.violated_run()
+    text = page(replace(run, trace=knowing(run.trace, {"decision.outcome": NOT_MEASURED})))
+    assert "what became of decisions was not measured" in text
+    assert text.count('data-label="Outcome">\u2013<') == len(run.trace.decisions)
 
 
 def test_claims_that_were_not_measured_are_told_apart_in_the_table_of_all_runs() -> None:
