@@ -149,10 +149,12 @@
       const way = [];
       for (let k = 0; k < this.times.length; k++) way.push(point(this.columns.tcp_in_base_m, 3 * k));
       const path = new THREE.BufferGeometry().setFromPoints(way);
+      const measured = new THREE.BufferGeometry().setFromPoints(way.filter((at) => Number.isFinite(at.x)));
+      measured.computeBoundingSphere();
+      path.boundingSphere = measured.boundingSphere;
       this.scene.add(new THREE.Line(path, stroke("--fig-muted", { transparent: true, opacity: 0.45 })));
       this.travelled = new THREE.Line(path.clone(), stroke("--fig-tcp"));
       this.scene.add(this.travelled);
-      this.scene.children.slice(-2).forEach((line) => { line.frustumCulled = false; });  // a TCP that was not measured is NaN
       this.critical = new THREE.Group();  // three great circles
       const ring = Array.from({ length: 96 }, (_, k) => new THREE.Vector3(
         Math.cos((k * Math.PI) / 48), Math.sin((k * Math.PI) / 48), 0).multiplyScalar(data.critical_distance_m));
