@@ -23,15 +23,9 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.seeds import Branch, seed
 from safety_harness.settings import Settings, Vector3
 from safety_harness.trace.consistency import first_inconsistency
-from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.trace import Trace
 
 LEAST_DECISIONS = 100
-READ = tuple(
-    f"{OF_DECISIONS}{name}"
-    for name in ("fault", "seed", "hand_position_in_base_m", "tcp_position_in_base_m")
-    + ("proposed_position_in_base_m", "proposed_spread_m")
-)
 AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
 
 
@@ -119,9 +113,7 @@ def _shipped(avoider: str) -> IntervalRule | None:
 
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
-    """Is the target of a run's first answered decision within its interval?  None without a known one."""
-    if any(trace.known.of(name).limited for name in READ):
-        return None
+    """Is the target of a run's first answered decision within its interval?  None without such a decision."""
     answered = np.flatnonzero(trace.decisions["fault"] == "")
     if not len(answered):
         return None
