@@ -13,7 +13,7 @@ from safety_harness.trace.known import (
 )
 from safety_harness.trace.trace import Trace
 
-UNSEEN = Gap(first=100, after=180, hand=0)
+UNSEEN = Gap(first=100, after=180, hand=0)  # of a run that lasts a second and a half, at least
 OF_THE_CONTROLLER = (
     *("mode", "gain", "camera_twist", "demanded_joint_velocity_radps", "limits", "faults", "decision"),
     *("object_visible", "features", "feature_error", "sse"),
@@ -23,7 +23,8 @@ OF_THE_CONTROLLER = (
 
 def partly_measured(trace: Trace) -> Trace:
     """No mode, no decisions, no camera, no tracks; the hands by a sensor, which lost one of them a while."""
-    by_sensor = Measurement(source=Source.SENSOR, uncertainty=0.008, gaps=(UNSEEN,))
+    lost = UNSEEN if UNSEEN.after <= len(trace.ticks) else Gap(first=1, after=2, hand=0)
+    by_sensor = Measurement(source=Source.SENSOR, uncertainty=0.008, gaps=(lost,))
     unknown = (*OF_THE_CONTROLLER, *(name for name in COLUMNS_OF_A_TRACE if name.startswith(OF_DECISIONS)))
     return knowing(
         trace,
@@ -32,8 +33,8 @@ def partly_measured(trace: Trace) -> Trace:
             "joint_velocity_radps": Measurement(source=Source.LOG, uncertainty=0.001),
             "hand_position_in_base_m": by_sensor,
             "elbow_position_in_base_m": by_sensor,
-            "hand_distance_m": Measurement(source=Source.DERIVED, uncertainty=0.008, gaps=(UNSEEN,)),
-            "hand_distance_capsule": Measurement(source=Source.DERIVED, gaps=(UNSEEN,)),
+            "hand_distance_m": Measurement(source=Source.DERIVED, uncertainty=0.008, gaps=(lost,)),
+            "hand_distance_capsule": Measurement(source=Source.DERIVED, gaps=(lost,)),
             **dict.fromkeys(unknown, NOT_MEASURED),
         },
     )

@@ -293,9 +293,7 @@ def _follow(
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
     """TraceError with field and tick if no run can have written ``trace``; ``file`` is what it names."""
-    wrong = first_inconsistency(trace)
-    if wrong is None and trace.known.simulated:  # a log and its sensors may differ a little
-        wrong = first_untruth(trace)
+    wrong = first_inconsistency(trace) or first_untruth(trace)
     if wrong is not None:
         where = wrong.where if file is not None else f"trace of {trace.scenario.name}: {wrong.where}"
         raise TraceError(place=Place(file=file, field=where), expected=wrong.expected, got=wrong.got)

@@ -83,7 +83,8 @@ def test_programs_are_told_of_each_column_and_of_each_claim(
     assert (run["decisions"], run["overruling"]) == (None, None)
     known, unknown = run["claims"][:2]
     assert (known["verdict"], known["unmeasured"]) == ("holds", [])
-    assert (unknown["verdict"], unknown["unmeasured"]) == ("inconclusive", ["hand_position_in_base_m"])
+    assert unknown["verdict"] == "inconclusive"
+    assert "hand_position_in_base_m" in unknown["unmeasured"]
 
 
 def test_replay_refuses_it(stored: Path, capsys: pytest.CaptureFixture[str]) -> None:
