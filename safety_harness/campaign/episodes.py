@@ -207,8 +207,9 @@ def why_broken(trace: Trace) -> str:
 def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
     """The outcome for estimates.
 
-    Only a whole run in which the claim was not put to the test says nothing of it; one that is broken counts
-    as a violation in upper bounds, whatever it would have shown.
+    Only a whole run in which the claim was not put to the test, or could not be judged as not all was
+    measured, says nothing of it; one that is broken counts as a violation in upper bounds, whatever it would
+    have shown.
     """
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
@@ -216,7 +217,7 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
         outcome = EpisodeOutcome.FAILED
     elif evaluation.verdict is Verdict.HOLDS:
         outcome = EpisodeOutcome.HOLDS
-    elif evaluation.exercised or broken:
+    elif (evaluation.exercised and not evaluation.unmeasured) or broken:
         outcome = EpisodeOutcome.INCONCLUSIVE
     else:
         outcome = EpisodeOutcome.UNTESTED
@@ -225,7 +226,7 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
         outcome,
         np.nan if margin is None else float(margin),
         np.nan if worst_s is None else float(worst_s),
-        int(evaluation.exercised),
+        0 if evaluation.unmeasured else int(evaluation.exercised),
     )
 
 

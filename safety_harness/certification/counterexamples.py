@@ -28,6 +28,7 @@ from safety_harness.scenario.typed_json import read_json, typed
 from safety_harness.search.counterexample import circumstances
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
+from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
@@ -228,6 +229,7 @@ def searched_counterexamples(
             trace = file.with_suffix(".trace")
             try:
                 run = judged_run(load_trace(trace))
+                refuse_not_simulated(run.trace, trace)
                 sentence, lines = _told(file)
             except InputError as error:
                 got = "no trace" if not trace.is_file() else error.got

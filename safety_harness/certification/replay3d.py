@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -22,20 +23,26 @@ from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.settings import Object
 from safety_harness.simulation.truth import cell_capsules
+from safety_harness.trace.unmeasured import as_measured, decided, measured
 
 MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
 LITTLE_ENDIAN = "<f4"
+ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
 
 
 def replay_json(run: JudgedRun) -> str:
     """The replay of a run with at least one tick, safe to stand within a ``script`` element."""
-    trace = run.trace
+    trace = as_measured(run.trace)
     settings = trace.scenario.settings
     arm = load_arm(trace.scenario.robot.arm_name)
     capsules = cell_capsules(load_capsules(arm.name), settings)
     kept = kept_ticks(run)
     ticks = trace.ticks[kept]
     hands = len(trace.scenario.hands)
+    present = measured(trace, "hand_present")[kept]
+    there = present & np.isfinite(ticks["hand_position_in_base_m"]).all(axis=2)
+    modes = {} if measured(trace, "mode").all() else {"-1": "mode not measured"}
+    nearest = np.where(measured(trace, "hand_distance_capsule")[kept], ticks["hand_distance_capsule"], ANY)
     predicted = np.where(ticks["track_valid"][:, :, None], ticks["predicted_hand_in_base_m"], np.nan)
     used = int(np.max(np.flatnonzero(ticks["track_valid"].any(axis=0)) + 1, initial=0))
     found: dict[str, Any] = {
@@ -61,18 +68,18 @@ def replay_json(run: JudgedRun) -> str:
         "desired_tcp_in_base_m": list(settings.cell.desired_tcp_position_in_base_m),
         "object_in_base_m": _object(settings.object),
         "tracks": used,
-        "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()},
-        "decisions": [_decision(decision) for decision in trace.decisions],
+        "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
+        "decisions": [_decision(decision) for decision in trace.decisions if decided(trace, "time_s")],
         "columns": {
             "time_s": _column(ticks["time_s"]),
             "joint_position_rad": _column(ticks["joint_position_rad"]),
             "tcp_in_base_m": _column(ticks["transform_tcp_to_base"][:, :3, 3]),
             "hand_in_base_m": _column(ticks["hand_position_in_base_m"][:, :hands]),
             "elbow_in_base_m": _column(ticks["elbow_position_in_base_m"][:, :hands]),
-            "hand_distance_m": _column(ticks["hand_distance_m"][:, :hands]),
-            "nearest_capsule": _column(ticks["hand_distance_capsule"][:, :hands]),
+            "hand_distance_m": _column(np.where(present, ticks["hand_distance_m"], np.nan)[:, :hands]),
+            "nearest_capsule": _column(np.where(there, nearest, -1)[:, :hands]),
             "predicted_in_base_m": _column(predicted[:, :used]),
-            "mode": _column(ticks["mode"]),
+            "mode": _column(np.where(measured(trace, "mode")[kept], ticks["mode"], -1)),
         },
     }
     return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -83,9 +90,9 @@ def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
     count = len(run.trace.ticks)
     step = -(-count // MOST_TICKS)
     worst = [e.worst_time_s for e in run.evaluations if e.worst_time_s is not None]
-    at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst]
-    decided = run.trace.decisions["tick"].tolist()[:MOST_TICKS]
-    kept = {*range(0, count, step), count - 1, *at_worst, *decided}
+    at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst if isfinite(time_s)]
+    asked = run.trace.decisions["tick"].tolist()[:MOST_TICKS] if decided(run.trace, "tick") else []
+    kept = {*range(0, count, step), count - 1, *at_worst, *asked}
     return np.array(sorted(kept), np.int64)
 
 

@@ -26,6 +26,7 @@ from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +65,12 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace; TraceError.  Its scenario's files are sought where the plan's space is now."""
+    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
         file.write_bytes(data)
         trace = load_trace(file)
+    refuse_not_simulated(trace)
     return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 

@@ -36,6 +36,7 @@ from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.store import load_trace
+from safety_harness.trace.unmeasured import refuse_not_simulated
 from safety_harness.whole_file import write_text
 
 DATA, PICTURE = "attribution.json", "attribution.svg"
@@ -133,6 +134,7 @@ def _scenarios(paths: Sequence[Path], avoider: str | None) -> tuple[list[Scenari
 def _violated(path: Path, avoider: str | None) -> Scenario:
     """The scenario of a trace, with the claims that the trace violates alone."""
     trace = load_trace(path)
+    refuse_not_simulated(trace, path)
     scenario = trace.scenario
     if avoider is not None:
         scenario = with_avoider(scenario, avoider)

@@ -25,6 +25,7 @@ from safety_harness.cli.run import say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -33,6 +34,7 @@ from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
@@ -42,6 +44,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     come from anybody, and repeating it must not execute what it says.
     """
     stored = load_trace(path)
+    refuse_not_simulated(stored, path)
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
     with watching_runs([stored.scenario]) as progress:
@@ -126,8 +129,12 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_go
             refused.append(error)
             continue
         say_results(run)
+        result(*measured_lines(run.trace))
         runs.append(run)
+    evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
     document(runs=[run_data(run) for run in runs], refused=refused_data(refused))
+    if unmeasured := unmeasured_words(evaluations):
+        say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:
         say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} traces judged")
         return BAD_INPUT

@@ -318,7 +318,7 @@ def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: Runs
 
 
 def say_results(run: JudgedRun) -> None:
-    """One line for each claim of a run."""
+    """One line for each claim of a run, and one more for what could not be judged for want of measurement."""
     for claim, evaluation in run.judged_claims():
         same = evaluation.verdict is claim.expected
         mark = "ok  " if same else "DIFF"
@@ -328,3 +328,5 @@ def say_results(run: JudgedRun) -> None:
             f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
             f"{run.trace.scenario.name}: {claim.sentence}{expected}"
         )
+        if evaluation.unmeasured:
+            result(f"     {evaluation.reason}")

@@ -9,21 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.formulas.signal import Interpolation, Sampled, Signal
-from safety_harness.properties.hand_distance import distance_moved_m, followed_hands
-from safety_harness.properties.true_motion import HandPaths, hand_paths
-from safety_harness.scenario.model import MAX_HANDS
-from safety_harness.trace.known import PRESENCE, knowing
+from safety_harness.properties.hand_distance import distance_moved_m
+from safety_harness.properties.true_motion import follows_unknown
+from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.unmeasured import as_measured
 
 Off = Callable[[Trace], tuple[float, float, float]]
 Truths = NDArray[np.bool_]
 TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position_in_base_m"
 
 
-@once_a_trace
-def blanked(trace: Trace) -> Trace:
-    """``trace`` with nothing left in it where nothing was measured."""
-    return knowing(trace, trace.known.columns)
+blanked = once_a_trace(as_measured)
 
 
 def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
@@ -38,7 +35,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     """(n, hands) the ticks at which one of ``columns`` was not measured, of each hand that there may be."""
-    found = np.zeros((len(trace.ticks), MAX_HANDS), np.bool_)
+    found = np.zeros(trace.ticks["hand_present"].shape, np.bool_)
     for name in columns:
         for gap in trace.known.of(name).gaps:
             if gap.hand is None or gap.hand < len(trace.scenario.hands) or name == PRESENCE:
@@ -95,20 +92,6 @@ def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
     )
 
 
-def followed(trace: Trace) -> tuple[HandPaths | None, str]:
-    """``followed_hands`` as far as hands were measured: they are on their ways to within the uncertainty."""
-    if trace.known.whole:
-        return followed_hands(trace)
-    ticks, paths, hands = trace.ticks.copy(), hand_paths(trace), len(trace.scenario.hands)
-    for body, name in enumerate((HANDS, "elbow_position_in_base_m")):
-        stored, moved = ticks[name][:, :hands], paths.positions_in_base_m[:, :, body]
-        same = np.linalg.norm(stored - moved, axis=2) <= trace.known.of(name).uncertainty
-        same |= lost_of_hands(trace, [name])[:, :hands]
-        stored[same] = moved[same]
-    found, why = followed_hands(replace(trace, ticks=ticks))
-    return (paths if found is not None else None), why
-
-
 # By how much a signal may be off, as its columns are uncertain: at the ticks, and its bounds between them,
 # (at, below, above) in SI.
 
@@ -143,6 +126,8 @@ def of_place(trace: Trace) -> tuple[float, float, float]:
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
     """Of the TCP from a hand: both places, and half of both ways."""
+    if follows_unknown(trace):
+        return np.inf, np.inf, np.inf
     tcp, between, _ = of_place(trace)
     hand = trace.known.of(HANDS).uncertainty
     return tcp + hand, between + 2.0 * hand, between + 2.0 * hand
@@ -150,5 +135,5 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
 
 def of_hand_distance(trace: Trace) -> tuple[float, float, float]:
     """Below as far as the catalogue's bound; above by that beside the distances at the ticks."""
-    at, moved = trace.known.of("hand_distance_m").uncertainty, distance_moved_m(trace)
-    return at, moved, at + moved
+    at, moved = distance_moved_m(trace)
+    return at, max(at, moved), at + moved

@@ -17,7 +17,6 @@ from safety_harness.formulas.measured import (
     TCP,
     TCP_SPEED,
     by_uncertainty_of,
-    followed,
     gaps_of,
     lost,
     lost_of_hands,
@@ -41,7 +40,7 @@ from safety_harness.formulas.signal import (
     tent,
     turned_rad,
 )
-from safety_harness.properties.hand_distance import RESOLUTION_M, instants, joint_bend_m
+from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m, true_motion
@@ -132,7 +131,7 @@ def hand_distance(trace: Trace) -> Sampled:
     both ends and the ways of arm and hand allow.  Occasions: a hand comes within the critical
     distance of the arm's surface.
     """
-    paths, why = followed(trace)
+    paths, why = followed_hands(trace)
     if paths is None:
         return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
@@ -154,7 +153,7 @@ def hand_distance(trace: Trace) -> Sampled:
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
     """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
-    paths, why = followed(trace)
+    paths, why = followed_hands(trace)
     if paths is None:
         return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
     tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]

@@ -22,6 +22,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided, filled
 
 OF_IMAGES = ("features", "feature_error", "sse")
 ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
@@ -87,7 +88,8 @@ class FiniteTrace:
 
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
-    """(n,) ticks with something that is no number, or no later than the tick before."""
+    """(n,) ticks with something that was measured and is no number, or no later than the tick before."""
+    trace = filled(trace)
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s = trace.ticks, trace.time_s
     bad[1:] = ~(time_s[1:] > time_s[:-1])
@@ -133,16 +135,19 @@ def _mark(
 
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) decisions with something that is no number, or no later than the decision before."""
+    """(m,) decisions with something that was measured and is no number, or no later than the one before."""
+    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
+    trace = filled(trace)
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:
         return bad
-    bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0)
+    bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0) & in_time
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed
-    answered, chosen = decisions["fault"] == "", decisions["outcome"] != DecisionOutcome.STOP
-    opposite = decisions["outcome"] == DecisionOutcome.OPPOSITE
+    answered = said & (decisions["fault"] == "")
+    chosen = chose & (decisions["outcome"] != DecisionOutcome.STOP)
+    opposite = chose & (decisions["outcome"] == DecisionOutcome.OPPOSITE)
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
     for name in OF_A_DECISION:
         wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)

@@ -38,14 +38,23 @@ TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, i
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
     """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks."""
-    known, at_ticks_m = trace.known, trace.known.of("hand_distance_m").uncertainty
-    if follows_unknown(trace):
-        return -np.inf, np.inf, False
-    bend_s = trace.scenario.settings.clock.control_period_s / 2.0
-    bend_m = bend_s * known.of("joint_velocity_radps").uncertainty * float(arm_of(trace).reach_m.sum())
-    by_m = max(at_ticks_m, apart_moved_m(trace) + bend_m) + RESOLUTION_M
+    at_ticks_m, between_m = distance_moved_m(trace)
+    by_m = max(at_ticks_m, between_m) + RESOLUTION_M
     exercised = bool(true_motion(trace).nearest_m.min() + at_ticks_m < prop.near_m)
     return margin_m - by_m, margin_m + by_m, exercised
+
+
+def distance_moved_m(trace: Trace) -> tuple[float, float]:
+    """By how much [m] the distances of hands may be off, at the ticks and between them.
+
+    Infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    """
+    known = trace.known
+    if follows_unknown(trace):
+        return np.inf, np.inf
+    bend_s = trace.scenario.settings.clock.control_period_s / 2.0
+    bend_m = bend_s * known.of("joint_velocity_radps").uncertainty * float(arm_of(trace).reach_m.sum())
+    return known.of("hand_distance_m").uncertainty, apart_moved_m(trace) + bend_m
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,6 +38,8 @@ class Judged:
 class ClaimTally:
     """One sentence over all runs of a suite.
 
+    In ``unmeasured`` of them it is inconclusive since columns that it reads were not measured: those are no
+    tests, on whatever occasions.
     ``runs`` judged it, in ``exercised`` of them it was put to the test, on ``occasions`` altogether;
     ``worst`` is the outcome with the least margin, None where no run gave one.  ``untested``: some author
     expected a verdict that says something (holds or violated), and in none of those runs was there
@@ -52,6 +54,7 @@ class ClaimTally:
     holds: int
     violated: int
     inconclusive: int
+    unmeasured: int
     worst: Judged | None
     nearest: Judged | None = None
 
@@ -59,6 +62,12 @@ class ClaimTally:
     def untested(self) -> bool:
         """Was it expected to tell something, and never exercised?"""
         return self.nearest is not None
+
+    @property
+    def never(self) -> str:
+        """What was lacking where it is ``untested``: measurement, or an occasion."""
+        unmeasured = self.nearest is not None and self.nearest.evaluation.unmeasured
+        return "not measured" if unmeasured else "never exercised"
 
     @property
     def worst_words(self) -> str:
@@ -87,18 +96,23 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
     return ClaimTally(
         sentence=sentence,
         runs=len(found),
-        exercised=sum(evaluation.exercised > 0 for evaluation in evaluations),
-        occasions=sum(evaluation.exercised for evaluation in evaluations),
+        exercised=sum(occasions > 0 for occasions in map(_occasions, evaluations)),
+        occasions=sum(map(_occasions, evaluations)),
         holds=verdicts.count(Verdict.HOLDS),
         violated=verdicts.count(Verdict.VIOLATED),
         inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
+        unmeasured=sum(bool(evaluation.unmeasured) for evaluation in evaluations),
         worst=min(finite, key=_margin, default=None),
         nearest=min(conclusive, key=_nearness) if untested else None,
     )
 
 
 def _tested(evaluation: Evaluation) -> bool:
-    return evaluation.exercised > 0 or evaluation.verdict is Verdict.VIOLATED
+    return _occasions(evaluation) > 0 or evaluation.verdict is Verdict.VIOLATED
+
+
+def _occasions(evaluation: Evaluation) -> int:
+    return 0 if evaluation.unmeasured else evaluation.exercised
 
 
 def _margin(one: Judged) -> float:
@@ -113,14 +127,15 @@ def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:
-    """How many claims were never exercised, and of each what the run that came nearest lacked."""
-    untested = [(tally.sentence, tally.nearest) for tally in tallies if tally.nearest is not None]
-    if not untested:
-        return []
-    count = f"{len(untested)} of {len(tallies)} {'claim was' if len(tallies) == 1 else 'claims were'}"
-    lines = [f"{count} never exercised, and nothing is shown of:"]
-    for sentence, nearest in untested:
-        lines += [f"  {sentence}", f"    {nearest.run}: {nearest.evaluation.reason}"]
+    """How many claims were never exercised or not measured, and of each what the nearest run lacked."""
+    lines = []
+    for never in ("never exercised", "not measured"):
+        untested = [(t.sentence, t.nearest) for t in tallies if t.nearest is not None and t.never == never]
+        if untested:
+            count = f"{len(untested)} of {len(tallies)} {'claim was' if len(tallies) == 1 else 'claims were'}"
+            lines.append(f"{count} {never}, and nothing is shown of:")
+        for sentence, nearest in untested:
+            lines += [f"  {sentence}", f"    {nearest.run}: {nearest.evaluation.reason}"]
     return lines
 
 
@@ -130,9 +145,11 @@ def table_lines(tallies: Sequence[ClaimTally], most: int | None = None) -> list[
 
 
 def _cells(tally: ClaimTally) -> tuple[str, ...]:
-    counts = (tally.runs, tally.exercised, tally.occasions, tally.holds, tally.violated, tally.inconclusive)
-    worst = "NEVER PUT TO THE TEST" if tally.untested else tally.worst_words
-    return (tally.sentence, *(str(count) for count in counts), worst)
+    counts = (tally.runs, tally.exercised, tally.occasions, tally.holds, tally.violated)
+    inconclusive = f"{tally.inconclusive}{f' ({tally.unmeasured} not measured)' * bool(tally.unmeasured)}"
+    never = "NOT MEASURED" if tally.never == "not measured" else "NEVER PUT TO THE TEST"
+    worst = never if tally.untested else tally.worst_words
+    return (tally.sentence, *(str(count) for count in counts), inconclusive, worst)
 
 
 def table(

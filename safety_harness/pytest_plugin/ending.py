@@ -57,7 +57,8 @@ class Ending:
         untested = untested_lines(self._tallies())
         for line in untested and [
             *untested,
-            "The session has failed: what is never exercised is no evidence.",
+            "The session has failed: what is never exercised"
+            f"{' or not measured' * any('not measured, and' in line for line in untested)} is no evidence.",
         ]:
             say(line, red=True)
         if self._fallback():

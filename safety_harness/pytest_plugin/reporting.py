@@ -6,6 +6,7 @@ results reads it there.  Of a test that draws its scenarios the worst run of eac
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -42,7 +43,10 @@ def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
     folder = report.with_name(f"{report.stem}-traces")
     for sentence, trace in test.traces.items():
         scenario, worst = trace.scenario, test.worst[sentence]
-        file = folder / f"{scenario.name.partition('#')[0]}-{digest_of(scenario)[:12]}.trace"
+        digest = digest_of(scenario)[:12]
+        if not trace.known.simulated:  # a log of the scenario is another trace than a run of it
+            digest += f"-{hashlib.sha256(trace.ticks.tobytes()).hexdigest()[:12]}"
+        file = folder / f"{scenario.name.partition('#')[0]}-{digest}.trace"
         if file not in session().saved:  # what an earlier session wrote may be of other code
             folder.mkdir(parents=True, exist_ok=True)
             save_trace(trace, file)
@@ -95,7 +99,7 @@ def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
             evaluations=(*(evaluation for _, evaluation in first.values()), *more),
-            replay_command=replay_command(scenario, Path(name)),
+            replay_command=replay_command(scenario, Path(name)) if trace.known.simulated else "",
             trace_file=Path(name),
             notes=(*notes_of(scenario), *(f"judged by {test}" for test in tests)),
         )

@@ -67,7 +67,7 @@ def _show(violation: SafetyViolation, test: TestRun) -> None:
     """Put the failing run, made smaller by now, in the place of the one that was found; keep its scenario."""
     trace = violation.trace
     test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
-    if test.draws and not in_store(violation.scenario):
+    if test.draws and trace.known.simulated and not in_store(violation.scenario):
         test.kept = keep(test.id, violation)
 
 
@@ -237,5 +237,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             "avoider": worst.run.avoider,
             "seed": worst.run.seed,
         }
+        if evaluation.unmeasured:
+            values["not measured"] = ", ".join(evaluation.unmeasured)
         found += [(name + end, value) for name, value in values.items()]
     return found

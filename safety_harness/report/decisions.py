@@ -24,9 +24,10 @@ from safety_harness.report.words import (
     spread_words,
 )
 from safety_harness.settings import DecisionCost, DecisionTimes
-from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured, decided
 
 MOST_DECISION_ROWS = 100  # a page with more is no longer read; the trace has them all
 MOST_FAULT_NOTES = 5
@@ -53,7 +54,8 @@ class DecisionRow:
 class DecisionTally:
     """How many decisions were made, and what they led to; ``faults`` had no usable answer.
 
-    For those among them that are ``unanswered`` no fault of the scenario accounts.
+    For those among them that are ``unanswered`` no fault of the scenario accounts.  Traces whose decisions
+    were not measured count for nothing, as ``are_counted`` says.
     """
 
     made: int
@@ -68,7 +70,7 @@ class DecisionTally:
         """The decisions of all ``traces`` together."""
         counts: Counter[int] = Counter()
         faults = missing = 0
-        for trace in traces:
+        for trace in filter(are_counted, traces):
             counts.update(trace.decisions["outcome"].tolist())
             faults += int(np.count_nonzero(trace.decisions["fault"] != ""))
             missing += int(np.count_nonzero(unanswered(trace)))
@@ -99,6 +101,11 @@ class DecisionTally:
         return [f"{count} {of_all} {what}" for what, count in ways if count]
 
 
+def are_counted(trace: Trace) -> bool:
+    """Is it known of a trace's decisions what came of them?"""
+    return is_measured(trace) and decided(trace, "tick") and not trace.known.of("faults").limited
+
+
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
     """(name, runs) of every avoider that was asked, in the order in which they first occur."""
     return list(Counter(trace.provenance.avoider for trace in traces).items())
@@ -120,21 +127,34 @@ def overruling_lines(each: Mapping[str, Overruling]) -> list[str]:
 
 
 def decision_rows(trace: Trace) -> list[DecisionRow]:
-    """A row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm."""
+    """A row for each of the first ``MOST_DECISION_ROWS`` decisions, positions in mm.
+
+    A dash stands for what was not measured; no rows if it was not measured when anything was decided.
+    """
+    if not decided(trace, "tick", "time_s"):
+        return []
+    trace = as_measured(trace)
+
+    def known(words: str, *names: str) -> str:
+        return words if decided(trace, *names) else "\u2013"
+
     return [
         DecisionRow(
             number=number,
             time=f"{decision['time_s']:.3f}",
-            trigger=TRIGGER_WORDS[Trigger(int(decision["trigger"]))],
+            trigger=known(TRIGGER_WORDS[Trigger(int(decision["trigger"]))], "trigger"),
             hand=point_words(decision["hand_position_in_base_m"]),
             tcp=point_words(decision["tcp_position_in_base_m"]),
             proposed=point_words(decision["proposed_position_in_base_m"]),
             spread=spread_words(decision["proposed_spread_m"], float(decision["spread_threshold_m"])),
-            outcome=OUTCOME_WORDS[DecisionOutcome(int(decision["outcome"]))],
-            failed=failed_words(
-                Check(int(decision["proposed_failed"])),
-                Check(int(decision["opposite_failed"])),
-                str(decision["fault"]),
+            outcome=known(OUTCOME_WORDS[DecisionOutcome(int(decision["outcome"]))], "outcome"),
+            failed=known(
+                failed_words(
+                    Check(int(decision["proposed_failed"])),
+                    Check(int(decision["opposite_failed"])),
+                    str(decision["fault"]),
+                ),
+                *("proposed_failed", "opposite_failed", "fault"),
             ),
             faulty=bool(decision["fault"]),
             chosen=point_words(decision["chosen_position_in_base_m"]),
@@ -224,7 +244,8 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
     """A line on each avoider that decided, and one more where it took longer than that."""
-    return lines_of(ComputingTime.of(trace) for trace in traces if len(trace.decisions))
+    made = (trace for trace in traces if len(trace.decisions) and decided(trace, "decision_time_s"))
+    return lines_of(map(ComputingTime.of, made))
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from safety_harness.proportions import share_words
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
+    are_counted,
     avoiders,
     computing_time_lines,
     decision_rows,
@@ -30,6 +32,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
 )
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
@@ -48,6 +51,7 @@ from safety_harness.scenario.model import Robot, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured, decided, measured
 from safety_harness.whole_file import write_whole
 
 Row = dict[str, Any]
@@ -145,12 +149,15 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "avoiders": avoiders(traces),  # name, runs
         "computing_time": computing_time_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
+        "uncounted": sum(not are_counted(trace) for trace in traces),
+        "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),
         "decisions": DecisionTally.of(traces),
     }
 
 
 def _section(run: JudgedRun, number: int) -> Row:
     """Everything that the page shows about one run."""
+    run = replace(run, trace=as_measured(run.trace))
     section, trace = f"run-{number}", run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
@@ -171,8 +178,12 @@ def _section(run: JudgedRun, number: int) -> Row:
         "failed_checks": failed_checks(trace),  # name, meaning
         "faults": fault_notes(trace),
         "latency": latency_words(trace),
-        "limits": _ticks_rows(trace, limits),
-        "modes": _ticks_rows(trace, modes),
+        "decided": decided(trace, "tick", "time_s"),
+        "counted": are_counted(trace),
+        "limits": _ticks_rows(trace, "limits", limits),
+        "modes": _ticks_rows(trace, "mode", modes),
+        "measured": measured_rows(trace),
+        "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
         "notes": notes(run),
         "changes": changes(run),
         "text": write_scenario(trace.scenario),
@@ -206,16 +217,17 @@ def file_name(run: JudgedRun) -> str:
     return scenario.file.name + (f" {label}" if label.startswith("[") else "")
 
 
-def _ticks_rows(trace: Trace, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
-    """Of what is true on any tick: on how many, their share, and when first."""
+def _ticks_rows(trace: Trace, name: str, masks: dict[str, NDArray[np.bool_]]) -> list[Row]:
+    """Of what is true on any tick at which ``name`` was measured: on how many, their share, when first."""
+    there = measured(trace, name)
     return [
         {
             "name": name,
             "ticks": int(mask.sum()),
-            "share": share_words(int(mask.sum()), len(mask)),
+            "share": share_words(int(mask.sum()), int(there.sum())),
             "first": f"{trace.time_s[int(np.argmax(mask))]:.3f} s",
         }
-        for name, mask in masks.items()
+        for name, mask in ((name, mask & there) for name, mask in masks.items())
         if mask.any()
     ]
 
@@ -231,6 +243,9 @@ def acted_faults(trace: Trace) -> list[str]:
     found = []
     for k, fault in enumerate(trace.scenario.faults):
         mask = (trace.ticks["faults"] >> k & 1) != 0
+        if not measured(trace, "faults").all():
+            found.append(f"Fault: {fault_words(fault)}. Whether it always acted was not measured.")
+            continue
         ticks = int(np.count_nonzero(mask))
         when = f"first at {trace.time_s[int(np.argmax(mask))]:.3f} s" if ticks else "so it changed nothing"
         found.append(

@@ -17,10 +17,16 @@ from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally
-from safety_harness.report.decisions import DecisionTally, computing_time_lines, overruling_of_each
+from safety_harness.report.decisions import (
+    DecisionTally,
+    are_counted,
+    computing_time_lines,
+    overruling_of_each,
+)
 from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.report.knowledge import known_data
 from safety_harness.scenario.files import told
-from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
@@ -59,7 +65,9 @@ def report_data(
     ``skipped``, ``refused``, ``against`` and ``repeatability`` (what a second avoider answered to questions
     of the runs; null if none was asked); each run says what was run, whether its ``avoider_answered``, and
     has its ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each
-    claim over all runs how often it was put to the test; ``coverage``, ``skipped``, ``refused`` and
+    claim over all runs how often it was put to the test; ``known`` has those columns of the trace that are
+    not simulated truth, and ``unmeasured`` those for want of which a claim is inconclusive (``decisions`` and
+    ``overruling`` are null where they were not measured); ``coverage``, ``skipped``, ``refused`` and
     ``against`` as for ``write_report``.  Margins are in SI units, in full precision, null where there is
     none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
@@ -110,10 +118,11 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "source_hash": trace.provenance.source_hash,
         "complete": trace.complete,
         "ended": trace.ended,
+        "known": known_data(trace),
         "trace_file": str(told(file)) if file else None,
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
-        "decisions": asdict(DecisionTally.of([trace])),
-        "overruling": Overruling.of([trace]).named,
+        "decisions": asdict(DecisionTally.of([trace])) if are_counted(trace) else None,
+        "overruling": Overruling.of([trace]).named if is_measured(trace) else None,
         "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         "claims": [
@@ -136,6 +145,7 @@ def _outcome(evaluation: Evaluation) -> dict[str, Any]:
         "worst_time_s": _number(evaluation.worst_time_s),
         "reason": evaluation.reason,
         "exercised": evaluation.exercised,
+        "unmeasured": list(evaluation.unmeasured),
     }
 
 
@@ -149,6 +159,7 @@ def _coverage(tally: ClaimTally) -> dict[str, Any]:
         "holds": tally.holds,
         "violated": tally.violated,
         "inconclusive": tally.inconclusive,
+        "unmeasured": tally.unmeasured,
         "worst_margin_si": _number(worst.evaluation.margin) if worst else None,
         "worst_scenario": worst.run if worst else None,
         "untested": tally.untested,

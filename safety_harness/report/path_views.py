@@ -20,6 +20,7 @@ from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import FRAMES, forward_kinematics
 from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided
 
 WIDTH_PX, HEIGHT_PX = 430.0, 390.0
 MARGINS_PX = (46.0, 12.0, 40.0, 26.0)  # left, right, below, above
@@ -115,6 +116,8 @@ def _description(run: JudgedRun, moment: Moment | None, axis: int) -> str:
         f"Base frame, millimetres. The TCP goes from x {start[0]:.0f}, {'xyz'[axis]} {start[axis]:.0f} "
         f"to x {end[0]:.0f}, {'xyz'[axis]} {end[axis]:.0f} with {len(run.trace.decisions)} decisions."
     )
+    if not (np.isfinite([start, end]).all() and decided(run.trace)):
+        text = "Base frame, millimetres. Some of it was not measured."
     return text + (f" Hands are drawn in full at {moment.time_s:.2f} s." if moment else "")
 
 

@@ -7,7 +7,7 @@ from the TCP.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from safety_harness.report.words import (
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided, measured
 
 PANEL_PX = 882.0
 COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
@@ -56,6 +57,15 @@ LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX, GAP_PX = 104.0, 14.0, 22.0, 42.0, 34.0
 WIDTH_PX = LEFT_PX + PANEL_PX + RIGHT_PX
 TIME_STEPS = 10
 HEIGHTS_PX = (112.0, 116.0, 92.0, 92.0, 92.0, 92.0, 92.0, 116.0)
+COLUMNS_SHOWN = (  # of each panel
+    ("mode",),
+    ("hand_present", "hand_distance_m"),
+    ("predicted_distance_m",),
+    *(("object_visible", "feature_error"),) * 2,
+    ("object_visible", "sse"),
+    ("tcp_speed_mps",),
+    ("joint_position_rad",),
+)
 MODE_INK = {
     Mode.SERVOING: Ink.SERVOING,
     Mode.REPULSING: Ink.REPULSING,
@@ -103,6 +113,8 @@ def timeline(run: JudgedRun, *, prefix: str) -> str:
     sse_panel(panels[5], trace)
     speed_panel(panels[6], run)
     joint_panel(panels[7], trace)
+    for panel, names in zip(panels, COLUMNS_SHOWN, strict=True):
+        _hatch_unmeasured(panel, trace, names, end_s)
     panels[-1].x.labelled, panels[-1].x.label = True, "time, s"
     return picture.svg(
         prefix=prefix,
@@ -126,7 +138,23 @@ def _description(run: JudgedRun) -> str:
         f"Panels from {trace.time_s[0]:.2f} to {trace.time_s[-1]:.2f} s: controller mode, distance of hands, "
         f"distance of the predicted hand, feature errors, squared image error, TCP speed, joint angles. "
         f"Share of the ticks: {', '.join(shares)}. Outcomes of decisions: {', '.join(counts)}."
+        if decided(trace, "outcome") and measured(trace, "mode").all()
+        else "Of modes or decisions some were not measured."
     )
+
+
+def _hatch_unmeasured(axes: Axes, trace: Trace, names: Sequence[str], end_s: float) -> None:
+    """Where something that a panel shows was not measured."""
+    hands = len(trace.scenario.hands)
+    there = np.ones(len(trace.ticks), np.bool_)
+    for one in (measured(trace, name) for name in names):
+        there &= one if one.ndim == 1 else one[:, :hands].all(axis=1)
+    if not there.all():
+        low, high = axes.y.view()
+        axes.y.show(low, high)
+        axes.bars(spans(trace.time_s, ~there, end_s, COLUMNS), (low, high), Ink.MISSING, hatched=True)
+    if not there.any():
+        axes.text("not measured", Share(0.5), Share(0.5), anchor="middle")
 
 
 def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes:
@@ -139,8 +167,10 @@ def _add_axes(picture: Picture, top: float, height: float, end_s: float) -> Axes
 def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
     """Every mode but servoing as a tint behind all panels, and the part that was never run."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
+    known = measured(trace, "mode")
+    known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
-        found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
+        found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
         backdrop.bars(found, (0.0, 1.0), MODE_INK[mode], opacity=0.13)
     if not trace.complete and ticks_end_s < end_s:
         backdrop.bars([(ticks_end_s, end_s - ticks_end_s)], (0.0, 1.0), Ink.MISSING, hatched=True)
@@ -173,8 +203,10 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
     """One lane for each mode, above them a mark for each decision, and where the faults acted."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
+    known = measured(trace, "mode")
+    known = measured(trace, "mode")
     for lane, mode in enumerate(Mode):
-        found = spans(trace.time_s, trace.ticks["mode"] == mode, ticks_end_s, COLUMNS)
+        found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
         axes.bars(found, (lane - 0.28, lane + 0.28), MODE_INK[mode])
     _mark_decisions(axes, trace)
     lanes = [*MODE_WORDS.values(), "decisions"]
@@ -192,6 +224,8 @@ def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
 def _mark_decisions(axes: Axes, trace: Trace) -> None:
     """A mark for each decision whose shape is its outcome; a ring where the avoider had no usable answer."""
     decisions = trace.decisions
+    if not decided(trace, "time_s", "outcome", "fault"):
+        return
     marks = [(decisions["outcome"] == outcome, mark) for outcome, mark in OUTCOME_MARKER.items()]
     for these, (shape, size, fill, edge, width) in [*marks, (decisions["fault"] != "", FAULT_MARKER)]:
         times = decisions["time_s"][these]

@@ -29,6 +29,7 @@ from safety_harness.search.trials import ScenarioRunner, Trials
 from safety_harness.space.regions import Seen, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided
 
 Explain = Callable[[Scenario, Claim], Sequence[str]]
 """Lines for people on why a scenario violates a claim."""
@@ -49,6 +50,8 @@ def circumstances(trace: Trace) -> list[str]:
     seen = seen_of(trace.scenario)
     cell = cell_of(trace, seen)
     lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
+    if not decided(trace):
+        return [*lines, "what was decided was not measured"]
     for k, decision in enumerate(trace.decisions):
         spread_m = decision["proposed_spread_m"]
         words = [f"decision {k + 1} at {decision['time_s']:.3f} s"]

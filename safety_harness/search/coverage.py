@@ -27,6 +27,10 @@ SEEN = ("seen", "hand unseen", "TCP unseen", "both unseen")
 OUTCOMES = ("no decision", "proposed position", "opposite pose", "protective stop")
 AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen": SEEN, "outcome": OUTCOMES}
 
+READ = (
+    *("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m"),
+    *("decision.tick", "decision.outcome"),
+)
 _AT_REST_MPS = 0.05
 _GRAVITY = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutcome.STOP: 3}
 
@@ -94,7 +98,9 @@ class Coverage:
 
 
 def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
-    """Where a run belongs; None if no hand was ever there, or nothing of it is finite."""
+    """Where a run belongs; None if no hand was there, or what it takes was not all measured or finite."""
+    if any(trace.known.missing([name]) or trace.known.of(name).gaps for name in READ):
+        return None
     distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
     if not np.any(np.isfinite(distances)):
         return None

@@ -42,6 +42,7 @@ from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured
 
 
 class ScenarioRunner(Protocol):
@@ -219,5 +220,6 @@ class Trials:
 
 def least_hand_distance_m(trace: Trace) -> float:
     """The least distance of a hand that is there from the arm, surface to surface; infinite without one."""
-    there = trace.ticks["hand_distance_m"][trace.ticks["hand_present"]]
+    ticks = as_measured(trace).ticks
+    there = ticks["hand_distance_m"][ticks["hand_present"]]
     return float(np.fmin.reduce(there, initial=np.inf))

@@ -6,6 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.formula import Formula
 from safety_harness.properties.against import ClaimDifference
 from safety_harness.properties.answered import AvoiderAnswered, by_default
-from safety_harness.properties.base import Evaluation, Property, unreadable
+from safety_harness.properties.base import Evaluation, Property, inconclusive, unreadable
+from safety_harness.properties.measured import columns_read_by
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.against import against_reference, is_shared, note_of
 from safety_harness.testing.failure_text import failure_text
@@ -73,13 +75,23 @@ def assert_holds(claim: Formula | Property | str, trace: Trace) -> Evaluation:
     try:
         refuse_other_type("assert_holds(trace)", trace, Trace, hint="simulate(scenario) makes one")
         prop = _property(claim, trace.scenario)
-        evaluation = prop.evaluate(trace)
+        evaluation = judged_of(prop, trace)
     except InputError as error:
         raise error.with_traceback(None) from None
     aim(evaluation, Verdict.HOLDS)
     require(evaluation, Verdict.HOLDS, trace, prop.evaluate)
     refuse_fallback(trace)
     return evaluation
+
+
+def judged_of(prop: Property, trace: Trace) -> Evaluation:
+    """Its word on ``trace``: inconclusive where not all was measured, if it does not say what it reads."""
+    if trace.known.whole or columns_read_by(prop) is not None:
+        return prop.evaluate(trace)
+    limited = tuple(name for name, one in trace.known.columns.items() if one.limited)
+    why = f"the claim does not say what it reads, and not all was measured: {limited[0]}"
+    why += f" and {len(limited) - 1} others" * (len(limited) > 1)
+    return replace(inconclusive(prop, why), unmeasured=limited)
 
 
 def refuse_fallback(trace: Trace) -> None:
@@ -93,9 +105,12 @@ def refuse_fallback(trace: Trace) -> None:
 def require(
     evaluation: Evaluation, expected: Verdict, trace: Trace, judge: Callable[[Trace], Evaluation]
 ) -> None:
-    """SafetyViolation if the test that is running has to fail for what ``judge`` said of the run."""
+    """SafetyViolation if the test that is running has to fail for what ``judge`` said of the run.
+
+    A run that was not simulated is not held against a reference, which cannot be run in its place.
+    """
     __tracebackhide__ = True
-    found = against_reference(trace, evaluation, judge)
+    found = against_reference(trace, evaluation, judge) if trace.known.simulated else None
     if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(found):
         raise violation_of(evaluation, trace, expected, found)
 
@@ -116,8 +131,12 @@ def run_of(trace: Trace) -> Run:
         name=trace.scenario.name,
         avoider=trace.provenance.avoider,
         seed=trace.scenario.seed,
-        sound=trace.complete and unreadable(trace, TRUTH) is None,
+        sound=trace.complete and unreadable(trace, TRUTH) is None and _is_measured(trace),
     )
+
+
+def _is_measured(trace: Trace) -> bool:
+    return not trace.known.missing(TRUTH) and trace.known.first_gap(TRUTH) is None
 
 
 def settle(evaluation: Evaluation, run: Run, expected: Verdict, trace: Trace | None) -> bool:

@@ -20,19 +20,21 @@ from safety_harness.shipped.contents import shipped_name
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured, decided
 
 
 def failure_text(
     evaluation: Evaluation, trace: Trace, *, expected: Verdict, scenario: Scenario, test: TestRun | None
 ) -> str:
     """The whole text; ``scenario`` is as the test asked for it, ``test`` the one that failed."""
+    trace = as_measured(trace)
     parts = [
         _verdict(evaluation, expected),
         _facts(evaluation, trace),
         _decision(evaluation, trace),
         picture(trace, evaluation),
         _scenario(scenario, test),
-        again(scenario, test),
+        again(scenario, test) if trace.known.simulated else [],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
@@ -69,6 +71,8 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
 def _decision(evaluation: Evaluation, trace: Trace) -> list[str]:
     """The last decision up to the worst moment, the one that was in force then."""
     rows = decision_rows(trace)
+    if not decided(trace, "tick", "time_s"):
+        return ["  what was decided was not measured"]
     if not rows:
         return ["  no decision was made in this run"]
     worst_s = evaluation.worst_time_s
@@ -211,7 +215,8 @@ def _axis(trace: Trace, evaluation: Evaluation, width: int) -> list[str]:
         return min(int(time_s / end_s * width), width - 1)
 
     marks = [" "] * width
-    for time_s in trace.decisions["time_s"]:
+    times = trace.decisions["time_s"]
+    for time_s in times[np.isfinite(times)]:
         marks[column(float(time_s))] = "D"
     worst_s = evaluation.worst_time_s
     if worst_s is not None and np.isfinite(worst_s):

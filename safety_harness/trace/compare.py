@@ -8,14 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import refuse_other_type
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, Measurement
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured
 
 
 @dataclass(frozen=True)
 class TraceDifference:
     """The first record in which two traces differ, and the fields that do."""
 
-    what: str  # "tick" or "decision"
+    what: str  # "tick", "decision", or "trace" where they differ in what was measured
     index: int
     time_s: float
     fields: tuple[str, ...]
@@ -23,25 +25,36 @@ class TraceDifference:
     second: str
 
     def __str__(self) -> str:
-        return (
-            f"first difference at {self.what} {self.index} (t = {self.time_s:.3f} s) in "
-            f"{', '.join(self.fields)}: {self.first} against {self.second}"
-        )
+        where = f"first difference at {self.what} {self.index} (t = {self.time_s:.3f} s)"
+        where = "not measured alike" if self.what == "trace" else where
+        return f"{where} in {', '.join(self.fields)}: {self.first} against {self.second}"
 
 
 def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
-    """None if ticks and decisions are the same bits; else the earliest differing record.
+    """None if of ticks and decisions the same was measured, and is the same bits; else where they differ.
 
-    Of a decision and a tick at the same time it is the decision, which the tick's command follows.
+    That is a column that was not measured alike, or the earliest record that differs in what was measured
+    of both: of the rest nothing is said.  Of a decision and a tick at the same time it is the decision,
+    which the tick's command follows.
     """
     for trace in (first, second):
         refuse_other_type("first_difference(first, second)", trace, Trace)
+    for name in COLUMNS_OF_A_TRACE:
+        one, other = first.known.of(name), second.known.of(name)
+        if one != other:
+            return TraceDifference("trace", 0, 0.0, (f"known.{name}",), _told(one), _told(other))
+    first, second = as_measured(first), as_measured(second)
     found = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),
     ]
     differences = [difference for difference in found if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)
+
+
+def _told(one: Measurement) -> str:
+    within = f" within {one.uncertainty:g}" * (one.uncertainty > 0.0)
+    return f"{one.source.value}{within}{f', {len(one.gaps)} gaps' * bool(one.gaps)}"
 
 
 def _compare(what: str, first: NDArray[np.void], second: NDArray[np.void]) -> TraceDifference | None:

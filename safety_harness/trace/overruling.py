@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from safety_harness.proportions import share_words
 from safety_harness.trace.records import ENDLESS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided
 
 _NO_ANSWER = Check.NOT_FINITE | Check.LATE
 REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
 
+_READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
 _NAMES = {check: str(check.name).lower() for check in REASONS}
 COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
 
@@ -33,11 +35,17 @@ def overruled(trace: Trace) -> NDArray[np.bool_]:
     return vetoed & answered(trace)
 
 
+def is_measured(trace: Trace) -> bool:
+    """Is it known of a trace's proposals what became of them?"""
+    return decided(trace, *_READ)
+
+
 @dataclass(frozen=True)
 class Overruling:
     """Of ``proposals`` (answers in time): ``replaced`` by the opposite pose, or the arm ``stopped``.
 
-    ``reasons`` counts the checks that overruled proposals failed; one proposal may fail several.
+    ``reasons`` counts the checks that overruled proposals failed; one proposal may fail several.  A trace
+    whose decisions were not measured counts for nothing, as ``is_measured`` says.
     """
 
     proposals: int = 0
@@ -52,6 +60,8 @@ class Overruling:
 
     @classmethod
     def _of_one(cls, trace: Trace) -> Overruling:
+        if not is_measured(trace):
+            return cls()
         vetoed = overruled(trace)
         outcome, failed = trace.decisions["outcome"][vetoed], trace.decisions["proposed_failed"][vetoed]
         return cls(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from partly_measured import partly_measured
 
 from safety_harness.admission import trial
 from safety_harness.admission.admit import Admitter
@@ -225,6 +226,15 @@ def test_only_a_whole_run_that_never_tested_the_claim_says_nothing_of_it(visit: 
         EpisodeOutcome.VIOLATED,
     ]
     assert [outcome(one, spoilt) for one in (never, seen)] == [EpisodeOutcome.INCONCLUSIVE] * 2
+
+
+def test_a_claim_that_reads_what_was_not_measured_is_untested_on_whatever_occasions(visit: Trace) -> None:
+    trace = partly_measured(visit)
+    assert why_broken(trace) == ""
+    seen = evaluation(Verdict.INCONCLUSIVE, 3, None)
+    assert judgement_of(seen, trace, "").outcome is EpisodeOutcome.INCONCLUSIVE
+    found = judgement_of(replace(seen, unmeasured=("mode",)), trace, "")
+    assert (found.outcome, found.exercised) == (EpisodeOutcome.UNTESTED, 0)
 
 
 MINE = """\

@@ -12,12 +12,14 @@ import numpy as np
 import pytest
 from browsing import colour, show
 from made_up_evidence import evidence
+from partly_measured import partly_measured
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.certification.page import write_page
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.read import read_scenario
+from safety_harness.trace.known import Gap, Measurement, Source, knowing
 
 SCENARIO = Path(__file__).parents[2] / "scenarios" / "fast-reach.yaml"
 FIRST = "document.querySelector('figure.replay')"
@@ -254,3 +256,25 @@ def test_it_opens_quickly_enough_to_be_read(browser: Any, report: str) -> None:
     show(browser, report, width=1000)
     assert browser.execute_script("return document.readyState") == "complete"
     assert replayed(browser, "state", 1) == "asleep"
+
+
+def test_a_replay_shows_what_was_measured_and_says_what_was_not(
+    browser: Any, run: JudgedRun, tmp_path: Path
+) -> None:
+    lost = Measurement(source=Source.LOG, gaps=(Gap(first=10, after=60),))
+    trace = knowing(partly_measured(run.trace), {"transform_tcp_to_base": lost, "joint_position_rad": lost})
+    write_page(tmp_path / "evidence.html", evidence(), {1: replace(run, trace=trace)})
+    browser.get_log("browser")
+    show(browser, (tmp_path / "evidence.html").as_uri(), width=1000)
+    awake(browser)
+    assert "mode not measured" in said(browser, 0.5)
+    assert " mm" in said(browser, 0.5)
+    assert "not measured" in said(browser, 1.0).replace("mode not measured", "")
+    assert browser.get_log("browser") == []
+
+
+def said(browser: Any, time_s: float) -> str:
+    """What a replay says at a time."""
+    script = f"const r = {FIRST}.querySelector('.scrub'); r.value = {time_s};"
+    browser.execute_script(script + "r.dispatchEvent(new Event('input'));")
+    return str(browser.execute_script(f"return {FIRST}.querySelector('.says-now').textContent"))

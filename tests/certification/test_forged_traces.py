@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from partly_measured import partly_measured
 
 from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify_runs import check_traces
+from safety_harness.exceptions import TraceError
+from safety_harness.trace.trace import Trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 3").replace("runs: 20", "runs: 2")
@@ -36,6 +39,26 @@ def checked(plan: Plan, path: Path) -> tuple[str, ...]:
         return check_traces(plan, ledger, same=True).faults
 
 
+def put(path: Path, stratum: int, episode: int, trace: Trace) -> None:
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute(
+            "UPDATE trace SET data = ? WHERE stratum = ? AND episode = ?",
+            (trace_bytes(trace), stratum, episode),
+        )
+
+
+def test_a_stored_trace_that_was_not_simulated_is_no_evidence(ran: tuple[Plan, Path]) -> None:
+    plan, path = ran
+    with Ledger.open(path) as ledger:
+        stratum, episode, _ = next(iter(ledger.traces()))
+        trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
+    put(path, stratum, episode, partly_measured(trace))
+    (fault,) = checked(plan, path)
+    assert f"run {episode}: known: got columns that are " in fault
+    with pytest.raises(TraceError), Ledger.open(path) as ledger:
+        trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
+
+
 @pytest.mark.parametrize("field", ["hand_distance_m", "tcp_speed_mps", "transform_tcp_to_base"])
 def test_a_trace_whose_numbers_no_run_can_have_written_is_no_evidence(
     ran: tuple[Plan, Path], field: str
@@ -47,11 +70,7 @@ def test_a_trace_whose_numbers_no_run_can_have_written_is_no_evidence(
         trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
     ticks = trace.ticks.copy()
     ticks[field] = np.where(np.isfinite(ticks[field]), ticks[field] + 0.001, ticks[field])
-    forged = trace_bytes(replace(trace, ticks=ticks))
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(
-            "UPDATE trace SET data = ? WHERE stratum = ? AND episode = ?", (forged, stratum, episode)
-        )
+    put(path, stratum, episode, replace(trace, ticks=ticks))
     (fault,) = checked(plan, path)
     assert f"run {episode}: " in fault
     assert f"{field} at tick" in fault

@@ -10,18 +10,28 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from partly_measured import partly_measured
 
 from safety_harness.certification import certify as certify_module
 from safety_harness.certification import folder as folder_module
 from safety_harness.certification.certify import Certification
-from safety_harness.certification.counterexamples import FINDINGS, read_findings, search_evidence, searches_of
+from safety_harness.certification.counterexamples import (
+    FINDINGS,
+    read_findings,
+    search_evidence,
+    searched_counterexamples,
+    searches_of,
+)
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.findings import of_searches
 from safety_harness.certification.tools import HarnessTrials
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import INTERRUPTED
 from safety_harness.exceptions import InputError, OutputError, SimulationError
+from safety_harness.scenario.write import write_scenario
 from safety_harness.search.session import SearchOutput
+from safety_harness.trace.store import save_trace
+from safety_harness.trace.trace import Trace
 from tests.campaign.plans import PLAN, plan_in
 
 SEARCHING = PLAN + "search:\n  runs: 21\n"
@@ -174,3 +184,16 @@ def test_ctrl_c_in_the_search_leaves_a_report_that_says_so(
     assert "nearer: the search was not made, or failed" in said
     assert (tmp_path / "report" / "manifest.json").is_file()
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_counterexample_that_was_not_simulated_is_not_shown(tmp_path: Path, visit: Trace) -> None:
+    put(tmp_path, "1-near")
+    plan = plan_in(tmp_path, SEARCHING)
+    searches = searches_of(plan, tmp_path)
+    file = searches[0].folder / "a.yaml"
+    file.write_text(f"# To be violated\n{write_scenario(visit.scenario)}")
+    for trace, shown in ((visit, True), (partly_measured(visit), False)):
+        save_trace(trace, file.with_suffix(".trace"))
+        (found,) = searched_counterexamples(plan, searches, tmp_path)
+        assert (not isinstance(found, str)) is shown, found
+    assert str(found).startswith("near: the search's a.yaml cannot be shown: columns that are ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import pytest
@@ -85,6 +86,38 @@ def test_what_was_never_exercised_is_counted_with_what_the_nearest_run_lacked() 
     assert first == "1 of 2 claims were never exercised, and nothing is shown of:"
     assert tallies[0].nearest == every[1]
     assert lines == ["  a", f"    {every[1].run}: {every[1].evaluation.reason}"]
+
+
+def unmeasured(run: str = "a log", sentence: str = SENTENCE) -> Judged:
+    one = judged(U, exercised=7, run=run, sentence=sentence)
+    return replace(one, evaluation=replace(one.evaluation, reason="not measured: mode", unmeasured=("mode",)))
+
+
+def test_what_was_not_measured_is_no_test_and_is_told_apart_from_what_was_never_exercised() -> None:
+    every = [unmeasured(sentence="a"), judged(U, exercised=0, sentence="b"), judged(H, exercised=1)]
+    tallies = tally_claims(every)
+    assert [(t.untested, t.exercised, t.occasions, t.unmeasured) for t in tallies] == [
+        (True, 0, 0, 1),
+        (True, 0, 0, 0),
+        (False, 1, 1, 0),
+    ]
+    assert untested_lines(tallies) == [
+        "1 of 3 claims were never exercised, and nothing is shown of:",
+        "  b",
+        "    a run: ",
+        "1 of 3 claims were not measured, and nothing is shown of:",
+        "  a",
+        "    a log: not measured: mode",
+    ]
+    lacking, idle, _ = table_lines(tallies)[1:]
+    assert lacking.endswith("1 (1 not measured)  NOT MEASURED")
+    assert idle.endswith("NEVER PUT TO THE TEST")
+
+
+def test_one_run_that_was_measured_is_a_test() -> None:
+    (found,) = tally_claims([unmeasured(), judged(H, exercised=2, margin=0.1)])
+    assert (found.untested, found.runs, found.exercised, found.occasions) == (False, 2, 1, 2)
+    assert "1 (1 not measured)  +100.0 mm" in table_lines([found])[1]
 
 
 def test_a_margin_that_is_not_finite_is_never_the_worst() -> None:

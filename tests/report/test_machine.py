@@ -39,6 +39,7 @@ def test_every_claim_is_there_with_its_margin_in_full_precision(tmp_path: Path) 
         "worst_time_s": 8.6,
         "reason": "right hand 112.9 mm from wrist 1",
         "exercised": 120,
+        "unmeasured": [],
         "parts": [],
     }
     assert [claim["unit"] for claim in found["claims"]] == ["m", "m/s", "s"]
@@ -69,6 +70,7 @@ def test_how_often_each_claim_was_put_to_the_test_is_there(tmp_path: Path) -> No
         "holds": 0,
         "violated": 2,
         "inconclusive": 0,
+        "unmeasured": 0,
         "worst_margin_si": first.evaluations[0].margin,
         "worst_scenario": "two-hands",
         "untested": False,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from partly_measured import partly_measured
 
 from safety_harness.admission import trial
 from safety_harness.admission.admit import Admitted, admit
@@ -18,9 +19,10 @@ from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
 from safety_harness.search.counterexample import circumstances, seen_of
 from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
 from safety_harness.search.findings import Outcomes
-from safety_harness.search.trials import Trials, in_kinematic, in_pybullet
+from safety_harness.search.trials import Trials, in_kinematic, in_pybullet, least_hand_distance_m
 from safety_harness.simulation.worlds import WorldEntry
 from safety_harness.space.read import parse_space
+from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
 from safety_harness.trace.trace import Trace
 from tests.search.short_space import CRASHING, SHORT, TEXT
 
@@ -124,6 +126,30 @@ def test_a_run_is_in_one_cell_of_the_coverage() -> None:
     assert found.kinds[1] == "right, proposed position"
     assert sum(trials.coverage.counts.values()) == len(POINTS)
     assert cell_of(fast_run(), seen_of(fast_run().scenario)) == found.cells[1]
+
+
+@pytest.mark.parametrize(
+    "column", ["decision.outcome", "decision.tick", "hand_position_in_base_m", "transform_tcp_to_base"]
+)
+def test_a_run_of_which_not_all_was_measured_is_in_no_cell(column: str) -> None:
+    lacking = knowing(fast_run(), {column: NOT_MEASURED})
+    assert cell_of(lacking, seen_of(lacking.scenario)) is None
+    others = knowing(fast_run(), {"gain": NOT_MEASURED, "limits": NOT_MEASURED})
+    assert cell_of(others, seen_of(others.scenario)) is not None
+
+
+def test_nothing_is_told_of_decisions_that_were_not_measured() -> None:
+    assert circumstances(partly_measured(fast_run())) == ["what was decided was not measured"]
+    assert len(circumstances(fast_run())) > 1
+
+
+def test_the_nearest_hand_is_that_of_the_ticks_at_which_it_was_measured() -> None:
+    run = fast_run()
+    whole = least_hand_distance_m(run)
+    tick = int(np.argmin(run.ticks["hand_distance_m"][:, 0]))
+    gap = Measurement(gaps=(Gap(first=tick - 5, after=tick + 5),))
+    assert least_hand_distance_m(knowing(run, {"hand_distance_m": gap})) > whole
+    assert least_hand_distance_m(knowing(run, {"hand_distance_m": NOT_MEASURED})) == np.inf
 
 
 def test_coverage_counts_by_axis_by_two_and_says_what_is_missing() -> None:

@@ -149,6 +149,9 @@
       const way = [];
       for (let k = 0; k < this.times.length; k++) way.push(point(this.columns.tcp_in_base_m, 3 * k));
       const path = new THREE.BufferGeometry().setFromPoints(way);
+      const measured = new THREE.BufferGeometry().setFromPoints(way.filter((at) => Number.isFinite(at.x)));
+      measured.computeBoundingSphere();
+      path.boundingSphere = measured.boundingSphere;
       this.scene.add(new THREE.Line(path, stroke("--fig-muted", { transparent: true, opacity: 0.45 })));
       this.travelled = new THREE.Line(path.clone(), stroke("--fig-tcp"));
       this.scene.add(this.travelled);
@@ -282,7 +285,8 @@
       this.clock.textContent = `${time.toFixed(2)} s`;
       const parts = this.data.hands.map((name, k) => {
         const distance = this.columns.hand_distance_m[tick * this.data.hands.length + k];
-        return `${name} ${Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : "absent"}`.replace("-", "\u2212");
+        const far = Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : Number.isNaN(distance) ? "not measured" : "absent";
+        return `${name} ${far}`.replace("-", "\u2212");
       });
       parts.unshift(this.data.modes[this.columns.mode[tick]]);
       this.says.textContent = parts.join(" \u00b7 ");

@@ -1,0 +1,57 @@
+"""Where a trace was not measured, for whoever shows, counts or repeats it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import Place, TraceError
+from safety_harness.trace.known import OF_DECISIONS, Measurement, knowing
+from safety_harness.trace.records import DECISION
+from safety_harness.trace.trace import Trace
+
+
+def measured(trace: Trace, name: str) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a column was measured, of each hand (n, hands) if it is one of hands."""
+    return trace.known.measured(name, trace.ticks[name])
+
+
+def decided(trace: Trace, *names: str) -> bool:
+    """Were these fields of its decisions measured, or all of them if none is named?"""
+    fields = names or DECISION.names or ()
+    return not trace.known.missing(f"{OF_DECISIONS}{name}" for name in fields)
+
+
+def as_measured(trace: Trace) -> Trace:
+    """The same with blanks for what was not measured, whatever is stored there."""
+    return trace if trace.known.whole else knowing(trace, trace.known.columns)
+
+
+def filled(trace: Trace) -> Trace:
+    """The same with zeros for real numbers that were not measured, so that they are none that is wrong."""
+    if trace.known.whole:
+        return trace
+    ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
+    for name in trace.known.columns:
+        if not name.startswith(OF_DECISIONS):
+            ticks[name][~measured(trace, name)] = np.zeros((), ticks[name].dtype)
+        elif not decided(trace, field := name.removeprefix(OF_DECISIONS)):
+            decisions[field] = np.zeros((), decisions[field].dtype)
+    return replace(trace, ticks=ticks, decisions=decisions)
+
+
+def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
+    """TraceError, naming ``file``, for a trace that cannot be run again, as no run of ours gave it."""
+    if trace.known.simulated:
+        return
+    sources = Counter(one.source.value for one in trace.known.columns.values() if one != Measurement())
+    raise TraceError(
+        place=Place(file=file, field="known"),
+        expected="a trace that was simulated, since only that can be run again",
+        got=f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}",
+        hint="" if file is None else f"safety-harness judge {file}",
+    )
