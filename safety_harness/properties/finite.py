@@ -89,7 +89,7 @@ class FiniteTrace:
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     """(n,) ticks with something that was measured and is no number, or no later than the tick before."""
-    trace = filled(trace)
+    trace = filled(trace, READ)
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s = trace.ticks, trace.time_s
     bad[1:] = ~(time_s[1:] > time_s[:-1])
@@ -137,7 +137,7 @@ def _mark(
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions with something that was measured and is no number, or no later than the one before."""
     in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
-    trace = filled(trace)
+    trace = filled(trace, READ)
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:

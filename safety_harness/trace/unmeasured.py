@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,15 +32,18 @@ def as_measured(trace: Trace) -> Trace:
     return trace if trace.known.whole else knowing(trace, trace.known.columns)
 
 
-def filled(trace: Trace) -> Trace:
-    """The same with zeros for real numbers that were not measured, so that they are none that is wrong."""
-    if trace.known.whole:
+def filled(trace: Trace, names: Iterable[str]) -> Trace:
+    """The same with zeros where one of the columns ``names`` was not measured, so that nothing there is wrong."""
+    known = trace.known
+    lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+    if not lacking:
         return trace
     ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
-    for name in trace.known.columns:
+    for name in lacking:
         if not name.startswith(OF_DECISIONS):
             ticks[name][~measured(trace, name)] = np.zeros((), ticks[name].dtype)
-        elif not decided(trace, field := name.removeprefix(OF_DECISIONS)):
+        else:
+            field = name.removeprefix(OF_DECISIONS)
             decisions[field] = np.zeros((), decisions[field].dtype)
     return replace(trace, ticks=ticks, decisions=decisions)
 

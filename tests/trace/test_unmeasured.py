@@ -12,7 +12,14 @@ from partly_measured import UNSEEN, partly_measured
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.finite import bad_decisions, bad_ticks
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.known import NOT_MEASURED, OF_DECISIONS, Measurement, Source, knowing
+from safety_harness.trace.known import (
+    COLUMNS_OF_A_TRACE,
+    NOT_MEASURED,
+    OF_DECISIONS,
+    Measurement,
+    Source,
+    knowing,
+)
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, filled, measured, refuse_not_simulated
@@ -46,7 +53,7 @@ def test_a_blank_is_no_wrong_number_and_a_measured_nan_is_one(visit: Trace) -> N
     ticks = trace.ticks.copy()
     ticks["joint_position_rad"][7, 2] = np.nan
     assert np.flatnonzero(bad_ticks(replace(trace, ticks=ticks))).tolist() == [7]
-    assert filled(visit) is visit
+    assert filled(visit, COLUMNS_OF_A_TRACE) is visit
 
 
 def test_two_traces_are_compared_in_what_was_measured_of_both(visit: Trace) -> None:
