@@ -15,8 +15,10 @@ demo: $(VENV)/installed
 test: check suite
 
 # Assertions as they are written: to explain each that might fail takes pytest 14 s a worker, so those that fail
-# are asked again.  One thread each: more would only wait for one another.
+# are asked again.  One thread each: more would only wait for one another.  Byte code is kept, or each of the many
+# programs that the tests start makes its own.
 suite long: export OMP_NUM_THREADS := 1
+suite long: export PYTHONDONTWRITEBYTECODE :=
 SUITE := -m pytest -n 2 --dist worksteal --assert=plain
 suite: warm
 	$(BIN)/python $(SUITE) || { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
@@ -26,10 +28,8 @@ suite: warm
 long: warm
 	$(BIN)/python $(SUITE) -m long
 
-# Byte code for the many programs that the tests start, even where Python may not write it; machine code once,
-# not by each worker.
+# Machine code once, not by each worker.
 warm: $(VENV)/tested
-	$(BIN)/python -m compileall -q safety_harness paper/safety_harness_paper
 	$(BIN)/safety-harness warm
 
 check: $(VENV)/tested
