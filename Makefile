@@ -115,7 +115,7 @@ oldest newest: .venv-lock/installed
 	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
-	.venv-$@/bin/python -m pytest -q --assert=plain -p no:cacheprovider $(QUICK) -k 'not type_check'
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) -k 'not type_check'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
