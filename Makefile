@@ -7,16 +7,30 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test suite long warm check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
-# Compiled first, for the many programs that the tests start, even where Python may not write byte code.
-test: $(VENV)/tested check
-	$(BIN)/python -m compileall -q safety_harness paper/safety_harness_paper
-	$(BIN)/python -m pytest -n 2 --dist worksteal
-	$(BIN)/python -m pytest -n 2 --dist worksteal examples/suites --safety-derandomize
+test: check suite
+
+# Assertions as they are written: to explain each that might fail takes pytest 14 s a worker, so those that fail
+# are asked again.  One thread each: more would only wait for one another.  Byte code is kept, or each of the many
+# programs that the tests start makes its own.
+suite long: export OMP_NUM_THREADS := 1
+suite long: export PYTHONDONTWRITEBYTECODE :=
+SUITE := -m pytest -n 2 --dist worksteal --assert=plain
+suite: warm
+	$(BIN)/python $(SUITE) || { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
+	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
+
+# What takes long; "make suite" has a quick sibling of each.
+long: warm
+	$(BIN)/python $(SUITE) -m long
+
+# Machine code once, not by each worker.
+warm: $(VENV)/tested
+	$(BIN)/safety-harness warm
 
 check: $(VENV)/tested
 	$(BIN)/ruff check .
@@ -89,8 +103,10 @@ lock: .venv-lock/installed
 	sed -i '/^\(cuda\|nvidia\|triton\)/d; 1i # What this repository is tested with, Python 3.11: "make lock" writes it.' \
 		requirements.lock
 
-# The quick suite with the lowest and the newest versions of the ranges; types are those of the lock file's.
-QUICK := tests/scenario tests/space tests/statistics tests/trace tests/test_public_names.py
+# With the lowest and the newest versions of the ranges: what asks each dependency for something, and a run.
+QUICK := tests/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
+	tests/scenario/test_write_scenario.py tests/search/test_searchers.py tests/avoidance/test_model_file.py \
+	tests/cli/test_nearest.py tests/test_public_names.py
 oldest := lowest-direct
 newest := highest
 oldest newest: .venv-lock/installed
@@ -98,7 +114,8 @@ oldest newest: .venv-lock/installed
 	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($@) --output-file .venv-$@/versions
 	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema
 	.venv-$@/bin/python -m pip check
-	.venv-$@/bin/python -m pytest -q -p no:cacheprovider $(QUICK) -k 'not type_check'
+	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) -k 'not type_check'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
@@ -109,8 +126,9 @@ crowded:
 	.venv-$@/bin/python -c "import safety_harness, torch, stable_baselines3, gymnasium, mujoco, pinocchio, rosbags"
 	.venv-$@/bin/safety-harness run scenarios/hand-visits-and-leaves.yaml --out reports/crowded
 
-# The wheel in an empty folder, with each Python that is here.
-installed: wheel
+# The wheel in an empty folder, with each Python that is here.  "make installed WHEEL=" takes the newest of dist/.
+WHEEL := wheel
+installed: $(WHEEL)
 	.ci/installed.py
 
 # An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
 from collections.abc import Generator, Iterator
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import disagreement
 import pytest
+import typer.testing
 from browsing import started
 from examples import VISIT, run, scenario
 from hypothesis import settings
@@ -26,6 +29,8 @@ WORLDS = ("simulation", "admission", "controller", "campaign", "cli", "search", 
 PARTS = ("learning", "avoidance", "perception", "servoing", "geometry", "robot", "docs", "pytest_plugin")
 
 
+# Of one tree of commands, which takes longer to make than most of them to answer.
+typer.testing._get_command = lru_cache(typer.testing._get_command)  # type: ignore[attr-defined]
 NO_PYBULLET = find_spec("pybullet") is None
 asked_for_pybullet = [False]  # by the test that runs
 
@@ -70,6 +75,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     ]
     cut = max(0, (len(items) + 1) // 2 - len(worlds))
     items[:] = worlds + others[:cut] + parts + others[cut:]
+
+
+def pytest_collection_finish() -> None:
+    """The garbage collector need not look at nine thousand tests again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 class WithoutPyBullet:

@@ -33,7 +33,7 @@ def as_measured(trace: Trace) -> Trace:
 
 
 def filled(trace: Trace, names: Iterable[str]) -> Trace:
-    """The same with zeros where one of the columns ``names`` was not measured, so that nothing there is wrong."""
+    """The same with zeros where a column of ``names`` was not measured, so nothing there is wrong."""
     known = trace.known
     lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
     if not lacking:

@@ -53,7 +53,9 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture(params=[RAISING, LISTING], ids=["raises", "returns a list"])
+@pytest.fixture(
+    params=[RAISING, pytest.param(LISTING, marks=pytest.mark.long)], ids=["raises", "returns a list"]
+)
 def visit(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     (tmp_path / "mine.py").write_text(request.param)
     file = tmp_path / "visit.yaml"

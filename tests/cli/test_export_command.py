@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,16 @@ from safety_harness.cli.learning import export
 from safety_harness.learning import export as module
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.regions import exported_seen
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _converted_once() -> Iterator[None]:
+    """The one model here; ``learning/test_export.py`` has that exporting twice gives the same bytes."""
+    with pytest.MonkeyPatch.context() as patch:
+        once = cache(lambda metadata: convert(random_model(Dropout.INTER), metadata))
+        convert = module._onnx_bytes
+        patch.setattr(module, "_onnx_bytes", lambda model, metadata: once(metadata))
+        yield
 
 
 @pytest.fixture

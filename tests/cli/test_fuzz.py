@@ -119,7 +119,7 @@ def test_how_long_answers_take_changes_nothing_that_is_found(space: Path, tmp_pa
     )
     for seconds in ("0", "0.12"):
         (tmp_path / "mine.s").write_text(seconds)
-        fuzz(space, out=tmp_path / seconds, avoider=str(tmp_path / "mine.py") + ":Crashing", budget=4)
+        fuzz(space, out=tmp_path / seconds, avoider=str(tmp_path / "mine.py") + ":Crashing", budget=2)
     quick, slow = ((tmp_path / seconds / "findings.json").read_text() for seconds in ("0", "0.12"))
     assert quick == slow
     assert json.loads(quick)["computing_time"] == "computing time not modelled"

@@ -1,7 +1,7 @@
 """A process that has loaded what the plug-in's sessions need, and forks for each: seconds less a session.
 
 A line of standard input is a session: arguments, folder, environment and the files of its output; its exit
-code is the line that comes back.  The plug-in itself is left to the session, and so is Hypothesis.
+code is the line that comes back.  The plug-in itself is left to the session.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import random
 import sys
 from pathlib import Path
 
+import hypothesis  # noqa: F401 (for its import)
 import pytest
 
 from safety_harness.admission.admit import admit

@@ -203,7 +203,7 @@ def test_a_session_says_what_decisions_cost_and_that_they_took_longer_here(run, 
     avoiders = project / "avoiders.py"
     avoiders.write_text(
         avoiders.read_text().replace(
-            "        return Proposal", "        __import__('time').sleep(0.12)\n        return Proposal", 1
+            "        return Proposal", "        __import__('time').sleep(0.02)\n        return Proposal", 1
         )
     )
     result = run("fine.yaml", "--avoider", "avoiders.py:Upwards", "-k", "speed")

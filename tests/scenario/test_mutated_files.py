@@ -118,7 +118,7 @@ def spoilt_bytes(draw: st.DrawFn) -> bytes:
     return data
 
 
-@quick(350)
+@quick(200)
 @given(spoilt_bytes())
 def test_a_spoilt_text_is_a_scenario_or_refused_with_its_reasons(data: bytes) -> None:
     check(outcome(data))
@@ -233,7 +233,7 @@ def spoilt_trees(draw: st.DrawFn) -> tuple[int, Tree]:
     return number, tree
 
 
-@quick(600)
+@quick(250)
 @given(spoilt_trees())
 def test_a_spoilt_tree_is_refused_or_shows_in_the_scenario(spoilt: tuple[int, Tree]) -> None:
     """No silent default: what was changed and is not refused makes another scenario."""

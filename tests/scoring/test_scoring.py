@@ -143,7 +143,7 @@ def test_one_that_takes_longer_than_the_deadline_is_slow_and_is_asked_little() -
         time.sleep(DEFAULTS.avoidance.decision_deadline_s + 0.01)
         return optimum, 0.0 * optimum
 
-    few = Counts(first=20, other=20, far=20, segments=2, alone=4, sample=4)
+    few = Counts(first=6, other=6, far=6, segments=1, alone=2, sample=2)
     card = score(subject(late), REGIONS[:1], seed=0, counts=few)
     beside = yardsticks(REGIONS[:1], seed=0, counts=few)
     assert [one.kind for one in findings(card, beside)] == [Kind.SLOW]
