@@ -66,5 +66,6 @@ PYBULLET = Extra(
 IMAGES = Extra("images", ("cv2",), instead="exact and raster images need none")
 ONNX = Extra("onnx", ("onnxruntime",))
 LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"))
+FITTING = Extra("fitting", ("trimesh", "collada"))
 EXPORT = Extra("export", ("pyarrow",), instead="a .csv needs none")
 CLUSTER = Extra("cluster", ("distributed", "dask"), instead="without --cluster it runs on this machine")
