@@ -32,9 +32,9 @@ from safety_harness.whole_file import write_text
 
 PIECE_M = 0.025
 GRID_M = 0.006
-STARTS = 30
+STARTS = 20
 ROUNDS = 15
-WORTH = 0.15
+WORTH = 0.1
 MOST_CAPSULES = 4
 LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
 ROUND = 64  # sides of what stands for a cylinder
