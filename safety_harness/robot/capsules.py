@@ -147,11 +147,11 @@ def read_capsules(file: Path, arm: ArmModel) -> CapsuleSet:
         if fitted_to != is_now:
             expected = f"capsules fitted to the {what} {is_now}"
             raise ArmFileError.of_file(file, expected, f"to {fitted_to or 'nothing'}; fit them again")
-    held = {one.link for one in stored.capsules}
+    capsules, held = stored.on(arm, file), {one.link for one in stored.capsules}
     for link in arm.links:
         if (link.collision or link.visual) and link.link not in held:
             raise ArmFileError.of_file(file, f"capsules of the link {link.link!r}", "none")
-    return stored.on(arm, file)
+    return capsules
 
 
 def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:

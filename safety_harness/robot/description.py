@@ -291,5 +291,5 @@ def _refuse_wrong_inertia(urdf: Urdf, link: ElementTree.Element) -> None:
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
     least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
-        expected = "an inertia that a body can have: principal moments above 0, none far above the others' sum"
+        expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")

@@ -37,7 +37,7 @@ ROUNDS = 15
 WORTH = 0.1
 MOST_CAPSULES = 4
 LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
-ROUND = 64  # sides of what stands for a cylinder
+ROUND = 32  # sides of what stands for a cylinder
 POLISH_ROUNDS = 12
 FINE_M = 0.004  # pieces for the last rounds, where capsules hand over to one another
 DECIMALS = 4  # 0.1 mm
@@ -325,7 +325,8 @@ def fit_arm(
         capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
         if not capsules:
             raise ArmFileError.of_file(arm.file, f"shapes with an area for {link.link!r}", "none with one")
-        result.append((link, polish(link_surface(link, FINE_M), capsules)))
+        longest_m = FINE_M if len(capsules) > 1 else PIECE_M
+        result.append((link, polish(link_surface(link, longest_m), capsules)))
     tell(len(arm.links), "")
     if not result:
         raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")

@@ -93,9 +93,7 @@ def test_no_radius_can_be_a_millimetre_smaller(name: str, link: LinkShapes) -> N
             end_in_link=capsules.end_in_link,
             radius_m=radius,
         )
-        outside = [
-            not_enclosed(triangles(part), smaller, link.index) for part in meshes_of(link)
-        ]
+        outside = [not_enclosed(triangles(part), smaller, link.index) for part in meshes_of(link)]
         assert sum(map(len, outside)) > 0, capsules.names[index]
 
 
