@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -74,11 +75,11 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame; round ones are within them."""
     trimesh = _trimesh()
     if shape.kind == "mesh":
+        if str(shape.file).lower().endswith(".dae"):
+            import_module("collada")  # with which trimesh reads it
         try:
             mesh = trimesh.load_mesh(shape.file)
             vertices, faces = np.asarray(mesh.vertices) * shape.size, np.asarray(mesh.faces)
-        except ModuleNotFoundError:
-            raise
         except Exception as error:  # whatever its readers of a dozen formats raise
             raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
         if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():

@@ -19,7 +19,7 @@ from safety_harness.exceptions import ArmModelError, InputError, Place
 from safety_harness.geometry.rotations import rotation_about
 from safety_harness.geometry.transforms import transform_from
 
-MAX_BYTES = 32_000_000
+MAX_BYTES = 200_000_000
 LARGEST = 1e9  # of any number in SI units: products of these stay finite
 _WORDS = {1: "a number", 3: "three numbers"}
 

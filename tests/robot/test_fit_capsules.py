@@ -14,7 +14,6 @@ from test_capsules import depth
 from urdfs import OTHERS, SMALL, small_arm_in
 
 from safety_harness.exceptions import InputError, MissingPackageError
-from safety_harness.extras import FITTING
 from safety_harness.robot import fit_capsules as module
 from safety_harness.robot.capsules import CapsuleSet, load_capsules, read_capsules
 from safety_harness.robot.description import ArmModel, LinkShapes, Shape, load_arm, read_arm
@@ -228,4 +227,9 @@ def test_without_trimesh_the_extra_is_named(small: ArmModel, monkeypatch: pytest
     ) as error:
         link_surface(small.links[0], PIECE_M)
     assert isinstance(error.value, InputError)
-    assert FITTING.modules == ("trimesh", "collada")
+
+
+def test_without_pycollada_a_dae_names_the_extra_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "collada", None)
+    with pytest.raises(MissingPackageError, match=r"robot fit: needs collada.*safety-harness\[fitting\]"):
+        link_surface(load_arm("ur3").links[6], PIECE_M)
