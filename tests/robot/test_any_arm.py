@@ -11,12 +11,11 @@ import pytest
 from arms import ARMS, pose_of_link
 from urdfs import OTHERS
 
+from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.rotations import rotation_about
 from safety_harness.robot.description import (
-    CHAIN,
     PACKAGES,
     ArmModel,
-    chain_of,
     load_arm,
     read_arm,
     resolved_urdf,
@@ -117,7 +116,7 @@ def test_the_shipped_arms_have_the_numbers_that_they_had_bit_for_bit(name: str) 
         assert one.velocity_limit_radps.tolist() == [float(limit["velocity"]) for limit in limits]
         assert one.effort_limit.tolist() == [float(limit["effort"]) for limit in limits]
         assert one.name == name
-        assert one.chain.dtype == CHAIN == chain_of(6)
+        assert one.chain["joint_origins"].tobytes() == one.joint_origins.tobytes()
 
 
 def numbers(element: ElementTree.Element, tag: str, key: str) -> list[float]:
@@ -133,10 +132,14 @@ def origin(joint: ElementTree.Element) -> np.ndarray:
     return frame
 
 
-def test_seven_joints_make_records_of_seven_and_are_in_no_other() -> None:
+def test_kernels_of_six_joints_are_given_no_arm_of_seven() -> None:
+    with pytest.raises(ArmModelError, match="panda: 7 joints, and what runs takes 6"):
+        _ = arm_named("panda").chain
+
+
+def test_a_panda_is_seven_joints_its_hand_and_no_fingers() -> None:
     arm = arm_named("panda")
-    assert arm.chain.dtype == chain_of(7)
-    assert arm.chain["joint_axes"].shape == (1, 7, 3)
+    assert arm.joint_axes.shape == (7, 3)
     assert arm.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
     assert arm.left_out == ("panda_leftfinger", "panda_rightfinger")
     last = arm.links[7]
