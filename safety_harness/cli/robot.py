@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, document, result, say, table
+from safety_harness.cli.console import AS_EXPECTED, columns_of, document, result, say
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import SettingsError
+from safety_harness.properties.tally import table
 from safety_harness.robot.description import ArmModel, read_arm
 
 commands = Typer(
@@ -46,14 +48,20 @@ def show(file: File, base: Base = None, tcp: Tcp = None, package: Packages = [])
         f"arm         {arm.name}: {len(joints)} joints, {arm.link_names[0]} to {arm.tcp_link}",
         f"reach       at most {1e3 * arm.farthest_reach_m:.0f} mm from the second joint",
         "",
-        *table(("joint", "lower deg", "upper deg", "deg/s", "N m"), joints, named_by=1, right=range(1, 5)),
+        *table(
+            ("joint", "lower deg", "upper deg", "deg/s", "N m"),
+            joints,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 5),
+        ),
         "",
     )
     names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
     cells = [
         (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
     ]
-    result(*table(("link", "shapes"), cells, named_by=1))
+    result(*table(("link", "shapes"), cells, columns_of(sys.stdout), named_by=1))
     document(
         arm=arm.name,
         base=arm.link_names[0],
@@ -100,7 +108,15 @@ def fit(
         (link.link, str(len(capsules)), *(f"{1e3 * metres:.1f}" for metres in out_by))
         for (link, capsules), out_by in zip(fitted, stands_out_m, strict=True)
     ]
-    result(*table(("link", "capsules", "at most mm over", "mean mm"), rows, named_by=1, right=range(1, 4)))
+    result(
+        *table(
+            ("link", "capsules", "at most mm over", "mean mm"),
+            rows,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 4),
+        )
+    )
     document(
         file=out,
         links=[
