@@ -42,7 +42,7 @@ class Checked:
     scenario: Scenario
     arm: ArmModel
     view: DesiredView
-    joint_position_rad: NDArray[np.float64]  # (6,) where the arm starts
+    joint_position_rad: NDArray[np.float64]  # (n,) where the arm starts
     properties: tuple[Property, ...]  # in the order of the scenario's claims
 
 

@@ -6,18 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import InadmissibleError
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
-from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.model import JoinedHand, MovingHand, RecordedHand, Scenario
 from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import cell_capsules
 
 
-def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: Array6) -> None:
+def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
     """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
     table_m = scenario.settings.cell.table_height_m
     for number, hand in enumerate(scenario.hands):
@@ -84,9 +84,8 @@ def _check_clear_of_the_robot(
 ) -> None:
     settings = scenario.settings
     capsules = cell_capsules(load_capsules(arm.name), settings)
-    transforms, ends = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
-    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
-    place_capsules(capsules.records, transforms, ends)
+    ends = np.empty((len(capsules.names), 2, 3))
+    place_capsules(capsules.records, links_in_base(arm, joint_position_rad), ends)
     hands = hands_at_start(scenario).state
     for number, _ in enumerate(scenario.hands):
         distance_m, nearest = hand_distance(

@@ -13,7 +13,7 @@ from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.description import ArmModel, load_arm
 from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, smallest_singular_value
+from safety_harness.robot.kinematics import geometric_jacobian, links_in_base, smallest_singular_value
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.settings import Settings
 from safety_harness.simulation.cameras import SensorRecords, camera_state, object_polygon_in_base
@@ -96,8 +96,7 @@ def _check_pose(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
 ) -> None:
     settings = scenario.settings
-    transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
-    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
+    transforms, jacobian = links_in_base(arm, joint_position_rad), np.empty((6, len(arm.joint_names)))
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
     least, most = smallest_singular_value(jacobian), settings.motion.min_singular_value
     if not least > most:
@@ -107,19 +106,19 @@ def _check_pose(
             got=f"{least:.4f}",
         )
     clearance_m = settings.avoidance.table_clearance_m
-    if transforms[7, 2, 3] < settings.cell.table_height_m + clearance_m:
+    if transforms[-1, 2, 3] < settings.cell.table_height_m + clearance_m:
         raise InadmissibleError(
             place=scenario.place(field, "settings.cell.table height", "settings.avoidance.table clearance"),
             expected=f"a {pose} at least {clearance_m * 1e3:.0f} mm above the table",
-            got=f"the position {_millimetres(transforms[7, :3, 3])}",
+            got=f"the position {_millimetres(transforms[-1, :3, 3])}",
         )
     moments = np.empty(MOMENT_COUNT)
     camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
-    if not exact_object(camera, polygon_in_base_m, transforms[7], moments):
+    if not exact_object(camera, polygon_in_base_m, transforms[-1], moments):
         raise InadmissibleError(
             place=scenario.place(field, *VIEW),
             expected=f"a {pose} with the whole object in the camera's view",
-            got=f"the position {_millimetres(transforms[7, :3, 3])}, from which it is not",
+            got=f"the position {_millimetres(transforms[-1, :3, 3])}, from which it is not",
             hint=_above(settings) if field == DESIRED else "",
         )
 

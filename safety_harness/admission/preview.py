@@ -15,7 +15,7 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.geometry.arrays import Array3, Array4x4
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.camera import principal_point_px, transform_camera_to_tcp
-from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.simulation.hand_motion import advance_hands
@@ -29,7 +29,7 @@ STEP_S = 0.02
 class Preview:
     """One scenario's scene, positions in the base frame.
 
-    ``links_in_base_m`` (8, 3) the arm's link frames at the start, the last one the TCP;
+    ``links_in_base_m`` (n + 2, 3) the arm's link frames at the start, the last one the TCP;
     ``hand_paths_in_base_m`` one (n, 3) for each hand; ``object_in_base_m``
     (k, 3) the object's corners, and ``start_image_px`` and ``desired_image_px``
     (k, 2) the same in the camera's image.
@@ -52,8 +52,7 @@ class Preview:
 def preview_of(checked: Checked) -> Preview:
     """The scene of a scenario that can be tried."""
     scenario, arm = checked.scenario, checked.arm
-    transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.chain[0], checked.joint_position_rad, transforms)
+    transforms = links_in_base(arm, checked.joint_position_rad)
     return Preview(
         scenario=scenario,
         links_in_base_m=transforms[:, :3, 3].copy(),

@@ -22,7 +22,7 @@ from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.robot.distance import hand_distance
-from safety_harness.robot.kinematics import FRAMES, TCP, forward_kinematics
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.model import HandTrajectory, MovingHand, Scenario
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.settings import Hand
@@ -74,14 +74,13 @@ class FreeArm:
     @classmethod
     def of(cls, checked: Checked) -> FreeArm:
         """Those of the scenario's arm, from where it starts."""
-        chain, transforms = checked.arm.chain[0], np.empty((FRAMES, 4, 4))
-        forward_kinematics(chain, checked.joint_position_rad, transforms)
+        transforms = links_in_base(checked.arm, checked.joint_position_rad)
         places = transforms[:, :3, 3]
         settings = checked.scenario.settings
         capsules = cell_capsules(load_capsules(checked.arm.name), settings)
-        tcp, tip_m = places[TCP], 0.0
+        tcp, tip_m = places[-1], 0.0
         for k, link in enumerate(capsules.link_index):
-            if link >= TCP - 1:  # rigidly at the TCP
+            if link >= len(places) - 2:  # rigidly at the TCP
                 start, end = (
                     transforms[link, :3, :3] @ one[k] + places[link]
                     for one in (capsules.start_in_link, capsules.end_in_link)
@@ -114,7 +113,7 @@ def _off_segment_m(point: Array3, start: Array3, end: Array3) -> float:
 
 def _immovable(
     capsules: CapsuleSet,
-    transforms: NDArray[np.float64],  # (8, 4, 4)
+    transforms: NDArray[np.float64],  # (n + 2, 4, 4)
     axis_in_link: Array3,
 ) -> tuple[CapsuleSet, NDArray[np.float64]]:
     """The capsules of the base, and of the first link the balls about the axis that it turns about.

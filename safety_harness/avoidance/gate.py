@@ -47,7 +47,7 @@ class Query:
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
     transform_tcp_to_base: Vector  # (4, 4)
-    joint_position_rad: Vector  # (6,)
+    joint_position_rad: Vector  # (n,)
     hands_in_base_m: Vector  # (k, 3)
     seed: int
     late: str = ""  # why there is no answer in simulated time; empty if there is one

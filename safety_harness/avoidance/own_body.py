@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, segment_segment_distance
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.robot.kinematics import forward_kinematics
 
 LAST_OF_THE_BODY = 2  # base, shoulder, upper arm
 FIRST_OF_THE_WRIST = 4  # the three wrist links and the TCP's frame; the forearm touches both
@@ -45,14 +45,15 @@ def wrist_distance(capsules: NDArray[np.void], capsule_endpoints_in_base_m: NDAr
 
 
 def own_distance(arm: ArmModel, capsules: CapsuleSet, joint_position_rad: NDArray[np.float64]) -> float:
-    """``wrist_distance`` [m] of ``arm`` at ``joint_position_rad`` (6,)."""
+    """``wrist_distance`` [m] of ``arm`` at ``joint_position_rad`` (n,)."""
     return _own_distance(arm_with(arm, capsules), joint_position_rad)
 
 
 @compiled
-def _own_distance(arm: Arm, joint_position_rad: Array6) -> float:
-    """``wrist_distance`` [m] at the joint position (6,)."""
-    transforms, ends = np.empty((FRAMES, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+def _own_distance(arm: Arm, joint_position_rad: ArrayN) -> float:
+    """``wrist_distance`` [m] at the joint position (n,)."""
+    frames = arm.chain[0].joint_axes.shape[0] + 2
+    transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     forward_kinematics(arm.chain[0], joint_position_rad, transforms)
     place_capsules(arm.capsules, transforms, ends)
     return wrist_distance(arm.capsules, ends)

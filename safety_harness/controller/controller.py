@@ -22,7 +22,6 @@ from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, an
 from safety_harness.controller.decision_times import NOTHING
 from safety_harness.controller.records import (
     ANSWER,
-    COMMAND,
     AnswerRecords,
     CommandRecords,
     FaultRecords,
@@ -32,6 +31,7 @@ from safety_harness.controller.records import (
     QuestionRecords,
     StateRecords,
     TrackRecords,
+    command_dtype,
     initial_state,
     parameters,
 )
@@ -43,7 +43,7 @@ from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import DECISION, FAULT_CHARACTERS, DecisionOutcome, as_compiled
+from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_compiled, decision_dtype
 
 
 class Controller(Protocol):
@@ -97,22 +97,23 @@ class AvoidingServo:
         self.name = avoider.name
         self.avoider = avoider
         self.gate = gate
-        fixed = _fixed(settings, arm, view)
+        fixed, joints = _fixed(settings, arm, view), len(arm.joint_names)
         self.records = ControllerRecords(
             FilterRecords(fixed[1].copy()),
             TrackRecords(no_tracks(hand_slots)),
             FaultRecords(fault_table(()) if faults is None else faults),
             decision_times_s.copy(),
             ParameterRecords(fixed[0].copy()),
-            StateRecords(initial_state(hand_slots)),
+            StateRecords(initial_state(hand_slots, joints)),
             QuestionRecords(np.zeros(1, QUESTION)),
-            CommandRecords(np.zeros(1, COMMAND)),
+            CommandRecords(np.zeros(1, command_dtype(joints))),
             AnswerRecords(np.zeros(1, ANSWER)),
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
         self._held: Answer | None = None  # by the wall's clock: an answer that does not count yet
         self._root_seed = root_seed
+        self._decision = decision_dtype(joints)
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
         self._latencies_s: list[float] = []
@@ -137,7 +138,7 @@ class AvoidingServo:
     @property
     def decisions(self) -> NDArray[np.void]:
         """(m,) DECISION."""
-        decisions = np.zeros(len(self._decisions), DECISION)
+        decisions = np.zeros(len(self._decisions), self._decision)
         for k, decision in enumerate(self._decisions):
             decisions[k] = decision[0]
         return decisions
@@ -192,7 +193,7 @@ class AvoidingServo:
 
     def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
         """(1,) DECISION."""
-        record = np.zeros(1, DECISION)
+        record = np.zeros(1, self._decision)
         for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
             record[name] = self.records.question[name]
         record["trigger"] = self.records.state["trigger"]

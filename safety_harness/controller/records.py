@@ -15,56 +15,60 @@ from numpy.typing import NDArray
 
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.robot.description import CHAIN, ArmModel
+from safety_harness.robot.description import ArmModel, chain_of
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.servoing.control import DesiredView, choice_code
 from safety_harness.settings import HandSensorKind, ObjectKind, Settings
-from safety_harness.trace.records import TRACKS_PER_HAND
-
-PARAMETERS = np.dtype(
-    [
-        ("control_period_s", np.float64),
-        ("chain", CHAIN),
-        ("joint_velocity_limit_radps", np.float64, (6,)),
-        ("transform_camera_to_tcp", np.float64, (4, 4)),  # as calibrated, not as mounted
-        ("eye_in_hand", np.bool_),
-        ("transform_sensor_to_base", np.float64, (4, 4)),  # of a fixed hand sensor
-        ("prediction_horizon_s", np.float64),
-        ("dense", np.bool_),
-        ("choice", np.int64),
-        ("desired_area", np.float64),
-        ("desired_depth_m", np.float64),
-        ("desired_features", np.float64, (6,)),
-        ("desired_interaction", np.float64, (6, 6)),
-        ("desired_interaction_pinv", np.float64, (6, 6)),
-        ("gain_far", np.float64),
-        ("gain_near", np.float64),
-        ("gain_switch_sse", np.float64),
-        ("max_tcp_speed_mps", np.float64),
-        ("max_tcp_acceleration_mps2", np.float64),
-        ("max_tcp_angular_speed_radps", np.float64),
-        ("max_tcp_angular_acceleration_radps2", np.float64),
-        ("min_singular_value", np.float64),
-        ("critical_distance_m", np.float64),
-        ("repulsion_speed_mps", np.float64),
-        ("repulsion_acceleration_mps2", np.float64),
-        ("arrival_tolerance_m", np.float64),
-        ("restart_delay_s", np.float64),
-        ("decision_deadline_s", np.float64),
-    ],
-    align=True,
-)
+from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND
 
 
 @lru_cache
-def state_dtype(hands: int) -> np.dtype[Any]:
-    """STATE of a controller that tracks TRACKS_PER_HAND times so many hands."""
+def parameters_dtype(joints: int) -> np.dtype[Any]:
+    """PARAMETERS of the controller of an arm with so many joints."""
+    return np.dtype(
+        [
+            ("control_period_s", np.float64),
+            ("chain", chain_of(joints)),
+            ("joint_velocity_limit_radps", np.float64, (joints,)),
+            ("transform_camera_to_tcp", np.float64, (4, 4)),  # as calibrated, not as mounted
+            ("eye_in_hand", np.bool_),
+            ("transform_sensor_to_base", np.float64, (4, 4)),  # of a fixed hand sensor
+            ("prediction_horizon_s", np.float64),
+            ("dense", np.bool_),
+            ("choice", np.int64),
+            ("desired_area", np.float64),
+            ("desired_depth_m", np.float64),
+            ("desired_features", np.float64, (6,)),
+            ("desired_interaction", np.float64, (6, 6)),
+            ("desired_interaction_pinv", np.float64, (6, 6)),
+            ("gain_far", np.float64),
+            ("gain_near", np.float64),
+            ("gain_switch_sse", np.float64),
+            ("max_tcp_speed_mps", np.float64),
+            ("max_tcp_acceleration_mps2", np.float64),
+            ("max_tcp_angular_speed_radps", np.float64),
+            ("max_tcp_angular_acceleration_radps2", np.float64),
+            ("min_singular_value", np.float64),
+            ("critical_distance_m", np.float64),
+            ("repulsion_speed_mps", np.float64),
+            ("repulsion_acceleration_mps2", np.float64),
+            ("arrival_tolerance_m", np.float64),
+            ("restart_delay_s", np.float64),
+            ("decision_deadline_s", np.float64),
+        ],
+        align=True,
+    )
+
+
+@lru_cache
+def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
+    """STATE of a controller that tracks TRACKS_PER_HAND times so many hands, for so many joints."""
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
         [
             ("mode", np.int64),
             ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
-            ("link_transforms", np.float64, (8, 4, 4)),
+            ("link_transforms", np.float64, (joints + 2, 4, 4)),
             # the image of the object, as last delivered
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),
@@ -87,7 +91,7 @@ def state_dtype(hands: int) -> np.dtype[Any]:
             ("camera_twist", np.float64, (6,)),
             ("limits", np.int64),
             # what a tick works with
-            ("jacobian", np.float64, (6, 6)),
+            ("jacobian", np.float64, (6, joints)),
             ("wanted_twist_in_base", np.float64, (6,)),
             ("twist_in_base", np.float64, (6,)),
             ("transform_sensor_to_base", np.float64, (4, 4)),
@@ -97,14 +101,14 @@ def state_dtype(hands: int) -> np.dtype[Any]:
 
 
 @lru_cache
-def observation_dtype(hands: int) -> np.dtype[Any]:
-    """OBSERVATION with room for TRACKS_PER_HAND boxes for each of so many hands."""
+def observation_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
+    """OBSERVATION of so many joints with room for TRACKS_PER_HAND boxes for each of so many hands."""
     boxes = TRACKS_PER_HAND * hands
     return np.dtype(
         [
             ("time_s", np.float64),
-            ("joint_position_rad", np.float64, (6,)),
-            ("joint_velocity_radps", np.float64, (6,)),
+            ("joint_position_rad", np.float64, (joints,)),
+            ("joint_velocity_radps", np.float64, (joints,)),
             ("image_new", np.bool_),
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),
@@ -119,7 +123,15 @@ def observation_dtype(hands: int) -> np.dtype[Any]:
 
 ANSWER = np.dtype([("stop", np.bool_), ("position_in_base_m", np.float64, (3,))], align=True)
 
-COMMAND = np.dtype([("joint_velocity_radps", np.float64, (6,)), ("protective_stop", np.bool_)], align=True)
+
+@lru_cache
+def command_dtype(joints: int = JOINTS) -> np.dtype[Any]:
+    """COMMAND to an arm with so many joints."""
+    fields = [("joint_velocity_radps", np.float64, (joints,)), ("protective_stop", np.bool_)]
+    return np.dtype(fields, align=True)
+
+
+COMMAND = command_dtype()
 
 Records = NDArray[np.void]
 ParameterRecords = NewType("ParameterRecords", Records)  # (1,) PARAMETERS
@@ -143,7 +155,7 @@ def overhead_transform_sensor_to_base(settings: Settings) -> NDArray[np.float64]
 
 def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[np.void]:
     """(1,) PARAMETERS from the settings, the arm and the desired view of the object."""
-    p = np.zeros(1, PARAMETERS)
+    p = np.zeros(1, parameters_dtype(len(arm.joint_names)))
     p["control_period_s"] = settings.clock.control_period_s
     p["chain"] = arm.chain
     p["joint_velocity_limit_radps"] = arm.velocity_limit_radps
@@ -156,15 +168,15 @@ def parameters(settings: Settings, arm: ArmModel, view: DesiredView) -> NDArray[
     for name in ("area", "depth_m", "features", "interaction", "interaction_pinv"):
         p[f"desired_{name}"] = getattr(view, name)
     for group in (settings.servo, settings.motion, settings.avoidance):
-        for name in PARAMETERS.names or ():
+        for name in p.dtype.names or ():
             if hasattr(group, name):
                 p[name] = getattr(group, name)
     return p
 
 
-def initial_state(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
+def initial_state(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> NDArray[np.void]:
     """(1,) STATE before the first observation: nothing seen, nothing known."""
-    s = np.zeros(1, state_dtype(hand_slots))
+    s = np.zeros(1, state_dtype(hand_slots, joints))
     s["predicted_distance_m"] = np.inf
     s["nearest_track"] = -1
     s["known_track_ids"] = -1

@@ -51,7 +51,7 @@ def begin_tick(
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
     p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
-    copy_matrix(s.link_transforms[7], s.transform_tcp_to_base)
+    copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
     see_object(parameters, states, observations)
     see_hands(parameters, filter_parameters, states, tracks, observations)
     s.limits = 0
@@ -156,7 +156,7 @@ def decide_mode(
 
     if s.mode == PROTECTIVE_STOP:
         still = True
-        for i in range(6):
+        for i in range(o.joint_velocity_radps.shape[0]):
             still = still and abs(o.joint_velocity_radps[i]) < STANDSTILL_RADPS
         if still and o.time_s - s.clear_since_s >= p.restart_delay_s - 1e-9:
             s.mode = SERVOING
@@ -245,21 +245,21 @@ def finish_tick(
         if s.mode != PROTECTIVE_STOP and not np.isnan(s.clear_since_s):
             s.clear_since_s = o.time_s  # the restart delay counts from this stop
         s.mode = PROTECTIVE_STOP
-    scale = 1.0
-    for i in range(6):
+    joints, scale = command.joint_velocity_radps.shape[0], 1.0
+    for i in range(joints):
         rate = abs(command.joint_velocity_radps[i])
         if rate > p.joint_velocity_limit_radps[i]:
             scale = min(scale, p.joint_velocity_limit_radps[i] / rate)
     if scale < 1.0:
         s.limits |= LIMIT_JOINT_SPEED
     command.protective_stop = s.mode == PROTECTIVE_STOP
-    for i in range(6):
+    for i in range(joints):
         command.joint_velocity_radps[i] *= scale
     for i in range(6):
         # while stopped the drives rule: go on from what the arm really does
         total = scale * twist[i]
         if command.protective_stop:
             total = 0.0
-            for j in range(6):
+            for j in range(joints):
                 total += jacobian[i, j] * o.joint_velocity_radps[j]
         s.previous_twist_in_base[i] = total

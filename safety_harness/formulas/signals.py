@@ -442,7 +442,7 @@ def _certified(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]
 @compiled
 def _bounds(
     arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
     hand_radius_m: float,

@@ -95,7 +95,7 @@ class ClearWays:
 
 
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The straight way to the position that decision ``number`` chose.  ``reach_m`` (6,)."""
+    """The straight way to the position that decision ``number`` chose.  ``reach_m`` (joints,)."""
     decision = trace.decisions[number]
     arm = load_arm(trace.scenario.robot.arm_name)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
@@ -106,7 +106,7 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
-    """The true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (6,)."""
+    """The true way from decision ``number`` to the end of its repulsion.  ``reach_m`` (joints,)."""
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
@@ -144,7 +144,7 @@ CLEAR_WAYS = CatalogueEntry(
 
 
 def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 3) clearance from the table, the object and the robot itself at each of ``joints_rad`` (n, 6).
+    """(n, 3) clearance from the table, the object and the robot itself at each of ``joints_rad`` (n, joints).
 
     Capsules enclose the links and the camera, so that no clearance is longer than the true one;
     negative in penetration (of the object, which is flat, by the radius at most).  The table is its
@@ -160,7 +160,7 @@ def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.fl
 @compiled
 def _clearances(
     arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
     table_m: float,
     polygon: NDArray[np.float64],  # (m, 3)
 ) -> NDArray[np.float64]:
@@ -169,7 +169,8 @@ def _clearances(
     min over capsules with axis c and radius r of min c_z - r - table, |c, polygon| - r; ``wrist_distance``.
     """
     found = np.full((joints_rad.shape[0], 3), np.inf)
-    transforms, ends = np.empty((8, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    frames = arm.chain[0].joint_axes.shape[0] + 2
+    transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     for k in range(joints_rad.shape[0]):
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)

@@ -210,14 +210,14 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
 
 @compiled
 def _joint_bends(
-    rates_radps: NDArray[np.float64],  # (n, 6)
-    reach_m: NDArray[np.float64],  # (6,)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+    reach_m: NDArray[np.float64],  # (joints,)
     period_s: float,
 ) -> NDArray[np.float64]:
     """(n-1,) dt/4 sum over joints of |q'_(k+1) - q'_k| l [m], with l of ``chain_lengths``."""
     found = np.zeros(max(rates_radps.shape[0] - 1, 0))
     for k in range(found.shape[0]):
-        for joint in range(6):
+        for joint in range(reach_m.shape[0]):
             found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * reach_m[joint]
         found[k] *= period_s / 4.0
     return found
@@ -226,7 +226,7 @@ def _joint_bends(
 @compiled
 def _closest_in_trace(
     arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
     distance_m: NDArray[np.float64],  # (n,) at the ticks, inf elsewhere
@@ -246,7 +246,8 @@ def _closest_in_trace(
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
-    transforms, ends = np.empty((8, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    frames = arm.chain[0].joint_axes.shape[0] + 2
+    transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
     k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
     while k < distance_m.shape[0] - 1:
@@ -287,15 +288,15 @@ def _closest_in_trace(
 
 @compiled
 def _displacement(
-    joints_rad: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
-    reach_m: NDArray[np.float64],  # (6,)
+    reach_m: NDArray[np.float64],  # (joints,)
     k: int,
 ) -> float:
     """By how much [m] a distance can change from instant k to the next, at most."""
     arm, hand, elbow = 0.0, 0.0, 0.0
-    for i in range(6):
+    for i in range(reach_m.shape[0]):
         arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
     for i in range(3):
         hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2

@@ -134,9 +134,9 @@ class TcpSpeedLimit:
 
 @compiled
 def _least_angle_left(
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    lower_rad: NDArray[np.float64],  # (6,)
-    upper_rad: NDArray[np.float64],  # (6,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    lower_rad: NDArray[np.float64],  # (joints,)
+    upper_rad: NDArray[np.float64],  # (joints,)
 ) -> tuple[float, int, int]:
     """(angle, tick, joint), the first of equals."""
     least, tick, joint = np.inf, 0, 0
@@ -150,10 +150,10 @@ def _least_angle_left(
 
 @compiled
 def _least_speed_left(
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    rates_radps: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
     time_s: NDArray[np.float64],  # (n,)
-    limit_radps: NDArray[np.float64],  # (6,)
+    limit_radps: NDArray[np.float64],  # (joints,)
 ) -> tuple[float, int, int, int]:
     """(speed, tick, joint), the first of equals; and the number of ticks at which a joint turns."""
     least, tick, joint, turning = np.inf, 0, 0, 0
@@ -291,7 +291,7 @@ class TcpAcceleration:
 
 @compiled
 def _hardest_of_joints(
-    rates_radps: NDArray[np.float64],  # (n, 6)
+    rates_radps: NDArray[np.float64],  # (n, joints)
     period_s: float,
 ) -> tuple[float, int, int, int]:
     """(acceleration, tick before it, joint), the first of equals; and how many ticks with a turn."""
@@ -312,8 +312,8 @@ def _hardest_of_joints(
 @compiled
 def _hardest_of_tcp(
     arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    rates_radps: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
 ) -> tuple[float, int]:
     """The largest change [m/s] of the TCP's velocity from a tick to the next, and the first with it.
 
@@ -325,7 +325,7 @@ def _hardest_of_tcp(
         most[k] = faster_mps(joints_rad, rates_radps, arm.reach_m, k, k + 1) + ROUNDING_MPS
         if most[k] > most[first]:
             first = k
-    links = np.empty((8, 4, 4))
+    links = np.empty((arm.chain[0].joint_axes.shape[0] + 2, 4, 4))
     best, tick, known = -1.0, -1, -1  # the tick whose velocity is (x, y, z)
     x = y = z = 0.0
     for step in range(-1, n - 1):

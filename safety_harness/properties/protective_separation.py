@@ -200,7 +200,7 @@ def moving(trace: Trace) -> NDArray[np.bool_]:
 
 @compiled
 def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) is any |q'| of ``rates_radps`` (n, 6) at least STANDSTILL_RADPS?"""
+    """(n,) is any |q'| of ``rates_radps`` (n, joints) at least STANDSTILL_RADPS?"""
     turns = np.zeros(rates_radps.shape[0], np.bool_)
     for k in range(rates_radps.shape[0]):
         for joint in range(rates_radps.shape[1]):

@@ -120,8 +120,8 @@ def lengths(
 def least_separation(
     arm: Arm,
     judged: NDArray[np.bool_],  # (n,) which ticks count
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    rates_radps: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
     present: NDArray[np.bool_],  # (n, hands)
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3): hand and elbow
     reaction_s: NDArray[np.float64],  # (n,) what is left of the reaction time
@@ -143,9 +143,9 @@ def least_separation(
     The trace's own distances are not believed.
     """
     which, what = np.full(4, -1), np.full(5, np.nan)
-    capsules = arm.capsules.shape[0]
-    transforms, ends = np.empty((8, 4, 4)), np.empty((capsules, 2, 3))
-    twists, fastest_mps, velocities = np.empty((7, 6)), np.empty(capsules), np.empty((2, 3))
+    joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
+    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
+    twists, fastest_mps, velocities = np.empty((joints + 1, 6)), np.empty(capsules), np.empty((2, 3))
     apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
     thickest_m = max(body_radius_m[0], body_radius_m[1])
     least, good_enough = np.inf, np.inf
@@ -171,7 +171,7 @@ def least_separation(
         _twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
         looked, near_m, arm_mps = k, np.inf, 0.0
         for capsule in range(capsules):
-            link = min(arm.capsules[capsule].link_index, 6)
+            link = min(arm.capsules[capsule].link_index, joints)
             fastest_mps[capsule] = _fastest_end(twists[link], ends[capsule])
             if not fastest_mps[capsule] <= arm_mps:
                 arm_mps = fastest_mps[capsule]
@@ -208,7 +208,7 @@ def least_separation(
                     human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
                     if distance - human_m - most_arm_m > good_enough:
                         continue
-                    link = min(arm.capsules[capsule].link_index, 6)
+                    link = min(arm.capsules[capsule].link_index, joints)
                     robot[0], robot[1], robot[2] = _velocity(twists[link], robot)
                     robot_speed = _along(robot, apart, axes)
                     robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
@@ -230,10 +230,10 @@ def least_separation(
 
 @compiled
 def farthest_steps(
-    joints_rad: NDArray[np.float64],  # (n, 6)
+    joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
-    reach_m: NDArray[np.float64],  # (6,) of ``chain_lengths``
+    reach_m: NDArray[np.float64],  # (joints,) of ``chain_lengths``
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
 
@@ -243,7 +243,7 @@ def farthest_steps(
     arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
     for k in range(n - 1):
         farthest = 0.0
-        for i in range(6):
+        for i in range(reach_m.shape[0]):
             arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
         for hand in range(hands_m.shape[1]):
             if present[k, hand] != present[k + 1, hand]:
@@ -277,9 +277,9 @@ def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, bod
 
 @inlined
 def faster_mps(
-    joints_rad: NDArray[np.float64],  # (n, 6)
-    rates_radps: NDArray[np.float64],  # (n, 6)
-    reach_m: NDArray[np.float64],  # (6,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+    reach_m: NDArray[np.float64],  # (joints,)
     a: int,
     b: int,
 ) -> float:
@@ -290,9 +290,9 @@ def faster_mps(
     the chains of links from j, and from the farther out of i and j, to p.
     """
     faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
-    for i in range(6):
+    for i in range(reach_m.shape[0]):
         beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
-    for j in range(6):
+    for j in range(reach_m.shape[0]):
         turn = abs(joints_rad[b, j] - joints_rad[a, j])
         before += turn
         beyond -= turn * reach_m[j]
@@ -303,10 +303,10 @@ def faster_mps(
 
 @inlined
 def _twists(
-    joint_axes: NDArray[np.float64],  # (6, 3)
-    transforms: NDArray[np.float64],  # (8, 4, 4)
-    rates_radps: NDArray[np.float64],  # (6,)
-    twists: NDArray[np.float64],  # (7, 6), written
+    joint_axes: NDArray[np.float64],  # (joints, 3)
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    rates_radps: NDArray[np.float64],  # (joints,)
+    twists: NDArray[np.float64],  # (joints + 1, 6), written
 ) -> None:
     """Of each link: its angular velocity, and the velocity of its point at the base's origin.
 
@@ -314,7 +314,7 @@ def _twists(
     the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
     """
     twists[0] = 0.0
-    for joint in range(6):
+    for joint in range(joint_axes.shape[0]):
         frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
         wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
         wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])

@@ -54,12 +54,12 @@ class TrueMotion:
 
     @cached_property
     def joints_rad(self) -> NDArray[np.float64]:
-        """(n, 6)."""
+        """(n, joints)."""
         return self._ticks["joint_position_rad"]
 
     @cached_property
     def rates_radps(self) -> NDArray[np.float64]:
-        """(n, 6)."""
+        """(n, joints)."""
         return self._ticks["joint_velocity_radps"]
 
     @cached_property
@@ -217,7 +217,8 @@ def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
     """
     turned_rad, faster_radps = (trace.known.of(name).uncertainty for name in JOINTS)
     reach_m = arm_of(trace).reach_m
-    farther_m = np.array([reach_m[np.maximum(np.arange(6), j)].sum() for j in range(6)])
+    joints = np.arange(len(reach_m))
+    farther_m = np.array([reach_m[np.maximum(joints, j)].sum() for j in joints])
     rates_radps = np.nan_to_num(np.abs(true_motion(trace).rates_radps), nan=0.0, posinf=0.0)
     return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
 

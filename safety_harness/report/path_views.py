@@ -17,7 +17,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
 from safety_harness.report.words import with_minus
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
@@ -177,9 +177,7 @@ def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     joints = np.ascontiguousarray(trace.ticks["joint_position_rad"][moment.tick])
     if not np.all(np.isfinite(joints)):
         return
-    transforms = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.chain[0], joints, transforms)
-    points = transforms[:, :3, 3] * MM  # (8, 3)
+    points = links_in_base(arm, joints)[:, :3, 3] * MM  # (n + 2, 3)
     axes.line(points[:, 0], points[:, axis], Ink.ARM, width=7)
     axes.marks(points[:, 0], points[:, axis], "o", 4, fill=Ink.PAPER, edge=Ink.MUTED)
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import ArmModelError
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.robot.description import ArmModel, ChainRecords, load_arm
 from safety_harness.robot.distance import CAPSULE, CapsuleRecords, chain_lengths
 from safety_harness.robot.kinematics import FRAMES
@@ -180,7 +180,7 @@ class Arm(NamedTuple):
 
     chain: ChainRecords
     capsules: CapsuleRecords
-    reach_m: Array6  # of ``chain_lengths``
+    reach_m: ArrayN  # of ``chain_lengths``
 
 
 @lru_cache(maxsize=16)

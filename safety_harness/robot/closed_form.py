@@ -83,6 +83,8 @@ class ArmGeometry(Protocol):
 
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
+    if len(arm.joint_names) != 6:
+        raise ArmModelError(f"{arm.name}: {len(arm.joint_names)} joints, and the closed form is of 6")
     zero = np.empty((FRAMES, 4, 4))
     forward_kinematics(arm.chain[0], np.zeros(6), zero)
     axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])

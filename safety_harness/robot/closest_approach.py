@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
-from safety_harness.geometry.arrays import Array2x3, Array3, Array6, ArrayNx2x3
+from safety_harness.geometry.arrays import Array2x3, Array3, ArrayN, ArrayNx2x3
 from safety_harness.geometry.linear import copy_matrix
 from safety_harness.geometry.segments import ROUNDING_M, segment_segment_vector
 from safety_harness.robot.capsules import Arm
@@ -25,8 +25,8 @@ MAX_BISECTIONS = 48  # halvings of an interval: far below any tolerance that flo
 def closest_approach_between(
     arm: Arm,
     room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, n, 2, 3), overwritten
-    q0: Array6,
-    q1: Array6,
+    q0: ArrayN,
+    q1: ArrayN,
     hand0: Array3,
     hand1: Array3,
     elbow0: Array3,
@@ -53,18 +53,19 @@ def closest_approach_between(
     if not tolerance_m > 0.0:
         raise ValueError("tolerance_m must be positive")
     bend = _bend(arm.reach_m, q0, q1)
-    transforms = np.empty((8, 4, 4))
+    n = arm.chain[0].joint_axes.shape[0]
+    transforms = np.empty((n + 2, 4, 4))
     # capsules at the left end, and at the right ends still to be reached
     left_m, right_m = room[MAX_BISECTIONS], room[:MAX_BISECTIONS]
     at = np.empty(MAX_BISECTIONS)
-    joints = np.empty(6)
+    joints = np.empty(n)
     hands = np.empty((3, 2, 3))  # hand and elbow at the left end, at the right end, in between
     left, t_best, best, lower, first, last = 0.0, 0.0, np.inf, np.inf, np.nan, np.nan
     depth = 0
     t_next = 0.0
     while True:
         # Sample at t_next: first 0, then 1, then the middles of intervals that must be halved.
-        for i in range(6):
+        for i in range(n):
             joints[i] = q0[i] + t_next * (q1[i] - q0[i])
         forward_kinematics(arm.chain[0], joints, transforms)
         sample = left_m if t_next == 0.0 else right_m[depth]
@@ -135,7 +136,7 @@ def _hand_at(
 
 
 @njit_no_nrt
-def _bend(reach_m: Array6, q0: Array6, q1: Array6) -> float:
+def _bend(reach_m: ArrayN, q0: ArrayN, q1: ArrayN) -> float:
     """Bound on |d^2 p / dt^2| [m] of every point p on a capsule's axis, t from 0 to 1.
 
     B = sum over joints i, j of |dq_i dq_j| l_max(i, j), with l of ``chain_lengths``.  For i <= j, d^2 p /
@@ -143,11 +144,11 @@ def _bend(reach_m: Array6, q0: Array6, q1: Array6) -> float:
     chain of links from joint j to p.  A point that bends by no more than b leaves the chord of an interval of
     length h by at most b h^2 / 8.
 
-    ``reach_m``, ``q0`` and ``q1`` (6,).
+    ``reach_m``, ``q0`` and ``q1`` (n,).
     """
     bend = 0.0
-    for i in range(6):
-        for j in range(6):
+    for i in range(reach_m.shape[0]):
+        for j in range(reach_m.shape[0]):
             bend += abs((q1[i] - q0[i]) * (q1[j] - q0[j])) * reach_m[max(i, j)]
     return bend
 

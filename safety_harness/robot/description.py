@@ -27,23 +27,26 @@ BEYOND = 1.2  # of a principal moment over the others' sum: published ones are o
 SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
 
 
-JOINTS = 6  # that compiled code takes
-CHAIN = np.dtype(
-    [
-        ("joint_origins", np.float64, (JOINTS, 4, 4)),
-        ("joint_axes", np.float64, (JOINTS, 3)),
-        ("flange", np.float64, (4, 4)),
-    ],
-    align=True,
-)
-ChainRecords = NDArray[np.void]  # (1,) CHAIN
+def chain_of(joints: int) -> np.dtype[np.void]:
+    """The record of a chain of so many joints: its size is part of the type of code compiled for it."""
+    return np.dtype(
+        [
+            ("joint_origins", np.float64, (joints, 4, 4)),
+            ("joint_axes", np.float64, (joints, 3)),
+            ("flange", np.float64, (4, 4)),
+        ],
+        align=True,
+    )
+
+
+ChainRecords = NDArray[np.void]  # (1,) of chain_of(n)
 
 
 class Chain(Protocol):
-    """One record of CHAIN, as compiled code reads it; the arrays are those of ``ArmModel``."""
+    """One record of a chain, as compiled code reads it; the arrays are those of ``ArmModel``."""
 
-    joint_origins: NDArray[np.float64]  # (6, 4, 4)
-    joint_axes: NDArray[np.float64]  # (6, 3)
+    joint_origins: NDArray[np.float64]  # (n, 4, 4)
+    joint_axes: NDArray[np.float64]  # (n, 3)
     flange: NDArray[np.float64]  # (4, 4)
 
 
@@ -105,14 +108,9 @@ class ArmModel:
 
     @cached_property
     def chain(self) -> ChainRecords:
-        """(1,) CHAIN: joint frames, axes and flange for compiled code, read-only.
-
-        ``ArmModelError`` for an arm of other than six joints: a kernel would pass over the others.
-        """
-        if len(self.joint_names) != JOINTS:
-            raise ArmModelError(f"{self.name}: {len(self.joint_names)} joints, and what runs takes {JOINTS}")
-        chain = np.zeros(1, CHAIN)
-        for name in CHAIN.names or ():
+        """(1,) of ``chain_of(n)``: joint frames, axes and flange for compiled code, read-only."""
+        chain = np.zeros(1, chain_of(len(self.joint_names)))
+        for name in chain.dtype.names or ():
             chain[name] = getattr(self, name)
         chain.setflags(write=False)
         return chain

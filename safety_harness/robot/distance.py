@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
-from safety_harness.geometry.arrays import Array3, Array8x4x4, ArrayNx2x3
+from safety_harness.geometry.arrays import Array3, ArrayNx2x3, ArrayNx4x4
 from safety_harness.geometry.segments import point_segment_distance, segment_segment_distance
 from safety_harness.robot.description import ChainRecords
 
@@ -30,11 +30,11 @@ CapsuleRecords = NDArray[np.void]  # (n,) CAPSULE
 
 @inlined
 def place_capsules(
-    capsules: CapsuleRecords, transforms: Array8x4x4, capsule_endpoints_in_base_m_out: ArrayNx2x3
+    capsules: CapsuleRecords, transforms: ArrayNx4x4, capsule_endpoints_in_base_m_out: ArrayNx2x3
 ) -> None:
     """Fill ``capsule_endpoints_in_base_m_out`` (n, 2, 3) with the axis ends of ``capsules`` (n,) CAPSULE.
 
-    p_base = T_link p_link for start and end, with ``transforms`` T (8, 4, 4) of ``forward_kinematics``.
+    p_base = T_link p_link for start and end, with ``transforms`` T (n + 2, 4, 4) of ``forward_kinematics``.
     """
     for k in range(capsules.shape[0]):
         capsule = capsules[k]
@@ -99,14 +99,15 @@ def segment_length(start: Array3, end: Array3) -> float:
 
 @compiled
 def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.float64]:
-    """(6,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves.
+    """(n,) lengths [m] of the chain of links from each joint to the farthest capsule axis that it moves.
 
     l_j = max over capsules and their ends p of |p| + sum of |o_i| over the joints i between j and the link,
     with o_i the step from joint i - 1 to i: no joint position takes p farther from joint j.  ``chains`` (1,)
-    CHAIN, ``capsules`` (n,) CAPSULE.
+    of n joints, ``capsules`` (n,) CAPSULE.
     """
     origins, flange = chains[0].joint_origins, chains[0].flange
-    longest = np.zeros(6)  # from joint j to any point that it moves
+    n = origins.shape[0]
+    longest = np.zeros(n)  # from joint j to any point that it moves
     for k in range(capsules.shape[0]):
         capsule = capsules[k]
         start = end = length = 0.0
@@ -114,9 +115,9 @@ def chain_lengths(chains: ChainRecords, capsules: CapsuleRecords) -> NDArray[np.
             start += capsule.start_in_link[i] ** 2
             end += capsule.end_in_link[i] ** 2
         length = sqrt(max(start, end))
-        if capsule.link_index == 7:
+        if capsule.link_index == n + 1:
             length += sqrt(flange[0, 3] ** 2 + flange[1, 3] ** 2 + flange[2, 3] ** 2)
-        for joint in range(min(capsule.link_index, 6) - 1, -1, -1):
+        for joint in range(min(capsule.link_index, n) - 1, -1, -1):
             longest[joint] = max(longest[joint], length)
             x, y, z = origins[joint, 0, 3], origins[joint, 1, 3], origins[joint, 2, 3]
             length += sqrt(x * x + y * y + z * z)

@@ -8,38 +8,45 @@ begun it is carried through to standstill, whatever the controller asks for mean
 
 from __future__ import annotations
 
-from typing import NewType
+from functools import lru_cache
+from typing import Any, NewType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.geometry.linear import copy_vector
 from safety_harness.settings import Settings
 
-DRIVE = np.dtype(
-    [
-        ("control_period_s", np.float64),
-        ("reaction_time_s", np.float64),
-        ("stop_time_base_s", np.float64),
-        ("stop_time_per_speed_s2pm", np.float64),
-        ("setpoint_radps", np.float64, (6,)),  # what the drives were told last
-        ("stopping", np.bool_),
-        ("requested_at_s", np.float64),
-        ("braking", np.bool_),  # the reaction time is over
-        ("braking_from_s", np.float64),
-        ("stop_time_s", np.float64),
-        ("braking_from_radps", np.float64, (6,)),
-    ],
-    align=True,
-)
+
+@lru_cache
+def drive_dtype(joints: int) -> np.dtype[Any]:
+    """DRIVE of an arm with so many joints."""
+    return np.dtype(
+        [
+            ("control_period_s", np.float64),
+            ("reaction_time_s", np.float64),
+            ("stop_time_base_s", np.float64),
+            ("stop_time_per_speed_s2pm", np.float64),
+            ("setpoint_radps", np.float64, (joints,)),  # what the drives were told last
+            ("stopping", np.bool_),
+            ("requested_at_s", np.float64),
+            ("braking", np.bool_),  # the reaction time is over
+            ("braking_from_s", np.float64),
+            ("stop_time_s", np.float64),
+            ("braking_from_radps", np.float64, (joints,)),
+        ],
+        align=True,
+    )
+
+
 DriveRecords = NewType("DriveRecords", NDArray[np.void])  # (1,) DRIVE
 
 
-def drive(settings: Settings) -> DriveRecords:
-    """Drives at rest."""
-    drives = np.zeros(1, DRIVE)
+def drive(settings: Settings, joints: int) -> DriveRecords:
+    """Drives of so many joints, at rest."""
+    drives = np.zeros(1, drive_dtype(joints))
     drives["control_period_s"] = settings.clock.control_period_s
     for name in ("reaction_time_s", "stop_time_base_s", "stop_time_per_speed_s2pm"):
         drives[name] = getattr(settings.braking, name)
@@ -48,7 +55,7 @@ def drive(settings: Settings) -> DriveRecords:
 
 @compiled
 def drive_tick(
-    drives: DriveRecords, demanded_radps: Array6, protective_stop: bool, tcp_speed_mps: float, time_s: float
+    drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
     """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
 
@@ -78,6 +85,6 @@ def drive_tick(
             d.stopping = False
             copy_vector(demanded_radps, d.setpoint_radps)
             return False
-        for i in range(6):
+        for i in range(d.setpoint_radps.shape[0]):
             d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)
     return True

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.compiled import compiled, inlined
-from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, Array8x4x4, ArrayNx6
+from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, ArrayNx4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.closed_form import AT_ONCE, ArmGeometryRecords, arm_geometry, candidate_branches
@@ -137,7 +137,7 @@ def _wrapped(angle: float) -> float:
 
 
 @compiled
-def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Array8x4x4) -> bool:
+def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
     """Whether ``joints`` (6,), wrapped and if need be polished, give ``pose`` to EXACT_POSE in every entry.
 
     Near a singularity rounding of the pose moves joints by its root: the steps of ``_polish`` mend that.
@@ -158,7 +158,7 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
 
 
 @compiled
-def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Array8x4x4) -> bool:
+def _polish(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: ArrayNx4x4) -> bool:
     """A damped Newton step of ``joints`` towards ``pose``: (J^T J + d^2 I) dq = J^T e.
 
     e = (p* - p, log(R* R^T)) as in ``follow_pose``; ``transforms`` are those of ``joints``.
@@ -242,13 +242,13 @@ def _straight_reach(
 
     In steps of s: halved at each failure of ``follow_pose`` or ``_acceptable``, doubled at each success.
     """
-    transforms = np.empty((8, 4, 4))
+    transforms = np.empty((FRAMES, 4, 4))
     jacobian = np.empty((6, 6))
     forward_kinematics(chains[0], start_rad, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     if not _acceptable(start_rad, lower_rad, upper_rad, jacobian, min_singular_value):
         return 0.0
-    start_pose = transforms[7].copy()
+    start_pose = transforms[TCP].copy()
     target = start_pose.copy()
     joints = start_rad.copy()
     trial = np.empty(6)
@@ -284,7 +284,7 @@ def _acceptable(
 
 @compiled
 def follow_pose(
-    chains: ChainRecords, target: Array4x4, joints: Array6, transforms: Array8x4x4, jacobian: Array6x6
+    chains: ChainRecords, target: Array4x4, joints: Array6, transforms: ArrayNx4x4, jacobian: Array6x6
 ) -> bool:
     """Newton's method from ``joints`` (overwritten) to the pose ``target`` on the same branch.
 
@@ -301,7 +301,7 @@ def follow_pose(
     for iteration in range(8):
         forward_kinematics(chains[0], joints, transforms)
         geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
-        pose_error(target, transforms[7], step)
+        pose_error(target, transforms[TCP], step)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))
@@ -351,9 +351,9 @@ def straight_way(
 @compiled
 def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
     """(k, 6) joints at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
-    transforms, jacobian = np.empty((8, 4, 4)), np.empty((6, 6))
+    transforms, jacobian = np.empty((FRAMES, 4, 4)), np.empty((6, 6))
     forward_kinematics(chains[0], start_rad, transforms)
-    start_pose = transforms[7].copy()
+    start_pose = transforms[TCP].copy()
     target, joints = start_pose.copy(), start_rad.copy()
     squared = 0.0
     for i in range(3):

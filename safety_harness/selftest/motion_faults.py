@@ -81,7 +81,7 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
     """A protective stop is not carried out: the drives go on as before, at a share of the speed."""
-    before: list[NDArray[np.float64]] = [np.zeros(6)]
+    before: list[NDArray[np.float64]] = [np.zeros_like(admitted.joint_position_rad)]
 
     def obey(command: Records) -> Records:
         if command[0]["protective_stop"]:

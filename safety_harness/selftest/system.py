@@ -20,7 +20,7 @@ from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.cycle import ControllerRecords
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.simulation.simulate import INTERRUPTED, simulate
 from safety_harness.simulation.world import World
 from safety_harness.simulation.worlds import KINEMATIC, WorldEntry
@@ -72,7 +72,7 @@ class ChangedSystem:
         """With commands changed between the controller and the world."""
         return self.with_world(lambda world: WorldWrapper(world, obey=make(self.admitted)))
 
-    def starting_at(self, joint_position_rad: Array6) -> ChangedSystem:
+    def starting_at(self, joint_position_rad: ArrayN) -> ChangedSystem:
         """With the arm at other joints at the start."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import SimulationError
-from safety_harness.geometry.arrays import Array4x4, Array6
+from safety_harness.geometry.arrays import Array4x4, ArrayN
 from safety_harness.perception.detector import (
     HAND_COLOUR_RGBA,
     OBJECT_RGB,
@@ -61,14 +61,14 @@ def build_cell(
     client: int,
     settings: Settings,
     arm: ArmModel,
-    joint_position_rad: Array6,
+    joint_position_rad: ArrayN,
     *,
     rendered: bool,
     hands: int = 2,
 ) -> Bodies:
     """Load everything into ``client``; visual meshes, and ``hands``, only when images are ``rendered``.
 
-    ``joint_position_rad`` (6,).
+    ``joint_position_rad`` (n,).
     """
     pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
     pybullet.setTimeStep(

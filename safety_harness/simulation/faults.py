@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.records import FaultRecords
-from safety_harness.geometry.arrays import Array3, Array4x4, Array6, ArrayNx3
+from safety_harness.geometry.arrays import Array3, Array4x4, ArrayN, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.pyramids import segment_pyramid_distance
 from safety_harness.geometry.rotations import rotation_from_vector
@@ -180,7 +180,7 @@ def shift_boxes(
 
 
 @compiled
-def hold_joints(faults: FaultRecords, velocity_radps: Array6, time_s: float) -> int:
+def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
     """Set what the motors of stuck joints are told to zero."""
     for k in range(faults.shape[0]):
         if acts(faults, k, FaultKind.JOINT_STUCK, time_s):

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from safety_harness.controller.records import CommandRecords
 from safety_harness.exceptions import SimulationError
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
 from safety_harness.perception.moments import MOMENT_COUNT
@@ -44,7 +44,7 @@ class PyBulletWorld(RecordedWorld):
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: Array6,
+        joint_position_rad: ArrayN,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> None:
@@ -54,7 +54,7 @@ class PyBulletWorld(RecordedWorld):
         self._render_object = settings.camera.source is ImageSource.RENDERED
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
-        self._commanded_radps = np.empty(6)
+        self._commanded_radps = np.empty(len(arm.joint_names))
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
             raise SimulationError("PyBullet gave no client")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from safety_harness.controller.records import (
     observation_dtype,
     overhead_transform_sensor_to_base,
 )
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import CapsuleRecords
@@ -26,18 +27,22 @@ from safety_harness.simulation.steps import ArmRecords, ClockRecords, Floats, Tr
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.records import as_compiled, tick_dtype
 
-CLOCK = np.dtype(
-    [
-        ("tick", np.int64),
-        ("control_period_s", np.float64),
-        ("acted_faults", np.int64),  # bits, since the last observation was asked for
-        # what a step works with
-        ("tcp_in_base_m", np.float64, (3,)),  # before it
-        ("commanded_radps", np.float64, (6,)),  # the motors
-        ("joint_position_rad", np.float64, (6,)),  # after it
-    ],
-    align=True,
-)
+
+@lru_cache
+def clock_dtype(joints: int) -> np.dtype[Any]:
+    """CLOCK of a world whose arm has so many joints."""
+    return np.dtype(
+        [
+            ("tick", np.int64),
+            ("control_period_s", np.float64),
+            ("acted_faults", np.int64),  # bits, since the last observation was asked for
+            # what a step works with
+            ("tcp_in_base_m", np.float64, (3,)),  # before it
+            ("commanded_radps", np.float64, (joints,)),  # the motors
+            ("joint_position_rad", np.float64, (joints,)),  # after it
+        ],
+        align=True,
+    )
 
 
 class WorldRecords(NamedTuple):
@@ -66,26 +71,27 @@ class WorldRecords(NamedTuple):
     uniforms: Floats  # (frames, boxes)
 
 
-def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: Array6) -> WorldRecords:
-    """As the scenario begins, the arm at rest at ``joint_position_rad`` (6,)."""
+def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> WorldRecords:
+    """As the scenario begins, the arm at rest at ``joint_position_rad`` (n,)."""
     settings, slots = scenario.settings, scenario.hand_slots
-    clock = np.zeros(1, CLOCK)
+    joints = len(arm.joint_names)
+    clock = np.zeros(1, clock_dtype(joints))
     clock["control_period_s"] = settings.clock.control_period_s
     capsules = cell_capsules(load_capsules(arm.name), settings)
     hands = hands_at_start(scenario)
     records = WorldRecords(
-        drive(settings),
+        drive(settings, joints),
         hands.moves,
         hands.samples,
         ArmRecords(arm_record(arm, settings)),
-        TruthRecords(as_compiled(np.zeros(1, tick_dtype(slots)))),
+        TruthRecords(as_compiled(np.zeros(1, tick_dtype(slots, joints)))),
         hands.state,
         capsules.records,
         np.empty((len(capsules.names), 2, 3)),
         ClockRecords(clock),
         FaultRecords(fault_table(scenario.faults)),
-        ObservationRecords(np.zeros(1, observation_dtype(slots))),
+        ObservationRecords(np.zeros(1, observation_dtype(slots, joints))),
         *sensors(settings, scenario.seed, scenario.ticks, overhead_transform_sensor_to_base(settings), slots),
     )
-    fill_truth(*records[3:8], np.array(joint_position_rad, dtype=np.float64), np.zeros(6), 0.0)
+    fill_truth(*records[3:8], np.array(joint_position_rad, dtype=np.float64), np.zeros(joints), 0.0)
     return records

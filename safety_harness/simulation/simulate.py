@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.controller import AvoidingServo, Controller
+from safety_harness.robot.description import load_arm
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
@@ -31,7 +32,7 @@ def simulate(
     ``on_tick`` is told the number of ticks done, for progress.  Ctrl-C between ticks ends the run
     early: the trace then says that it was interrupted, and no property takes it for a safe one.
     """
-    ticks = np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots))
+    ticks = _no_ticks(scenario)
     done, ended = 0, "complete"
     try:
         for k in range(len(ticks)):
@@ -51,6 +52,12 @@ def simulate(
         ended = INTERRUPTED
     # no copy of the ticks: that would fill the padding between fields with anything
     return _trace(scenario, world, controller, ticks[:done], ended)
+
+
+def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
+    """(n,) TICK of its hands and its arm, to be filled."""
+    joints = len(load_arm(scenario.robot.arm_name).joint_names)
+    return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
 
 def _trace(
@@ -80,7 +87,7 @@ class Episode:
     observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
 
     def __post_init__(self) -> None:
-        self.ticks = np.zeros(self.scenario.ticks + 1, tick_dtype(self.scenario.hand_slots))
+        self.ticks = _no_ticks(self.scenario)
 
     def advance(self) -> bool:
         """On to the next decision (True) or to the end (False)."""

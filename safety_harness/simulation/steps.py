@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import inlined
 from safety_harness.controller.records import CommandRecords, FaultRecords, ObservationRecords
-from safety_harness.geometry.arrays import Array6, Array31, ArrayNx2x3, ArrayNx3
+from safety_harness.geometry.arrays import Array31, ArrayN, ArrayNx2x3, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.distance import CapsuleRecords
@@ -218,7 +218,7 @@ def drive_on(
     clocks: ClockRecords,
     faults: FaultRecords,
     commands: CommandRecords,
-    commanded_radps: Array6,
+    commanded_radps: ArrayN,
 ) -> bool:
     """Fill what the motors are told, ``commanded_radps``, by a command; True while the brakes act."""
     command, time_s = commands[0], now_s(clocks)
@@ -241,8 +241,8 @@ def move_on(
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,
     clocks: ClockRecords,
-    joints_rad: Array6,
-    joints_radps: Array6,
+    joints_rad: ArrayN,
+    joints_radps: ArrayN,
 ) -> None:
     """A control period later: the hands have moved, the joints are there; write the truth of then."""
     clock = clocks[0]

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import njit_no_nrt
-from safety_harness.geometry.arrays import Array6, ArrayNx2x3
+from safety_harness.geometry.arrays import ArrayN, ArrayNx2x3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
-from safety_harness.robot.description import CHAIN, ArmModel
+from safety_harness.robot.description import ArmModel, chain_of
 from safety_harness.robot.distance import CapsuleRecords, hand_distance, place_capsules
-from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
+from safety_harness.robot.kinematics import TCP, forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
 from safety_harness.simulation.hand_motion import HandRecords
 
-ARM = np.dtype(
-    [
-        ("chain", CHAIN),
-        ("hand_radius_m", np.float64),
-        ("forearm_radius_m", np.float64),
-        ("link_transforms", np.float64, (8, 4, 4)),  # the arm's true pose, as of the last tick
-    ],
-    align=True,
-)
+
+@lru_cache
+def arm_dtype(joints: int) -> np.dtype[Any]:
+    """ARM with so many joints."""
+    return np.dtype(
+        [
+            ("chain", chain_of(joints)),
+            ("hand_radius_m", np.float64),
+            ("forearm_radius_m", np.float64),
+            ("link_transforms", np.float64, (joints + 2, 4, 4)),  # the arm's true pose, as of the last tick
+        ],
+        align=True,
+    )
 
 
 def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
@@ -35,7 +40,7 @@ def arm_record(arm: ArmModel, settings: Settings) -> NDArray[np.void]:
 
 @lru_cache(maxsize=16)
 def _arm_record(arm: ArmModel, hand: Hand) -> NDArray[np.void]:
-    record = np.zeros(1, ARM)
+    record = np.zeros(1, arm_dtype(len(arm.joint_names)))
     record["chain"] = arm.chain
     record["hand_radius_m"] = hand.radius_m
     record["forearm_radius_m"] = hand.forearm_radius_m
@@ -57,7 +62,7 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
     half_m = 0.045 - radius_m
-    return capsules.with_capsule("camera", 7, offset - half_m * along, offset + half_m * along, radius_m)
+    return capsules.with_capsule("camera", TCP, offset - half_m * along, offset + half_m * along, radius_m)
 
 
 @njit_no_nrt
@@ -67,8 +72,8 @@ def fill_truth(
     hands: HandRecords,
     capsules: CapsuleRecords,
     capsule_endpoints_in_base_m: ArrayNx2x3,  # written
-    joint_position_rad: Array6,
-    joint_velocity_radps: Array6,
+    joint_position_rad: ArrayN,
+    joint_velocity_radps: ArrayN,
     time_s: float,
 ) -> None:
     """Write the truth part of a tick, and the capsules and link poses for the sensors."""
@@ -77,7 +82,7 @@ def fill_truth(
     copy_vector(joint_position_rad, tick.joint_position_rad)
     copy_vector(joint_velocity_radps, tick.joint_velocity_radps)
     forward_kinematics(arm.chain, joint_position_rad, arm.link_transforms)
-    copy_matrix(arm.link_transforms[7], tick.transform_tcp_to_base)
+    copy_matrix(arm.link_transforms[arm.chain.joint_axes.shape[0] + 1], tick.transform_tcp_to_base)
     x, y, z = tcp_velocity(arm.chain.joint_axes, arm.link_transforms, joint_velocity_radps)
     tick.tcp_speed_mps = np.sqrt(x * x + y * y + z * z)
     place_capsules(capsules, arm.link_transforms, capsule_endpoints_in_base_m)

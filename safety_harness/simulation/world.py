@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.exceptions import InadmissibleError
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.settings import DetectorKind, ImageSource
 from safety_harness.simulation.records import world_records
 from safety_harness.simulation.steps import now_s, sense
@@ -87,7 +87,7 @@ class RecordedWorld:
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: Array6,
+        joint_position_rad: ArrayN,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> None:

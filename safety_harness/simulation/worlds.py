@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from safety_harness.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
 from safety_harness.extras import IMAGES
 from safety_harness.extras import PYBULLET as PYBULLET_EXTRA
-from safety_harness.geometry.arrays import Array6
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.scenario.references import ONNX_SUFFIX
 from safety_harness.settings import DetectorKind, ImageSource
 
@@ -33,11 +33,11 @@ class OpensWorld(Protocol):
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: Array6,
+        joint_position_rad: ArrayN,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:
-        """One scenario with the arm at joints (6,) [rad]; ``detector`` is for rendered images of hands."""
+        """One scenario with the arm at joints (n,) [rad]; ``detector`` is for rendered images of hands."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class WorldEntry:
         self,
         scenario: Scenario,
         arm: ArmModel,
-        joint_position_rad: Array6,
+        joint_position_rad: ArrayN,
         *,
         detector: BoundingBoxDetector | None = None,
     ) -> AbstractContextManager[World]:

@@ -1,8 +1,9 @@
 """The layout of a trace: one record a control tick, one record a decision.
 
 Compiled code fills these records in place, so they are numpy structured types with fixed
-shapes.  How many hands a tick has room for is part of its type: compiled code takes it, as it takes
-every size, from the record that it is handed, so that what is kept of it is told apart by it.
+shapes.  How many hands a tick has room for, and how many joints the arm has, is part of its type: compiled
+code takes them, as it takes every size, from the record that it is handed, so that what is kept of it is told
+apart by them.
 Frames and units are in the field names; ``_in_base_`` is the robot's base frame.
 """
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from safety_harness.scenario.model import HAND_SLOTS
 
+JOINTS = 6  # of the shipped arms
 TRACKS_PER_HAND = 2  # and boxes in a frame: beside hands that are there, false ones and ones that left
 FAULT_CHARACTERS = 240
 ENDLESS = 1e100  # what is no less is as good as infinite: its square overflows
@@ -74,15 +76,18 @@ class Check(IntFlag):
 
 
 @lru_cache
-def tick_dtype(hands: int) -> np.dtype[Any]:
-    """A tick with room for so many hands, one of HAND_SLOTS, and TRACKS_PER_HAND tracks for each."""
+def tick_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
+    """A tick of an arm with so many joints.
+
+    It has room for so many hands, one of HAND_SLOTS, and TRACKS_PER_HAND tracks for each.
+    """
     tracks = TRACKS_PER_HAND * hands
     return np.dtype(
         [
             ("time_s", np.float64),
             # truth: the world at this instant
-            ("joint_position_rad", np.float64, (6,)),
-            ("joint_velocity_radps", np.float64, (6,)),
+            ("joint_position_rad", np.float64, (joints,)),
+            ("joint_velocity_radps", np.float64, (joints,)),
             ("transform_tcp_to_base", np.float64, (4, 4)),
             ("tcp_speed_mps", np.float64),
             ("hand_present", np.bool_, (hands,)),
@@ -102,7 +107,7 @@ def tick_dtype(hands: int) -> np.dtype[Any]:
             ("mode", np.int64),
             ("gain", np.float64),
             ("camera_twist", np.float64, (6,)),  # v, w of the camera in its own frame, as demanded
-            ("demanded_joint_velocity_radps", np.float64, (6,)),
+            ("demanded_joint_velocity_radps", np.float64, (joints,)),
             ("limits", np.int64),  # Limit flags
             ("faults", np.int64),  # bit k: fault k of the scenario acted at this tick
             ("decision", np.int64),  # index of the decision made at this tick, or -1
@@ -146,26 +151,35 @@ def as_numbers(ticks: NDArray[np.void]) -> NDArray[np.float64]:
     return np.ascontiguousarray(ticks).view(np.float64).reshape(len(ticks), ticks.dtype.itemsize // 8)
 
 
-DECISION = np.dtype(
-    [
-        ("tick", np.int64),  # at which its answer counts
-        ("time_s", np.float64),
-        ("asked_tick", np.int64),  # at which the avoider was asked
-        ("decision_time_s", np.float64),  # what it cost in simulated time, beside any fault; 0: not modelled
-        ("trigger", np.int64),
-        ("seed", np.int64),
-        ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand when the answer counts
-        ("tcp_position_in_base_m", np.float64, (3,)),
-        ("joint_position_rad", np.float64, (6,)),
-        ("proposed_position_in_base_m", np.float64, (3,)),  # the avoider's answer
-        ("proposed_spread_m", np.float64, (3,)),
-        ("spread_threshold_m", np.float64),  # the avoider's own; NaN for one without
-        ("opposite_position_in_base_m", np.float64, (3,)),
-        ("chosen_position_in_base_m", np.float64, (3,)),  # NaN when stopped
-        ("outcome", np.int64),
-        ("proposed_failed", np.int64),  # Check flags
-        ("opposite_failed", np.int64),  # Check flags
-        ("fault", np.str_, FAULT_CHARACTERS),  # why the avoider gave no usable answer; empty if it did
-    ],
-    align=True,
-)
+@lru_cache
+def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
+    """A decision of the controller of an arm with so many joints."""
+    return np.dtype(
+        [
+            ("tick", np.int64),  # at which its answer counts
+            ("time_s", np.float64),
+            ("asked_tick", np.int64),  # at which the avoider was asked
+            (
+                "decision_time_s",
+                np.float64,
+            ),  # what it cost in simulated time, beside any fault; 0: not modelled
+            ("trigger", np.int64),
+            ("seed", np.int64),
+            ("hand_position_in_base_m", np.float64, (3,)),  # nearest predicted hand when the answer counts
+            ("tcp_position_in_base_m", np.float64, (3,)),
+            ("joint_position_rad", np.float64, (joints,)),
+            ("proposed_position_in_base_m", np.float64, (3,)),  # the avoider's answer
+            ("proposed_spread_m", np.float64, (3,)),
+            ("spread_threshold_m", np.float64),  # the avoider's own; NaN for one without
+            ("opposite_position_in_base_m", np.float64, (3,)),
+            ("chosen_position_in_base_m", np.float64, (3,)),  # NaN when stopped
+            ("outcome", np.int64),
+            ("proposed_failed", np.int64),  # Check flags
+            ("opposite_failed", np.int64),  # Check flags
+            ("fault", np.str_, FAULT_CHARACTERS),  # why the avoider gave no usable answer; empty if it did
+        ],
+        align=True,
+    )
+
+
+DECISION = decision_dtype()

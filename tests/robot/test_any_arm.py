@@ -13,6 +13,7 @@ from urdfs import OTHERS
 
 from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.rotations import rotation_about
+from safety_harness.robot.closed_form import arm_geometry
 from safety_harness.robot.description import (
     PACKAGES,
     ArmModel,
@@ -132,9 +133,9 @@ def origin(joint: ElementTree.Element) -> np.ndarray:
     return frame
 
 
-def test_kernels_of_six_joints_are_given_no_arm_of_seven() -> None:
-    with pytest.raises(ArmModelError, match="panda: 7 joints, and what runs takes 6"):
-        _ = arm_named("panda").chain
+def test_the_closed_form_of_six_joints_is_given_no_arm_of_seven() -> None:
+    with pytest.raises(ArmModelError, match="panda: 7 joints, and the closed form is of 6"):
+        arm_geometry(arm_named("panda"))
 
 
 def test_a_panda_is_seven_joints_its_hand_and_no_fingers() -> None:

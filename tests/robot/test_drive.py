@@ -24,7 +24,7 @@ class Drives:
     """Drives on a clock of their own; ``history`` holds the set points, one row a tick."""
 
     def __init__(self) -> None:
-        self.record = drive(DEFAULTS)
+        self.record = drive(DEFAULTS, 6)
         self.tick = 0
         self.history: list[np.ndarray] = []
 
