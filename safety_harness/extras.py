@@ -81,6 +81,7 @@ IMAGES = Extra(
 )
 ONNX = Extra("onnx", ("onnxruntime",), "avoiders in FILE.onnx")
 LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"), "safety-harness train and export")
+FITTING = Extra("fitting", ("trimesh", "collada"), "safety-harness robot fit")
 EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="a .csv needs none")
 CLUSTER = Extra(
     "cluster",
@@ -88,4 +89,4 @@ CLUSTER = Extra(
     "campaigns on a Dask cluster",
     instead="without --cluster it runs on this machine",
 )
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, EXPORT, CLUSTER)
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER)

@@ -19,6 +19,7 @@ from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
+from safety_harness.cli.robot import commands as of_robots
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.cli.shipped import commands as of_shipped
@@ -37,6 +38,7 @@ for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selfte
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
+app.add_typer(of_robots, name="robot")
 app.add_typer(of_learning)
 
 

@@ -35,7 +35,7 @@ def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tu
 
 def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     """(n, hands) the ticks at which one of ``columns`` was not measured, of each hand that there may be."""
-    found = np.zeros(trace.ticks["hand_present"].shape, np.bool_)
+    found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.of(name).gaps:
             if gap.hand is None or gap.hand < len(trace.scenario.hands) or name == PRESENCE:

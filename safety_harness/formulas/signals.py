@@ -147,7 +147,7 @@ def hand_distance(trace: Trace) -> Sampled:
     "nearest hand to TCP",
     LENGTH,
     "from the TCP to the centre of the nearest true hand",
-    reads=["joint_position_rad", TCP, TCP_SPEED, HANDS, "elbow_position_in_base_m", PRESENCE],
+    reads=["joint_position_rad", TCP, TCP_SPEED, HANDS, PRESENCE],
     off=of_nearest_hand,
 )
 @lru_cache(maxsize=4)

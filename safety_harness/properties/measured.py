@@ -82,7 +82,7 @@ def reads(
 
 def columns_read_by(prop: Property) -> tuple[str, ...] | None:
     """The columns that it reads; None for one that does not say."""
-    said = getattr(prop, "reads", None) or getattr(prop.evaluate, "reads", None)
+    said = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
     return None if said is None else tuple(said)
 
 

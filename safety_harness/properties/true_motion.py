@@ -188,7 +188,7 @@ def first_stray(trace: Trace, paths: HandPaths) -> int | None:
         stored_m = stored_m[:, : moved_m.shape[1]].copy()
         for body, name in enumerate(BODIES):
             off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
-            same = ~known.measured(name, trace.ticks[name])[:, : off_m.shape[1]]
+            same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
             same |= off_m <= known.of(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
     stray = _first_stray(stored_m, moved_m)
@@ -381,12 +381,12 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
         within = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
         same = np.isclose(stored, true, rtol=0.0, atol=within, equal_nan=True)
         for column in () if known.whole else (name, *by):
-            measured = known.measured(column, trace.ticks[column])
+            measured = known.measured(column, trace.ticks)
             same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
         for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
             return wrong
     part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
-    beyond = (part >= parts) & known.measured("hand_distance_capsule", part)
+    beyond = (part >= parts) & known.measured("hand_distance_capsule", trace.ticks)
     for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
         return wrong
     stray = first_stray(trace, hand_paths(trace)) if len(trace.ticks) else None

@@ -212,7 +212,7 @@ def unpacked(values: dict[str, Any]) -> Evaluation:
     """The evaluation of such values."""
     parts = tuple(map(unpacked, values["parts"]))
     typed = {"verdict": Verdict(values["verdict"]), "unit": Unit[values["unit"]], "parts": parts}
-    return Evaluation(**values | typed)
+    return Evaluation(**values | typed | {"unmeasured": tuple(values["unmeasured"])})
 
 
 def junit_properties(test: TestRun) -> list[tuple[str, object]]:

@@ -1,32 +1,34 @@
 """Link capsules: few simple bodies that enclose every mesh of the arm.
 
-They are fitted once by ``python -m safety_harness.robot.fit_capsules`` and kept as JSON beside
-this file.  Distances to capsules are never longer than those to the meshes: the safe side.
+They are fitted once, by ``safety-harness robot fit``, and kept as JSON, those of the shipped arms beside this
+file.  Distances to capsules are never longer than those to the meshes: the safe side.
 """
 
 from __future__ import annotations
 
-import json
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.arrays import ArrayN
-from safety_harness.robot.description import TCP_LINK, ArmModel, ChainRecords, load_arm
+from safety_harness.robot.description import ArmModel, ChainRecords, load_arm
 from safety_harness.robot.distance import CAPSULE, CapsuleRecords, chain_lengths
 from safety_harness.robot.kinematics import FRAMES
+from safety_harness.robot.urdf import ArmFileError, read_bytes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CapsuleSet:
     """``n`` capsules, each fixed in one frame of forward kinematics; arrays are read-only.
 
-    ``link_index`` (n,) counts base_link as 0, the moving links 1 to 6 and the tcp as 7.
+    ``link_index`` (n,) counts the base as 0, then the moving links, and the tcp as ``frames`` - 1.
     ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of the axis, in that frame.
     """
 
@@ -35,6 +37,7 @@ class CapsuleSet:
     start_in_link: NDArray[np.float64]
     end_in_link: NDArray[np.float64]
     radius_m: NDArray[np.float64]
+    frames: int = FRAMES
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -43,8 +46,10 @@ class CapsuleSet:
             and self.start_in_link.shape == self.end_in_link.shape == (n, 3)
         ):
             raise ArmModelError(f"capsules: expected {n} of everything, one for each name")
-        if not ((self.link_index >= 0) & (self.link_index < FRAMES)).all():
-            raise ArmModelError(f"capsules: link indices must be 0 to {FRAMES - 1}, got {self.link_index}")
+        if not ((self.link_index >= 0) & (self.link_index < self.frames)).all():
+            raise ArmModelError(
+                f"capsules: link indices must be 0 to {self.frames - 1}, got {self.link_index}"
+            )
         ends = np.concatenate((self.start_in_link, self.end_in_link))
         if not (np.isfinite(ends).all() and np.isfinite(self.radius_m).all() and (self.radius_m > 0.0).all()):
             raise ArmModelError("capsules: ends must be finite and radii finite and positive")
@@ -70,32 +75,101 @@ class CapsuleSet:
             start_in_link=np.vstack((self.start_in_link, np.asarray(start, dtype=np.float64))),
             end_in_link=np.vstack((self.end_in_link, np.asarray(end, dtype=np.float64))),
             radius_m=np.append(self.radius_m, float(radius)),
+            frames=self.frames,
         )
 
 
+class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A capsule on file: the ends of its axis [m] in the frame of ``link``."""
+
+    name: str
+    link: str
+    start_in_link_m: tuple[float, float, float]
+    end_in_link_m: tuple[float, float, float]
+    radius_m: float
+
+
+class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A file of capsules, and what they were fitted to: SHA-256 of the URDF and of each mesh, by its name.
+
+    The shipped sets say none: their meshes lie beside them.
+    """
+
+    arm: str
+    capsules: list[StoredCapsule]
+    base: str = ""
+    tcp: str = ""
+    urdf_sha256: str = ""
+    meshes_sha256: dict[str, str] = {}
+
+    def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
+        """The capsules as bodies of ``arm``; ``ArmFileError`` if they cannot be."""
+        frames = (*arm.link_names, arm.tcp_link)
+        other = {one.link for one in self.capsules}.difference(frames)
+        if other or not self.capsules:
+            raise ArmFileError.of_file(file, f"capsules of {', '.join(frames)}", ", ".join(other) or "none")
+        try:
+            return CapsuleSet(
+                names=tuple(one.name for one in self.capsules),
+                link_index=np.array([frames.index(one.link) for one in self.capsules], dtype=np.int64),
+                start_in_link=np.array([one.start_in_link_m for one in self.capsules]),
+                end_in_link=np.array([one.end_in_link_m for one in self.capsules]),
+                radius_m=np.array([one.radius_m for one in self.capsules]),
+                frames=len(frames),
+            )
+        except ArmModelError as error:
+            raise ArmFileError.of_file(file, "capsules that can be", str(error)) from error
+
+
 def capsule_file(arm_name: str) -> Path:
-    """Where the fitted capsules of an arm are kept."""
+    """Where the fitted capsules of a shipped arm are kept."""
     return Path(__file__).with_name(f"{arm_name}_capsules.json")
 
 
 @lru_cache
 def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
-    """The fitted capsules of the arm ``arm_name``; ``ArmModelError`` if none were fitted."""
+    """The fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` if none were fitted."""
     file = capsule_file(arm_name)
     if not file.is_file():
-        raise ArmModelError(
-            f"no capsules for {arm_name!r}; to fit them: "
-            f"python -m safety_harness.robot.fit_capsules {arm_name}"
-        )
-    entries = json.loads(file.read_text(encoding="utf-8"))["capsules"]
-    frames = (*load_arm(arm_name).link_names, TCP_LINK)
-    return CapsuleSet(
-        names=tuple(entry["name"] for entry in entries),
-        link_index=np.array([frames.index(entry["link"]) for entry in entries], dtype=np.int64),
-        start_in_link=np.array([entry["start_in_link_m"] for entry in entries], dtype=np.float64),
-        end_in_link=np.array([entry["end_in_link_m"] for entry in entries], dtype=np.float64),
-        radius_m=np.array([entry["radius_m"] for entry in entries], dtype=np.float64),
-    )
+        raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
+    return _stored(file).on(load_arm(arm_name), file)
+
+
+def read_capsules(file: Path, arm: ArmModel) -> CapsuleSet:
+    """The capsules that were fitted to ``arm``; ``ArmFileError``, naming what differs, if to another one."""
+    stored = _stored(file)
+    pairs = [("base", stored.base, arm.link_names[0]), ("tcp", stored.tcp, arm.tcp_link)]
+    pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, hashes_of(arm)[0]))
+    named, found = stored.meshes_sha256, hashes_of(arm)[1]
+    for uri in sorted(named.keys() | found.keys()):
+        pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), found.get(uri, "none")))
+    for what, fitted_to, is_now in pairs:
+        if fitted_to != is_now:
+            expected = f"capsules fitted to the {what} {is_now}"
+            raise ArmFileError.of_file(file, expected, f"to {fitted_to or 'nothing'}; fit them again")
+    capsules, held = stored.on(arm, file), {one.link for one in stored.capsules}
+    for link in arm.links:
+        if (link.collision or link.visual) and link.link not in held:
+            raise ArmFileError.of_file(file, f"capsules of the link {link.link!r}", "none")
+    return capsules
+
+
+def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:
+    """SHA-256 of an arm's URDF, and of each of its meshes by the name that the URDF has for it."""
+    shapes = [shape for link in arm.links for shape in (*link.collision, *link.visual)]
+    meshes = {shape.uri: _sha256(shape.file) for shape in shapes if shape.file is not None}
+    return _sha256(arm.file), meshes
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(read_bytes(file)).hexdigest()
+
+
+def _stored(file: Path) -> StoredCapsules:
+    try:
+        return msgspec.json.decode(read_bytes(file), type=StoredCapsules)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ArmFileError.of_file(file, "a file of capsules", str(error)) from error
 
 
 class Arm(NamedTuple):

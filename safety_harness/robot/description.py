@@ -1,13 +1,14 @@
-"""The arm as numbers: joint frames, axes and limits, read from its URDF.
+"""The arm as numbers: joint frames, axes and limits, and the shapes of its links, read from a URDF.
 
-The robot descriptions lie in ``data`` beside this file, which says where they come from.
+The shipped robot descriptions lie in ``data`` beside this file, which says where they come from.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 from pathlib import Path
 from typing import Protocol
 
@@ -15,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import ArmModelError
-from safety_harness.geometry.rotations import rotation_about
-from safety_harness.geometry.transforms import transform_from
+from safety_harness.robot.urdf import Urdf
 
 DATA = Path(__file__).with_name("data")
-ORIGIN = "package://example-robot-data/robots/"  # what the URDFs call that folder
+PACKAGES = {"example-robot-data/robots": DATA}  # what the shipped URDFs call that folder
 BASE_LINK = "base_link"
 TCP_LINK = "tool0"
-JOINTS = 6
+FEWEST, MOST = 3, 8  # turning joints
+BEYOND = 1.2  # of a principal moment over the others' sum: published ones are off, the xArm6's by 1.16
+SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
 
 
 def chain_of(joints: int) -> np.dtype[np.void]:
@@ -49,18 +51,46 @@ class Chain(Protocol):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ArmModel:
-    """A six-joint arm from ``base_link`` to the tool flange ``tool0``; arrays are read-only.
+class Shape:
+    """A shape of a link, and where it sits in the link's frame.
 
-    ``joint_origins`` (6, 4, 4): frame of link i + 1 at q = 0 to the frame of link i.
-    ``joint_axes`` (6, 3): unit axis of joint i in the frame of the link that it moves.
-    ``flange`` (4, 4): ``transform_tcp_to_wrist3``.
-    The limits are (6,); ``effort_limit`` is in N m.
+    ``size`` is a mesh's scale (3,), a box's edges (3,), a cylinder's radius and length (2,), along z, or a
+    sphere's radius (1,) [m].  Of a mesh there are ``uri``, its name in the URDF, and ``file``.
+    """
+
+    kind: str  # of SIZES
+    size: NDArray[np.float64]
+    transform_shape_to_link: NDArray[np.float64]  # (4, 4)
+    uri: str = ""
+    file: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinkShapes:
+    """The shapes of one link and of all that is fixed to it; ``index`` counts the base as 0."""
+
+    link: str
+    index: int
+    collision: tuple[Shape, ...]
+    visual: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArmModel:
+    """An arm of n turning joints from its base to its tcp; arrays are read-only.
+
+    ``joint_origins`` (n, 4, 4): frame of link i + 1 at q = 0 to the frame of link i.
+    ``joint_axes`` (n, 3): unit axis of joint i in the frame of the link that it moves.
+    ``flange`` (4, 4): from the tcp to the last moving link.
+    The limits are (n,); ``effort_limit`` is in N m.  A joint without an end (continuous) has the position
+    limits -inf and inf.  ``left_out`` names the links with shapes that are not fixed to any of the arm's.
     """
 
     name: str
+    file: Path
     joint_names: tuple[str, ...]
-    link_names: tuple[str, ...]  # base_link, then the six moving links
+    link_names: tuple[str, ...]  # the base, then the n moving links
+    tcp_link: str
     joint_origins: NDArray[np.float64]
     joint_axes: NDArray[np.float64]
     flange: NDArray[np.float64]
@@ -68,6 +98,8 @@ class ArmModel:
     position_upper_rad: NDArray[np.float64]
     velocity_limit_radps: NDArray[np.float64]
     effort_limit: NDArray[np.float64]
+    links: tuple[LinkShapes, ...]  # of the base, then of the n moving links
+    left_out: tuple[str, ...]
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -83,27 +115,15 @@ class ArmModel:
         chain.setflags(write=False)
         return chain
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MeshFile:
-    """One mesh of a link: its file, and where it sits in the link's frame."""
-
-    file: Path
-    transform_mesh_to_link: NDArray[np.float64]  # (4, 4)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class LinkMeshes:
-    """The meshes of one link; ``index`` counts base_link as 0, as forward kinematics does."""
-
-    link: str
-    index: int
-    collision: MeshFile
-    visual: MeshFile
+    @property
+    def farthest_reach_m(self) -> float:
+        """No pose takes the tcp farther than this [m] from the second joint: the frames' distances, added."""
+        frames = np.concatenate((self.joint_origins[2:], self.flange[None]))
+        return float(np.linalg.norm(frames[:, :3, 3], axis=1).sum())
 
 
 def urdf_file(name: str) -> Path:
-    """The URDF of the arm ``name`` ("ur3", "ur5", "ur10")."""
+    """The URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10")."""
     folder = DATA / "ur_description" / "urdf"
     file = folder / f"{name}_robot.urdf"
     if not file.is_file():
@@ -113,124 +133,162 @@ def urdf_file(name: str) -> Path:
 
 
 def resolved_urdf(name: str, *, visuals: bool) -> str:
-    """The arm's URDF with absolute mesh paths; without ``visuals`` it has no <visual> elements."""
-    tree = _parse(name)
-    for mesh in tree.iter("mesh"):
-        mesh.set("filename", str(_mesh_file(mesh)))
+    """A shipped arm's URDF with absolute mesh paths; without ``visuals`` it has no <visual> elements."""
+    urdf = Urdf.read(urdf_file(name))
+    for mesh in urdf.root.iter("mesh"):
+        mesh.set("filename", str(urdf.mesh_file(mesh, PACKAGES)))
     if not visuals:
-        for link in tree.iter("link"):
+        for link in urdf.links.values():
             for visual in link.findall("visual"):
                 link.remove(visual)
-    return ElementTree.tostring(tree, encoding="unicode")
+    return ElementTree.tostring(urdf.root, encoding="unicode")
 
 
 @lru_cache
 def load_arm(name: str = "ur10") -> ArmModel:
-    """Read the arm ``name`` from its URDF; ``ArmModelError`` unless it is six turning joints and a flange."""
-    chain = _chain(_parse(name), name)
-    moving, fixed = chain[:JOINTS], chain[JOINTS:]
-    types = [joint.get("type") for joint in chain]
-    if types != ["revolute"] * JOINTS + ["fixed"]:
-        raise ArmModelError(f"{name}: expected six revolute joints, then a fixed one; got {types}")
-    axes = np.array([_vector(_child(joint, "axis").get("xyz")) for joint in moving])
+    """The shipped arm ``name``."""
+    return read_arm(urdf_file(name), base=BASE_LINK, tcp=TCP_LINK, packages=PACKAGES)
+
+
+def read_arm(
+    file: Path, *, base: str | None = None, tcp: str | None = None, packages: Mapping[str, Path] | None = None
+) -> ArmModel:
+    """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed ones.
+
+    ``base`` stands still, and ``tcp`` ends the arm; by default the only link without a joint above it, and
+    the only one without a joint below it.  ``packages`` has the folders of names in package://NAME/PATH;
+    others are looked for in the URDF's folder and those above it: NAME/PATH first, then PATH.
+    ``ArmFileError``, with file and line, for what is no such arm or cannot be used.
+    """
+    urdf = Urdf.read(file)
+    base, tcp, joints = urdf.chain(base, tcp)
+    origins: list[NDArray[np.float64]] = []
+    moving, since = [], list[NDArray[np.float64]]()  # the frames since the last moving joint
+    for joint in joints:
+        since.append(urdf.origin(joint))
+        if joint.get("type") != "fixed":
+            moving.append(joint)
+            origins.append(reduce(np.matmul, since))
+            since = []
+    rows = [_axis_and_limits(urdf, joint) for joint in moving]
+    if not FEWEST <= len(moving) <= MOST:
+        expected = f"{FEWEST} to {MOST} turning joints from {base!r} to {tcp!r}"
+        raise urdf.error(urdf.links[tcp], expected, str(len(moving)))
+    axes = np.array([axis for axis, _ in rows])
+    lower, upper, velocity, effort = np.array([limits for _, limits in rows]).T.copy()
+    names = (base, *(urdf.child(joint, "child").get("link", "") for joint in moving))
+    links, left_out = _shapes(urdf, names, packages or {})
     return ArmModel(
-        name=name,
+        name=urdf.root.get("name") or file.stem,
+        file=file,
         joint_names=tuple(joint.get("name", "") for joint in moving),
-        link_names=(BASE_LINK, *(_child(joint, "child").get("link", "") for joint in moving)),
-        joint_origins=np.array([_origin(joint) for joint in moving]),
+        link_names=names,
+        tcp_link=tcp,
+        joint_origins=np.array(origins),
         joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
-        flange=_origin(fixed[0]),
-        position_lower_rad=_limits(moving, "lower"),
-        position_upper_rad=_limits(moving, "upper"),
-        velocity_limit_radps=_limits(moving, "velocity"),
-        effort_limit=_limits(moving, "effort"),
+        flange=reduce(np.matmul, since) if since else np.eye(4),
+        position_lower_rad=lower,
+        position_upper_rad=upper,
+        velocity_limit_radps=velocity,
+        effort_limit=effort,
+        links=links,
+        left_out=left_out,
     )
 
 
-def mesh_paths(name: str) -> tuple[LinkMeshes, ...]:
-    """Collision and visual mesh of base_link and of the six moving links, in this order."""
-    tree = _parse(name)
-    links = {link.get("name"): link for link in tree.iter("link")}
-    return tuple(
-        LinkMeshes(
-            link=link,
-            index=index,
-            collision=_mesh_of(links[link], "collision"),
-            visual=_mesh_of(links[link], "visual"),
+def _axis_and_limits(urdf: Urdf, joint: ElementTree.Element) -> tuple[NDArray[np.float64], list[float]]:
+    """Axis (3,) of a turning joint; lower, upper position, speed and effort."""
+    kind = joint.get("type")
+    if kind not in ("revolute", "continuous"):
+        raise urdf.error(joint, "revolute, continuous or fixed joints in the arm", f"{kind!r}")
+    if (mimic := joint.find("mimic")) is not None:
+        raise urdf.error(
+            mimic, "a joint that moves by itself", f"{joint.get('name')!r}, which mimics another"
         )
-        for index, link in enumerate(load_arm(name).link_names)
+    axis = urdf.numbers(urdf.child(joint, "axis"), "xyz", 3)
+    if not np.linalg.norm(axis) > 1e-6:
+        raise urdf.error(urdf.child(joint, "axis"), "an axis that has a direction", f"{axis.tolist()}")
+    limit = urdf.child(joint, "limit")
+    lower, upper = -np.inf, np.inf
+    if kind == "revolute":
+        lower, upper = urdf.number(limit, "lower"), urdf.number(limit, "upper")
+    if not lower < upper:
+        raise urdf.error(limit, "a lower limit below the upper one", f"{lower:g} and {upper:g}")
+    limits = [lower, upper, urdf.number(limit, "velocity"), urdf.number(limit, "effort")]
+    if not min(limits[2:]) > 0.0:
+        raise urdf.error(limit, "a velocity and an effort above 0", f"{limits[2]:g} and {limits[3]:g}")
+    return axis, limits
+
+
+def _shapes(
+    urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path]
+) -> tuple[tuple[LinkShapes, ...], tuple[str, ...]]:
+    """The shapes of the links ``names`` and of what is fixed to them; the other links with shapes."""
+    found: dict[tuple[str, str], list[Shape]] = {}
+    left_out = []
+    for name, link in urdf.links.items():
+        carrier: str | None = name
+        way: list[NDArray[np.float64]] = []
+        while carrier is not None and carrier not in names:
+            joint = urdf.above.get(carrier)
+            fixed = joint is not None and joint.get("type") == "fixed"
+            carrier = urdf.parent(joint) if joint is not None and fixed else None
+            way = [urdf.origin(joint), *way] if joint is not None and fixed else way
+        if carrier is None:
+            left_out += (
+                [name] if link.find("visual") is not None or link.find("collision") is not None else []
+            )
+            continue
+        _refuse_wrong_inertia(urdf, link)
+        for kind in ("collision", "visual"):
+            for part in link.findall(kind):
+                frame = reduce(np.matmul, [*way, urdf.origin(part)])
+                found.setdefault((carrier, kind), []).append(_shape(urdf, part, frame, packages))
+    links = (
+        LinkShapes(
+            link=name,
+            index=index,
+            collision=tuple(found.get((name, "collision"), ())),
+            visual=tuple(found.get((name, "visual"), ())),
+        )
+        for index, name in enumerate(names)
     )
+    return tuple(links), tuple(left_out)
 
 
-def _parse(name: str) -> ElementTree.Element:
-    file = urdf_file(name)
-    try:
-        return ElementTree.parse(file).getroot()
-    except ElementTree.ParseError as error:
-        raise ArmModelError(f"{file}: not a URDF: {error}") from error
+def _shape(
+    urdf: Urdf, part: ElementTree.Element, frame: NDArray[np.float64], packages: Mapping[str, Path]
+) -> Shape:
+    inside = list(urdf.child(part, "geometry"))
+    if len(inside) != 1 or inside[0].tag not in SIZES:
+        tags = [element.tag for element in inside]
+        raise urdf.error(part, f"one shape, a {', '.join(SIZES)}", f"{tags}")
+    element, kind = inside[0], inside[0].tag
+    if kind == "mesh":
+        scale, file = urdf.numbers(element, "scale", 3, "1 1 1"), urdf.mesh_file(element, packages)
+        if not np.abs(scale).min() > 0.0:
+            raise urdf.error(element, "a scale that leaves something", f"{scale.tolist()}")
+        uri = element.get("filename", "")
+        return Shape(kind=kind, size=scale, transform_shape_to_link=frame, uri=uri, file=file)
+    keys = SIZES[kind].split()
+    size = np.concatenate([urdf.numbers(element, key, 3 if kind == "box" else 1) for key in keys])
+    if not size.min() > 0.0:
+        raise urdf.error(element, "a size above 0", f"{size.tolist()}")
+    return Shape(kind=kind, size=size, transform_shape_to_link=frame)
 
 
-def _chain(robot: ElementTree.Element, name: str) -> list[ElementTree.Element]:
-    """The joints from the base link to the TCP link, base first."""
-    joint_above = {_child(joint, "child").get("link"): joint for joint in robot.findall("joint")}
-    chain: list[ElementTree.Element] = []
-    link: str | None = TCP_LINK
-    while link != BASE_LINK:
-        if link not in joint_above or len(chain) > len(joint_above):
-            raise ArmModelError(f"{name}: no chain of joints leads from {BASE_LINK} to {TCP_LINK}")
-        chain.append(joint_above[link])
-        link = _child(chain[-1], "parent").get("link")
-    return chain[::-1]
-
-
-def _mesh_of(link: ElementTree.Element, kind: str) -> MeshFile:
-    part = _child(link, kind)
-    mesh = part.find("geometry/mesh")
-    if mesh is None or mesh.get("scale") is not None:
-        raise ArmModelError(f"link {link.get('name')!r}: its {kind} shape is not an unscaled mesh")
-    return MeshFile(file=_mesh_file(mesh), transform_mesh_to_link=_origin(part))
-
-
-def _mesh_file(mesh: ElementTree.Element) -> Path:
-    uri = mesh.get("filename", "")
-    file = DATA / uri.removeprefix(ORIGIN)
-    if not (uri.startswith(ORIGIN) and file.is_file()):
-        raise ArmModelError(f"there is no mesh file for {uri!r}")
-    return file
-
-
-def _child(element: ElementTree.Element, tag: str) -> ElementTree.Element:
-    child = element.find(tag)
-    if child is None:
-        raise ArmModelError(f"<{element.tag} name={element.get('name')!r}> has no <{tag}>")
-    return child
-
-
-def _vector(text: str | None, default: str | None = None) -> NDArray[np.float64]:
-    try:
-        vector = np.array([float(word) for word in (text or default or "").split()])
-    except ValueError as error:
-        raise ArmModelError(f"expected three numbers, got {text!r}") from error
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ArmModelError(f"expected three numbers, got {text!r}")
-    return vector
-
-
-def _limits(joints: list[ElementTree.Element], key: str) -> NDArray[np.float64]:
-    try:
-        return np.array([float(_child(joint, "limit").get(key, "")) for joint in joints])
-    except ValueError as error:
-        raise ArmModelError(f"a joint's limit has no usable {key!r}") from error
-
-
-def _origin(element: ElementTree.Element) -> NDArray[np.float64]:
-    """The (4, 4) transform of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx."""
-    origin = element.find("origin")
-    if origin is None:
-        return np.eye(4)
-    rotation = np.eye(3)
-    turn = np.empty((3, 3))
-    for axis, angle in zip(np.eye(3), _vector(origin.get("rpy"), "0 0 0"), strict=True):
-        rotation_about(axis, angle, turn)
-        rotation = turn @ rotation
-    return transform_from(rotation, _vector(origin.get("xyz"), "0 0 0"))
+def _refuse_wrong_inertia(urdf: Urdf, link: ElementTree.Element) -> None:
+    """``ArmFileError`` unless the inertia is one that a body of that mass can have; what has no mass may."""
+    if link.find("inertial") is None:
+        return
+    inertial = urdf.child(link, "inertial")
+    urdf.origin(inertial)
+    mass = urdf.number(urdf.child(inertial, "mass"), "value")
+    inertia = urdf.child(inertial, "inertia")
+    xx, xy, xz, yy, yz, zz = (urdf.number(inertia, key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    if mass < 0.0:
+        raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
+    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
+        expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
+        raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")

@@ -1,40 +1,44 @@
-"""Fit capsules to the meshes of an arm: ``python -m safety_harness.robot.fit_capsules ur10``.
+"""Fit capsules to the shapes of an arm's links, for ``safety-harness robot fit``.
 
-A development tool: it needs scipy and trimesh (the ``test`` extra).  Each link's surface, of its
-collision and its visual mesh, is cut into pieces of at most ``PIECE_M``.  Every piece belongs
-to one capsule that holds it wholly (a capsule is convex, so its three corners suffice); hence
-the capsules together hold every triangle.  As in Lloyd's algorithm, pieces go to the capsule
+Each link's surface, of its collision and its visual shapes, is cut into pieces of at most ``PIECE_M``.
+Every piece belongs to one capsule that holds it wholly (a capsule is convex, so its three corners suffice);
+hence the capsules together hold every triangle.  As in Lloyd's algorithm, pieces go to the capsule
 that they fit best, then each capsule is shrunk about its pieces to least volume; the best of
-several random starts, judged by the volume of the union, is kept.
+several random starts, judged by the volume of the union, is kept.  A link has as many capsules as each take
+a share of ``WORTH`` off that volume, at most ``MOST_CAPSULES``.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from safety_harness.compiled import compiled
+from safety_harness.extras import FITTING
 from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.geometry.segments import point_segment_distance
-from safety_harness.robot.capsules import capsule_file, load_capsules
-from safety_harness.robot.description import LinkMeshes, mesh_paths
+from safety_harness.robot.capsules import StoredCapsule, StoredCapsules, hashes_of
+from safety_harness.robot.description import ArmModel, LinkShapes, Shape
+from safety_harness.robot.urdf import ArmFileError
+from safety_harness.whole_file import write_text
 
 PIECE_M = 0.025
 GRID_M = 0.006
-STARTS = 30
+STARTS = 20
 ROUNDS = 15
-# base_link, then the moving links: as many as took at least 15 % off the volume of the union
-# when up to four were tried on the UR10; its shoulder and wrists gain 5 to 10 % from a second.
-COUNTS = (2, 1, 4, 4, 1, 1, 1)
+WORTH = 0.1
+MOST_CAPSULES = 4
+LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
+ROUND = 32  # sides of what stands for a cylinder
 POLISH_ROUNDS = 12
 FINE_M = 0.004  # pieces for the last rounds, where capsules hand over to one another
 DECIMALS = 4  # 0.1 mm
@@ -67,18 +71,55 @@ class Surface:
         return self.vertices[np.unique(self.faces[chosen])]
 
 
-def link_surface(link: LinkMeshes, longest_m: float) -> Surface:
-    """Both meshes of a link, cut until no edge is longer than ``longest_m``."""
+def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame; round ones are within them."""
+    trimesh = _trimesh()
+    if shape.kind == "mesh":
+        if str(shape.file).lower().endswith(".dae"):
+            import_module("collada")  # with which trimesh reads it
+        try:
+            mesh = trimesh.load_mesh(shape.file)
+            vertices, faces = np.asarray(mesh.vertices) * shape.size, np.asarray(mesh.faces)
+        except Exception as error:  # whatever its readers of a dozen formats raise
+            raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
+        if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():
+            raise _of_mesh(shape, "triangles with finite corners", f"{len(faces)} triangles")
+        if np.ptp(vertices, axis=0).max() > LONGEST_M:
+            got = f"one of {np.ptp(vertices, axis=0).max():.4g} m: if it is in millimetres, scale it by 0.001"
+            raise _of_mesh(shape, f"a mesh of at most {LONGEST_M:g} m", got)
+        return vertices, faces
+    if shape.kind == "box":
+        mesh = trimesh.creation.box(extents=shape.size)
+    elif shape.kind == "cylinder":
+        radius, height = shape.size
+        mesh = trimesh.creation.cylinder(radius / np.cos(np.pi / ROUND), height, sections=ROUND)
+    else:
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        nearest = np.abs((mesh.triangles_center * mesh.face_normals).sum(axis=1)).min()
+        mesh.apply_scale(shape.size[0] / nearest)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def _trimesh() -> Any:
+    import trimesh
+
+    return trimesh
+
+
+def _of_mesh(shape: Shape, expected: str, got: str) -> ArmFileError:
+    return ArmFileError.of_file(shape.file or Path(), expected, got)
+
+
+def link_surface(link: LinkShapes, longest_m: float) -> Surface:
+    """All shapes of a link, cut until no edge is longer than ``longest_m``."""
     vertices, faces, count = [], [], 0
-    for part in (link.collision, link.visual):
-        mesh = trimesh.load_mesh(part.file)
-        points, triangles, *_ = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
-            mesh.vertices, mesh.faces, longest_m
-        )
-        turn, shift = part.transform_mesh_to_link[:3, :3], part.transform_mesh_to_link[:3, 3]
-        vertices.append(points @ turn.T + shift)
-        faces.append(triangles + count)
-        count += len(points)
+    with FITTING.needed("robot fit"):
+        for part in (*link.collision, *link.visual):
+            points, triangles, *_ = _trimesh().remesh.subdivide_to_size(*_faces(part), longest_m)
+            turn, shift = part.transform_shape_to_link[:3, :3], part.transform_shape_to_link[:3, 3]
+            vertices.append(points @ turn.T + shift)
+            faces.append(triangles + count)
+            count += len(points)
     unique, index = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
     return Surface(unique, index[np.concatenate(faces)].astype(np.int64))
 
@@ -127,7 +168,10 @@ def assign(
 
 def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
     """A capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
-    hull = points[ConvexHull(points).vertices]
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:  # all in one plane
+        hull = points
 
     def volume(ends: NDArray[np.float64]) -> float:
         radius = farthest(hull, ends[:3], ends[3:])
@@ -157,16 +201,32 @@ def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     return guesses
 
 
-def fit_link(surface: Surface, count: int, rng: np.random.Generator) -> list[Capsule]:
-    """The best of several fits of ``count`` capsules that together hold every triangle."""
-    centres = surface.centres
+def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
+    """The capsules of a link: one, and another as long as it is ``WORTH`` it."""
+    best, volume = fit_capsules(surface, 1, rng)
+    for count in range(2, MOST_CAPSULES + 1):
+        more, less = fit_capsules(surface, count, rng)
+        if less > (1.0 - WORTH) * volume:
+            break
+        best, volume = more, less
+    return best
+
+
+def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tuple[list[Capsule], float]:
+    """The best of several fits of ``count`` capsules that together hold every triangle, and its volume [m^3].
+
+    No capsules, and infinity, where no start led to so many.
+    """
+    centres, areas = surface.centres, surface.areas
     low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
     axes = [np.arange(low[i], high[i], GRID_M) for i in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     best: list[Capsule] = []
     least = np.inf
     for _ in range(STARTS if count > 1 else 1):
-        seeds = centres[rng.choice(len(centres), count, replace=False, p=surface.areas / surface.areas.sum())]
+        if np.count_nonzero(areas) < count:
+            break
+        seeds = centres[rng.choice(len(centres), count, replace=False, p=areas / areas.sum())]
         owner = np.argmin(((centres[:, None] - seeds) ** 2).sum(axis=2), axis=1)
         capsules = _improve(surface, owner, count)
         if capsules is None:
@@ -174,9 +234,7 @@ def fit_link(surface: Surface, count: int, rng: np.random.Generator) -> list[Cap
         cells = float(np.any([inside(grid, *capsule) for capsule in capsules], axis=0).sum())
         if cells < least:
             best, least = capsules, cells
-    if not best:
-        raise RuntimeError(f"no start led to {count} capsules")
-    return best
+    return best, least * GRID_M**3
 
 
 def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
@@ -184,7 +242,7 @@ def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Cap
     capsules: list[Capsule] = []
     for _ in range(ROUNDS):
         groups = [surface.corners(owner == j) for j in range(count)]
-        if min(len(group) for group in groups) < 12:
+        if count > 1 and min(len(group) for group in groups) < 12:
             return None
         starts: Sequence[Capsule | None] = capsules or [None] * count
         capsules = [smallest_capsule(group, start) for group, start in zip(groups, starts, strict=True)]
@@ -253,64 +311,49 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
     return float(distance.max()), float(distance.mean())
 
 
-def fit_arm(name: str) -> list[tuple[LinkMeshes, list[Capsule]]]:
-    """The capsules of every link; the same on every run."""
+def fit_arm(
+    arm: ArmModel, seed: int = 0, tell: Callable[[int, str], None] = lambda done, link: None
+) -> list[tuple[LinkShapes, list[Capsule]]]:
+    """The capsules of every link that has shapes; the same for the same seed.
+
+    ``tell`` is told how many of the links are done, and which is next.
+    """
     result = []
-    for link, count in zip(mesh_paths(name), COUNTS, strict=True):
-        rng = np.random.default_rng((link.index, count))
-        capsules = fit_link(link_surface(link, PIECE_M), count, rng)
-        result.append((link, polish(link_surface(link, FINE_M), capsules)))
+    for link in arm.links:
+        tell(link.index, link.link)
+        if not (link.collision or link.visual):
+            continue
+        capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
+        if not capsules:
+            raise ArmFileError.of_file(arm.file, f"shapes with an area for {link.link!r}", "none with one")
+        longest_m = FINE_M if len(capsules) > 1 else PIECE_M
+        result.append((link, polish(link_surface(link, longest_m), capsules)))
+    tell(len(arm.links), "")
+    if not result:
+        raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")
     return result
 
 
-def table(name: str, frames: list[tuple[LinkMeshes, list[Capsule]]]) -> str:
-    """How far the capsules stand out over the meshes, link by link, as text."""
-    rng = np.random.default_rng(0)
-    lines = [f"{name}: capsules over meshes", f"{'link':<16}{'capsules':>9}{'max mm':>9}{'mean mm':>9}"]
-    for link, capsules in frames:
-        largest, mean = excess(capsules, link_surface(link, FINE_M), rng)
-        lines.append(f"{link.link:<16}{len(capsules):>9}{1e3 * largest:>9.1f}{1e3 * mean:>9.1f}")
-    return "\n".join(lines) + "\n"
-
-
-def stored(name: str) -> list[tuple[LinkMeshes, list[Capsule]]]:
-    """The capsules on file, link by link."""
-    capsules = load_capsules(name)
-    rows = list(zip(capsules.start_in_link, capsules.end_in_link, capsules.radius_m.tolist(), strict=True))
-    return [
-        (link, [row for row, index in zip(rows, capsules.link_index, strict=True) if index == link.index])
-        for link in mesh_paths(name)
+def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:
+    """Write the capsules of an arm as ``read_capsules`` reads them; OutputError if that cannot be."""
+    urdf, meshes = hashes_of(arm)
+    capsules = [
+        StoredCapsule(
+            name=link.link.removesuffix("_link") + (f"_{i}" if len(of_link) > 1 else ""),
+            link=link.link,
+            start_in_link_m=tuple(start.tolist()),
+            end_in_link_m=tuple(end.tolist()),
+            radius_m=radius,
+        )
+        for link, of_link in fitted
+        for i, (start, end, radius) in enumerate(of_link, start=1)
     ]
-
-
-def write(name: str, frames: list[tuple[LinkMeshes, list[Capsule]]]) -> None:
-    """Write the capsules of an arm where ``load_capsules`` looks for them."""
-    entries = [
-        {
-            "name": link.link.removesuffix("_link") + (f"_{i}" if len(capsules) > 1 else ""),
-            "link": link.link,
-            "start_in_link_m": start.tolist(),
-            "end_in_link_m": end.tolist(),
-            "radius_m": radius,
-        }
-        for link, capsules in frames
-        for i, (start, end, radius) in enumerate(capsules, start=1)
-    ]
-    text = json.dumps({"arm": name, "capsules": entries}, indent=1)
-    capsule_file(name).write_text(text + "\n", encoding="utf-8")
-
-
-def main() -> None:
-    """Fit and write, or with ``--report`` only print the table of what is on file."""
-    parser = argparse.ArgumentParser(description="Fit capsules to the meshes of an arm.")
-    parser.add_argument("arm", help="ur3, ur5 or ur10")
-    parser.add_argument("--report", action="store_true", help="fit nothing; print the table of the file")
-    arguments = parser.parse_args()
-    if not arguments.report:
-        write(arguments.arm, fit_arm(arguments.arm))
-        load_capsules.cache_clear()
-    sys.stdout.write(table(arguments.arm, stored(arguments.arm)))
-
-
-if __name__ == "__main__":
-    main()
+    stored = StoredCapsules(
+        arm=arm.name,
+        capsules=capsules,
+        base=arm.link_names[0],
+        tcp=arm.tcp_link,
+        urdf_sha256=urdf,
+        meshes_sha256=meshes,
+    )
+    write_text(file, msgspec.json.format(msgspec.json.encode(stored), indent=1).decode() + "\n")

@@ -25,7 +25,7 @@ from safety_harness.geometry.arrays import Array3
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
-from safety_harness.robot.kinematics import FRAMES, forward_kinematics
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Robot, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch
@@ -67,9 +67,8 @@ def begins_clear(
     joints = kinematics(robot.arm_name).nearest(target, np.array(settings.cell.preferred_joint_position_rad))
     if joints is None:
         return False
-    transforms, ends = np.empty((FRAMES, 4, 4)), np.empty((len(capsules.names), 2, 3))
-    forward_kinematics(arm.chain[0], joints, transforms)
-    place_capsules(capsules.records, transforms, ends)
+    ends = np.empty((len(capsules.names), 2, 3))
+    place_capsules(capsules.records, links_in_base(arm, joints), ends)
     away = hand_in_base_m - tcp_in_base_m
     elbow = hand_in_base_m + settings.hand.forearm_length_m * away / max(float(np.linalg.norm(away)), 1e-9)
     radii_m = settings.hand.radius_m, settings.hand.forearm_radius_m

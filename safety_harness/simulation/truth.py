@@ -14,7 +14,7 @@ from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel, chain_of
 from safety_harness.robot.distance import CapsuleRecords, hand_distance, place_capsules
-from safety_harness.robot.kinematics import TCP, forward_kinematics, tcp_velocity
+from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
 from safety_harness.simulation.hand_motion import HandRecords
 
@@ -62,7 +62,9 @@ def _with_camera(capsules: CapsuleSet, camera: Camera) -> CapsuleSet:
     along = np.array([np.cos(camera.mount_yaw_rad), np.sin(camera.mount_yaw_rad), 0.0])
     radius_m = 0.0177
     half_m = 0.045 - radius_m
-    return capsules.with_capsule("camera", TCP, offset - half_m * along, offset + half_m * along, radius_m)
+    return capsules.with_capsule(
+        "camera", capsules.frames - 1, offset - half_m * along, offset + half_m * along, radius_m
+    )
 
 
 @njit_no_nrt

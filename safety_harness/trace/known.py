@@ -12,7 +12,7 @@ from enum import Enum
 from functools import cached_property
 from math import isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,16 +121,17 @@ class Knowledge:
         gaps = [gap for name in names for gap in self.of(name).gaps]
         return min(gaps, key=lambda gap: gap.first, default=None)
 
-    def measured(self, name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
-        """(n,), or (n, hands) of a column of hands: where ``values`` (n, ...) of a column were measured."""
-        found = np.full(values.shape[: 1 + (name in PER_HAND)], self.of(name).source is not Source.NONE)
+    def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
+        """(n,), or (n, hands) of a column of hands: at which of ``ticks`` (n,) it was measured."""
+        shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
+        found = np.full(shape, self.of(name).source is not Source.NONE)
         for gap in self.of(name).gaps:
             found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return found
 
     def refuse_gaps_beyond(self, ticks: NDArray[np.void]) -> None:
         """TraceError for a gap that ends after the last of ``ticks``, or of a hand without room."""
-        count, hands = ticks["hand_present"].shape
+        count, (hands,) = len(ticks), ticks.dtype["hand_present"].shape
         for name, one in self.columns.items():
             for gap in one.gaps:
                 if gap.after > count or (gap.hand or 0) >= hands:
@@ -167,6 +168,7 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
     gaps beyond the last tick.
     """
     known = Knowledge({**trace.known.columns, **columns})
+    known.refuse_gaps_beyond(trace.ticks)
     ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
     for name, one in columns.items():
         records = decisions if name.startswith(OF_DECISIONS) else ticks
@@ -175,7 +177,7 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
         if name.startswith(OF_DECISIONS):
             values[...] = blank if one.source is Source.NONE else values
         else:
-            values[~known.measured(name, values)] = blank
+            values[~known.measured(name, ticks)] = blank
     return replace(trace, ticks=ticks, decisions=decisions, known=known)
 
 

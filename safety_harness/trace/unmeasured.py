@@ -18,7 +18,7 @@ from safety_harness.trace.trace import Trace
 
 def measured(trace: Trace, name: str) -> NDArray[np.bool_]:
     """(n,) the ticks at which a column was measured, of each hand (n, hands) if it is one of hands."""
-    return trace.known.measured(name, trace.ticks[name])
+    return trace.known.measured(name, trace.ticks)
 
 
 def decided(trace: Trace, *names: str) -> bool:

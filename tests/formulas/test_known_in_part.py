@@ -304,7 +304,7 @@ def random_mask(rng: np.random.Generator, trace: Trace, columns: list[str]) -> d
             mask[name] = NOT_MEASURED
         else:
             hand = int(rng.integers(2)) if name in PER_HAND and rng.random() < 0.5 else None
-            mask[name] = gap(first, first + length, hand)
+            mask[name] = gap(first, min(first + length, len(trace.ticks)), hand)
     return mask
 
 

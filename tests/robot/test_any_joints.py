@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
-from pathlib import Path
-
 import numpy as np
-import pybullet
-import pybullet_data
 import pytest
-from arms import pose_of_link
 from scipy.spatial.transform import Rotation
+from urdfs import OTHERS
 
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
-from safety_harness.robot.description import chain_of
+from safety_harness.robot.description import chain_of, read_arm
 from safety_harness.robot.distance import CAPSULE, chain_lengths, hand_distance, place_capsules
 from safety_harness.robot.drive import drive, drive_tick
 from safety_harness.robot.kinematics import (
@@ -22,18 +17,13 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     is_well_conditioned,
     joint_velocity,
+    links_in_base,
     smallest_singular_value,
     tcp_velocity,
 )
 from safety_harness.settings import DEFAULTS
 
 COUNTS = [3, 6, 7, 8]
-FLOAT32 = 2e-6  # PyBullet hands out link frames in single precision
-DATA = Path(pybullet_data.getDataPath())
-OTHERS = {  # base, tcp
-    "franka_panda/panda.urdf": ("panda_link0", "panda_hand"),
-    "kuka_iiwa/model.urdf": ("lbr_iiwa_link_0", "lbr_iiwa_link_7"),
-}
 
 
 def pose(rotation: Rotation, position: np.ndarray) -> np.ndarray:
@@ -51,28 +41,6 @@ def made_up(n: int) -> np.ndarray:
     chain["joint_origins"], chain["flange"] = poses[:n], poses[n]
     chain["joint_axes"] = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return chain
-
-
-def read(file: Path, base: str, tcp: str) -> tuple[np.ndarray, list[str]]:
-    """A URDF's chain of turning joints, and the names of the links that they move."""
-    above = {joint.find("child").get("link"): joint for joint in ElementTree.parse(file).iter("joint")}
-    joints, link = [], tcp
-    while link != base:
-        joints.append(above[link])
-        link = above[link].find("parent").get("link")
-    origins, axes, names, since = [], [], [], np.eye(4)
-    for joint in reversed(joints):
-        words = joint.find("origin").attrib
-        xyz, rpy = (np.array(words.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
-        since = since @ pose(Rotation.from_euler("xyz", rpy), xyz)
-        if joint.get("type") == "revolute":
-            origins.append(since)
-            axes.append(np.array(joint.find("axis").get("xyz").split(), float))
-            names.append(joint.find("child").get("link"))
-            since = np.eye(4)
-    chain = np.zeros(1, chain_of(len(axes)))
-    chain["joint_origins"], chain["joint_axes"], chain["flange"] = origins, axes, since
-    return chain, names
 
 
 def transforms_at(chain: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -122,32 +90,13 @@ def test_the_jacobian_is_the_derivative_of_those_products(n: int) -> None:
         assert velocity == pytest.approx(jacobian[:3] @ rates, abs=1e-12)
 
 
-@pytest.mark.parametrize("file", OTHERS)
-def test_seven_joint_arms_are_where_pybullet_puts_them(file: str) -> None:
-    base, tcp = OTHERS[file]
-    chain, links = read(DATA / file, base, tcp)
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        body = pybullet.loadURDF(str(DATA / file), useFixedBase=True, physicsClientId=client)
-        info = [pybullet.getJointInfo(body, i, client) for i in range(pybullet.getNumJoints(body, client))]
-        index_of = {row[12].decode(): row[0] for row in info}
-        if base in index_of:
-            root = pose_of_link(body, index_of[base], client)
-        else:  # the body's own frame is that of its mass
-            position, turn = pybullet.getBasePositionAndOrientation(body, client)
-            to_mass = pybullet.getDynamicsInfo(body, -1, client)[3:5]
-            mass_in_base = pose(Rotation.from_quat(to_mass[1]), np.array(to_mass[0]))
-            root = pose(Rotation.from_quat(turn), np.array(position)) @ np.linalg.inv(mass_in_base)
-        for joints in some(len(links), 10):
-            for link, angle in zip(links, joints, strict=True):
-                pybullet.resetJointState(body, index_of[link], angle, physicsClientId=client)
-            ours = transforms_at(chain, joints)
-            for k, link in enumerate([*links, tcp]):
-                theirs = pose_of_link(body, index_of[link], client)
-                np.testing.assert_allclose(root @ ours[k + 1], theirs, atol=FLOAT32, err_msg=link)
-    finally:
-        pybullet.disconnect(client)
-    assert len(links) == 7
+@pytest.mark.parametrize("name", OTHERS)
+def test_frames_of_other_makers_arms_are_products_of_matrices(name: str) -> None:
+    file, base, tcp = OTHERS[name]
+    arm = read_arm(file, base=base, tcp=tcp)
+    for joints in some(len(arm.joint_names), 20):
+        expected = by_matrices(arm.chain, joints)
+        np.testing.assert_allclose(links_in_base(arm, joints), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("n", COUNTS)

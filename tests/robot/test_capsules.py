@@ -12,18 +12,24 @@ from arms import ARMS, transforms_of
 from safety_harness.exceptions import ArmModelError
 from safety_harness.robot import capsules as capsules_module
 from safety_harness.robot.capsules import CapsuleSet, load_capsules
-from safety_harness.robot.description import LinkMeshes, MeshFile, load_arm, mesh_paths
+from safety_harness.robot.description import LinkShapes, Shape, load_arm
 
-ALL_LINKS = [pytest.param(name, link, id=f"{name}-{link.link}") for name in ARMS for link in mesh_paths(name)]
+ALL_LINKS = [
+    pytest.param(name, link, id=f"{name}-{link.link}") for name in ARMS for link in load_arm(name).links
+]
 SMALLEST_PIECE_M = 1e-4
 
 
+def meshes_of(link: LinkShapes) -> list[Shape]:
+    return [shape for shape in (*link.collision, *link.visual) if shape.kind == "mesh"]
+
+
 @lru_cache
-def triangles(part: MeshFile) -> np.ndarray:
+def triangles(part: Shape) -> np.ndarray:
     """Corners (n, 3, 3) in the link's frame."""
     mesh = trimesh.load_mesh(part.file)
-    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
-    return corners @ part.transform_mesh_to_link[:3, :3].T + part.transform_mesh_to_link[:3, 3]
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)] * part.size
+    return corners @ part.transform_shape_to_link[:3, :3].T + part.transform_shape_to_link[:3, 3]
 
 
 def depth(points: np.ndarray, capsules: CapsuleSet, link: int) -> np.ndarray:
@@ -65,16 +71,16 @@ def not_enclosed(corners: np.ndarray, capsules: CapsuleSet, link: int) -> np.nda
 
 @pytest.mark.parametrize(("name", "link"), ALL_LINKS)
 def test_the_union_of_a_links_capsules_holds_every_triangle_of_its_meshes(
-    name: str, link: LinkMeshes
+    name: str, link: LinkShapes
 ) -> None:
-    for part in (link.collision, link.visual):
+    for part in meshes_of(link):
         corners = triangles(part)
         assert len(corners) > 100
         assert len(not_enclosed(corners, load_capsules(name), link.index)) == 0
 
 
 @pytest.mark.parametrize(("name", "link"), ALL_LINKS)
-def test_no_radius_can_be_a_millimetre_smaller(name: str, link: LinkMeshes) -> None:
+def test_no_radius_can_be_a_millimetre_smaller(name: str, link: LinkShapes) -> None:
     """Shrink one capsule at a time: some triangle is then outside, so none is larger than it need be."""
     capsules = load_capsules(name)
     for index in np.flatnonzero(capsules.link_index == link.index):
@@ -87,21 +93,19 @@ def test_no_radius_can_be_a_millimetre_smaller(name: str, link: LinkMeshes) -> N
             end_in_link=capsules.end_in_link,
             radius_m=radius,
         )
-        outside = [
-            not_enclosed(triangles(part), smaller, link.index) for part in (link.collision, link.visual)
-        ]
+        outside = [not_enclosed(triangles(part), smaller, link.index) for part in meshes_of(link)]
         assert sum(map(len, outside)) > 0, capsules.names[index]
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_meshes_are_in_metres_and_the_size_of_the_arm(name: str) -> None:
     """A mesh in the wrong unit would make the enclosure worthless."""
-    links = mesh_paths(name)
-    forearm = triangles(links[3].visual).reshape(-1, 3)
+    links = load_arm(name).links
+    forearm = triangles(links[3].visual[0]).reshape(-1, 3)
     length = np.linalg.norm(load_arm(name).joint_origins[3, :3, 3])
     assert length < np.ptp(forearm[:, 2]) < 1.35 * length
     for link in links:
-        a, b = (triangles(part).reshape(-1, 3) for part in (link.collision, link.visual))
+        a, b = (triangles(part).reshape(-1, 3) for part in meshes_of(link))
         np.testing.assert_allclose(np.ptp(a, axis=0), np.ptp(b, axis=0), atol=0.03)
 
 
@@ -140,7 +144,7 @@ def test_an_impossible_capsule_is_refused(link: int, end: float, radius: float) 
 
 
 def test_an_arm_without_fitted_capsules_names_the_command_that_fits_them() -> None:
-    with pytest.raises(ArmModelError, match="fit_capsules ur5_gripper"):
+    with pytest.raises(ArmModelError, match="'ur5_gripper'; to fit them: safety-harness robot fit"):
         load_capsules("ur5_gripper")
 
 

@@ -9,7 +9,7 @@ from arms import ARMS, transforms_of
 
 from safety_harness.exceptions import ArmModelError
 from safety_harness.robot import description
-from safety_harness.robot.description import load_arm, mesh_paths, resolved_urdf
+from safety_harness.robot.description import load_arm, resolved_urdf
 
 
 @pytest.fixture
@@ -81,14 +81,15 @@ def test_resolved_urdf_names_files_that_exist_and_keeps_visuals_only_on_demand(n
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_link_has_a_collision_and_a_visual_mesh(name: str) -> None:
-    meshes = mesh_paths(name)
+    meshes = load_arm(name).links
     assert [link.index for link in meshes] == list(range(7))
     assert tuple(link.link for link in meshes) == load_arm(name).link_names
     for link in meshes:
-        assert link.collision.file.suffix == ".stl"
-        assert link.visual.file.suffix == ".dae"
-        assert link.collision.file.is_file()
-        assert link.visual.file.is_file()
+        for shapes, suffix in ((link.collision, ".stl"), (link.visual, ".dae")):
+            (file,) = [shape.file for shape in shapes if shape.kind == "mesh"]
+            assert file is not None
+            assert file.suffix == suffix
+            assert file.is_file()
 
 
 def test_an_unknown_arm_is_refused_with_the_list_of_known_ones() -> None:
@@ -114,12 +115,12 @@ def test_the_licence_of_the_files_lies_beside_them() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ('type="revolute"', 'type="prismatic"', "six revolute"),
+        ('type="revolute"', 'type="prismatic"', "revolute, continuous or fixed"),
         ("<axis ", "<axle ", "axis"),
         ('velocity="', 'speed="', "velocity"),
         ('xyz="0 0 1"', 'xyz="0 0"', "three numbers"),
-        ('link="tool0"', 'link="tool"', "no chain"),
-        ("</robot>", "", "not a URDF"),
+        ('link="tool0"', 'link="tool"', "a link of the file"),
+        ("</robot>", "", "a URDF, which is XML"),
     ],
 )
 def test_a_damaged_urdf_is_refused(

@@ -7,7 +7,7 @@ from disagreement import noted
 
 from safety_harness.robot.capsules import arm_with, load_capsules
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
-from safety_harness.robot.description import load_arm, mesh_paths
+from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
 
 ARM = load_arm("ur10")
@@ -77,8 +77,8 @@ def test_distances_and_the_nearest_capsule_are_those_of_the_library() -> None:
 def test_the_distance_is_never_longer_than_to_the_meshes() -> None:
     """To the meshes' own triangles: several capsules hold a link's surface, not its convex hull."""
     models = []
-    for link in mesh_paths("ur10"):
-        mesh = trimesh.load_mesh(link.collision.file)
+    for link in ARM.links:
+        mesh = trimesh.load_mesh(link.collision[0].file)
         model = coal.BVHModelOBBRSS()
         model.beginModel(len(mesh.faces), len(mesh.vertices))
         model.addVertices(np.asarray(mesh.vertices))

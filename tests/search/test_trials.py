@@ -147,7 +147,7 @@ def test_the_nearest_hand_is_that_of_the_ticks_at_which_it_was_measured() -> Non
     run = fast_run()
     whole = least_hand_distance_m(run)
     tick = int(np.argmin(run.ticks["hand_distance_m"][:, 0]))
-    gap = Measurement(gaps=(Gap(first=tick - 5, after=tick + 5),))
+    gap = Measurement(gaps=(Gap(first=tick - 5, after=min(tick + 5, len(run.ticks))),))
     assert least_hand_distance_m(knowing(run, {"hand_distance_m": gap})) > whole
     assert least_hand_distance_m(knowing(run, {"hand_distance_m": NOT_MEASURED})) == np.inf
 

@@ -1,0 +1,142 @@
+"""``safety-harness robot``: what an arm's URDF says, and capsules that enclose the arm."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, columns_of, document, result, say
+from safety_harness.cli.options import Seed, command
+from safety_harness.exceptions import SettingsError
+from safety_harness.properties.tally import table
+from safety_harness.robot.description import ArmModel, read_arm
+
+commands = Typer(
+    no_args_is_help=True, help="An arm of a URDF: show what was read, fit capsules to its meshes."
+)
+File = Annotated[Path, Argument(help="A URDF.", metavar="FILE")]
+Base = Annotated[
+    str | None, Option(help="The link that stands still; else the only one without a joint above it.")
+]
+Tcp = Annotated[
+    str | None, Option(help="The link that ends the arm; else the only one without one below it.")
+]
+Packages = Annotated[
+    list[str],
+    Option(
+        "--package", help="Where package://NAME/ is; else beside the file and above.", metavar="NAME=FOLDER"
+    ),
+]
+
+
+@command(commands, "show")
+def show(file: File, base: Base = None, tcp: Tcp = None, package: Packages = []) -> int:  # noqa: B006
+    """Show what is read from a URDF: joints, limits, reach, and links with their meshes.
+
+    Exit code 0; 2: it cannot be used, with file and line.
+    """
+    arm = _arm(file, base, tcp, package)
+    degrees = [np.degrees(arm.position_lower_rad), np.degrees(arm.position_upper_rad)]
+    degrees.append(np.degrees(arm.velocity_limit_radps))
+    rows = zip(arm.joint_names, *(map("{:.1f}".format, column) for column in degrees), strict=True)
+    joints = [(*row, f"{effort:g}") for row, effort in zip(rows, arm.effort_limit, strict=True)]
+    result(
+        f"arm         {arm.name}: {len(joints)} joints, {arm.link_names[0]} to {arm.tcp_link}",
+        f"reach       at most {1e3 * arm.farthest_reach_m:.0f} mm from the second joint",
+        "",
+        *table(
+            ("joint", "lower deg", "upper deg", "deg/s", "N m"),
+            joints,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 5),
+        ),
+        "",
+    )
+    names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
+    cells = [
+        (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
+    ]
+    result(*table(("link", "shapes"), cells, columns_of(sys.stdout), named_by=1))
+    document(
+        arm=arm.name,
+        base=arm.link_names[0],
+        tcp=arm.tcp_link,
+        farthest_reach_m=arm.farthest_reach_m,
+        joints=arm.joint_names,
+        position_lower_rad=arm.position_lower_rad,
+        position_upper_rad=arm.position_upper_rad,
+        velocity_limit_radps=arm.velocity_limit_radps,
+        effort_limit_nm=arm.effort_limit,
+        shapes=dict(zip(arm.link_names, names, strict=True)),
+        left_out=arm.left_out,
+    )
+    return AS_EXPECTED
+
+
+@command(commands, "fit", interrupted="interrupted: no capsules were written")
+def fit(
+    file: File,
+    out: Annotated[Path, Option(help="The file of capsules to write.", metavar="FILE.json")],
+    base: Base = None,
+    tcp: Tcp = None,
+    package: Packages = [],  # noqa: B006
+    seed: Seed = 0,
+) -> int:
+    """Fit capsules that enclose every triangle of an arm's collision and visual meshes, in minutes.
+
+    They are told link by link, with how far they stand out over the meshes.  The file names the URDF and the
+    meshes by their SHA-256, and no others may be used with it.
+    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    """
+    from safety_harness.cli.progress import counting
+    from safety_harness.extras import FITTING
+    from safety_harness.robot.fit_capsules import FINE_M, excess, fit_arm, link_surface, write_capsules
+
+    FITTING.require("robot fit")
+    arm = _arm(file, base, tcp, package)
+    with counting(len(arm.links), "links") as tell:
+        fitted = fit_arm(arm, seed, tell)
+    write_capsules(out, arm, fitted)
+    rng = np.random.default_rng(0)
+    stands_out_m = [excess(capsules, link_surface(link, FINE_M), rng) for link, capsules in fitted]
+    rows = [
+        (link.link, str(len(capsules)), *(f"{1e3 * metres:.1f}" for metres in out_by))
+        for (link, capsules), out_by in zip(fitted, stands_out_m, strict=True)
+    ]
+    result(
+        *table(
+            ("link", "capsules", "at most mm over", "mean mm"),
+            rows,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 4),
+        )
+    )
+    document(
+        file=out,
+        links=[
+            {"link": link.link, "capsules": len(capsules), "largest_excess_m": most, "mean_excess_m": mean}
+            for (link, capsules), (most, mean) in zip(fitted, stands_out_m, strict=True)
+        ],
+        left_out=arm.left_out,
+    )
+    say(f"capsules: {out}")
+    return AS_EXPECTED
+
+
+def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:
+    packages = {}
+    for text in package:
+        name, _, folder = text.partition("=")
+        if not (name and folder):
+            raise SettingsError.of_option("--package", "NAME=FOLDER", repr(text))
+        packages[name.strip("/")] = Path(folder)
+    arm = read_arm(file, base=base, tcp=tcp, packages=packages)
+    if arm.left_out:
+        say(f"not of the arm, since other joints move them: {', '.join(arm.left_out)}")
+    return arm
