@@ -77,6 +77,22 @@ def judged(sentence: str, trace: Trace) -> Evaluation:
 # --- gaps of ticks
 
 
+@pytest.mark.parametrize(
+    ("sentence", "column"),
+    [
+        ("TCP height <= 364 mm until predicted hand distance < 100 mm", "predicted_distance_m"),
+        ("always (predicted hand distance < 100 mm or TCP height < 364 mm)", "predicted_distance_m"),
+    ],
+)
+def test_nothing_is_violated_by_more_than_what_was_measured_tells(
+    sentence: str, column: str, visit: Trace
+) -> None:
+    whole = judged(sentence, visit)
+    found = judged(sentence, knowing(visit, {column: gap(10, len(visit.ticks) - 10)}))
+    assert whole.verdict is found.verdict is VIOLATED
+    assert (whole.margin or 0.0) <= (found.margin or 0.0) < 0.0
+
+
 def test_what_is_known_elsewhere_still_decides(visit: Trace) -> None:
     repulses = int(np.argmax(visit.ticks["mode"] == 1))
     before, after = (
