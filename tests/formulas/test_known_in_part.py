@@ -311,7 +311,8 @@ def random_mask(rng: np.random.Generator, trace: Trace, columns: list[str]) -> d
         if name.startswith(OF_DECISIONS) or kind < 0.1:
             mask[name] = NOT_MEASURED
         else:
-            hand = int(rng.integers(2)) if name in PER_HAND and rng.random() < 0.5 else None
+            hands = 2 if name == PRESENCE else len(trace.scenario.hands)
+            hand = int(rng.integers(hands)) if name in PER_HAND and hands and rng.random() < 0.5 else None
             mask[name] = gap(first, min(first + length, len(trace.ticks)), hand)
     return mask
 

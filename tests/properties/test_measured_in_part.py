@@ -231,7 +231,8 @@ def test_any_part_of_a_run_says_what_all_of_it_says_or_nothing(hands: tuple[str,
         for name in rng.choice(COLUMNS_OF_A_TRACE[:12], rng.integers(1, 4), replace=False):
             first = int(rng.integers(0, len(trace.ticks) - 1))
             after = int(rng.integers(first + 1, len(trace.ticks) + 1))
-            hand_lost = int(rng.integers(2)) if name in PER_HAND and rng.uniform() < 0.6 else None
+            most = 2 if name == PRESENCE else len(hands)
+            hand_lost = int(rng.integers(most)) if name in PER_HAND and rng.uniform() < 0.6 else None
             gap = Gap(first=first, after=after, hand=hand_lost)
             columns[str(name)] = NOT_MEASURED if rng.uniform() < 0.3 else lost(gap)
         masked = knowing(trace, columns)
