@@ -261,9 +261,7 @@ class _Reader:
         try:
             found = self._json(KNOWN, dict[str, Any])
             columns = {
-                name: typed(
-                    one, Measurement, self._path, where=f"known.{name}", defaults=True, error=TraceError
-                )
+                name: typed(one, Measurement, self._path, where=f"known.{name}", error=TraceError)
                 for name, one in found.items()
             }
             known = Knowledge(columns)

@@ -165,6 +165,15 @@ def test_it_is_refused_in_a_file_too_which_is_named(
     assert (caught.value.place.file, caught.value.place.field) == (path, f"known.{name}")
 
 
+@pytest.mark.parametrize("field", ["source", "uncertainty", "gaps"])
+def test_a_file_says_all_of_a_column_or_is_refused(field: str, stored: Path, tmp_path: Path) -> None:
+    known = known_json(stored)
+    del known["mode"][field]
+    with pytest.raises(TraceError) as caught:
+        load_trace(with_known(stored, tmp_path / "lacks.trace", known))
+    assert (caught.value.place.field or "").startswith("known.mode")
+
+
 JUNK: tuple[Any, ...] = (None, -1, 1e400, 0.5, "x", [], {}, True, "not measured", [{"first": 0}], 10**30)
 
 
