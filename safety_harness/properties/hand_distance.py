@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.arrays import ArrayNx6
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
@@ -205,20 +205,20 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     length of the chain of links that the joint moves.
     """
     period_s = trace.scenario.settings.clock.control_period_s
-    return _joint_bends(true_motion(trace).rates_radps, arm_of(trace).reach_m, period_s)
+    return _joint_bends(arm_of(trace), true_motion(trace).rates_radps, period_s)
 
 
 @compiled
 def _joint_bends(
+    arm: Arm,
     rates_radps: NDArray[np.float64],  # (n, joints)
-    reach_m: NDArray[np.float64],  # (joints,)
     period_s: float,
 ) -> NDArray[np.float64]:
     """(n-1,) dt/4 sum over joints of |q'_(k+1) - q'_k| l [m], with l of ``chain_lengths``."""
     found = np.zeros(max(rates_radps.shape[0] - 1, 0))
     for k in range(found.shape[0]):
-        for joint in range(reach_m.shape[0]):
-            found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * reach_m[joint]
+        for joint in range(arm.chain[0].joint_axes.shape[0]):
+            found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * arm.reach_m[joint]
         found[k] *= period_s / 4.0
     return found
 
@@ -259,7 +259,7 @@ def _closest_in_trace(
             )
         first, known = k, False
         while k < distance_m.shape[0] - 1:
-            left_m -= _displacement(joints_rad, hands_m, elbows_m, arm.reach_m, k)
+            left_m -= _displacement(arm, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
                 break
             k += 1
@@ -286,22 +286,22 @@ def _closest_in_trace(
     return best, index, fraction
 
 
-@compiled
+@inlined
 def _displacement(
+    arm: Arm,
     joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
-    reach_m: NDArray[np.float64],  # (joints,)
     k: int,
 ) -> float:
     """By how much [m] a distance can change from instant k to the next, at most."""
-    arm, hand, elbow = 0.0, 0.0, 0.0
-    for i in range(reach_m.shape[0]):
-        arm += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+    moved, hand, elbow = 0.0, 0.0, 0.0
+    for i in range(arm.chain[0].joint_axes.shape[0]):
+        moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * arm.reach_m[i]
     for i in range(3):
         hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2
         elbow += (elbows_m[k + 1, i] - elbows_m[k, i]) ** 2
-    return float(arm + np.sqrt(max(hand, elbow)))
+    return float(moved + np.sqrt(max(hand, elbow)))
 
 
 HAND_DISTANCE = CatalogueEntry(

@@ -322,7 +322,7 @@ def _hardest_of_tcp(
     n = joints_rad.shape[0]
     most, first = np.empty(n - 1), 0
     for k in range(n - 1):
-        most[k] = faster_mps(joints_rad, rates_radps, arm.reach_m, k, k + 1) + ROUNDING_MPS
+        most[k] = faster_mps(arm, joints_rad, rates_radps, k, k + 1) + ROUNDING_MPS
         if most[k] > most[first]:
             first = k
     links = np.empty((arm.chain[0].joint_axes.shape[0] + 2, 4, 4))

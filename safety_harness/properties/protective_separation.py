@@ -189,7 +189,7 @@ class ProtectiveSeparation:
 def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) and (n,) of ``farthest_steps``."""
     true = true_motion(trace)
-    return farthest_steps(true.joints_rad, true.hands_m, true.present, arm_of(trace).reach_m)
+    return farthest_steps(arm_of(trace), true.joints_rad, true.hands_m, true.present)
 
 
 @once_a_trace

@@ -163,7 +163,7 @@ def least_separation(
         most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
         per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
         if near_m - most_human_m > good_enough:
-            arm_now_mps = arm_mps + faster_mps(joints_rad, rates_radps, arm.reach_m, looked, k)
+            arm_now_mps = arm_mps + faster_mps(arm, joints_rad, rates_radps, looked, k)
             if near_m - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
                 continue  # never for a NaN, which must come out
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
@@ -230,21 +230,21 @@ def least_separation(
 
 @compiled
 def farthest_steps(
+    arm: Arm,
     joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
     present: NDArray[np.bool_],  # (n, hands)
-    reach_m: NDArray[np.float64],  # (joints,) of ``chain_lengths``
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
 
     Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
     """
-    n = joints_rad.shape[0]
+    n, joints = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0]
     arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
     for k in range(n - 1):
         farthest = 0.0
-        for i in range(reach_m.shape[0]):
-            arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+        for i in range(joints):
+            arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * arm.reach_m[i]
         for hand in range(hands_m.shape[1]):
             if present[k, hand] != present[k + 1, hand]:
                 farthest = np.inf
@@ -277,9 +277,9 @@ def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, bod
 
 @inlined
 def faster_mps(
+    arm: Arm,
     joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
-    reach_m: NDArray[np.float64],  # (joints,)
     a: int,
     b: int,
 ) -> float:
@@ -290,9 +290,10 @@ def faster_mps(
     the chains of links from j, and from the farther out of i and j, to p.
     """
     faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
-    for i in range(reach_m.shape[0]):
+    joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
+    for i in range(joints):
         beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
-    for j in range(reach_m.shape[0]):
+    for j in range(joints):
         turn = abs(joints_rad[b, j] - joints_rad[a, j])
         before += turn
         beyond -= turn * reach_m[j]

@@ -28,7 +28,7 @@ from safety_harness.compiled import inlined, njit_no_nrt
 from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.arrays import Array3, Array3x3, Array4x4, Array6, ArrayNx6
 from safety_harness.robot.description import ArmModel
-from safety_harness.robot.kinematics import FRAMES, TCP, forward_kinematics
+from safety_harness.robot.kinematics import TCP, links_in_base
 
 PARALLEL = 1e-9  # most that axes may be off, and metres by which they may miss each other
 NEAR = 1e-4  # |sin theta_5| below which a way that is too long or too short is mended by psi
@@ -81,12 +81,16 @@ class ArmGeometry(Protocol):
     upper_rad: Array6
 
 
+def refuse_other_than_six(arm: ArmModel) -> None:
+    """``ArmModelError`` unless ``arm`` has the six joints that inverse kinematics are made for."""
+    if len(arm.joint_names) != 6:
+        raise ArmModelError(f"{arm.name}: inverse kinematics are of six joints, not {len(arm.joint_names)}")
+
+
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
-    if len(arm.joint_names) != 6:
-        raise ArmModelError(f"{arm.name}: {len(arm.joint_names)} joints, and the closed form is of 6")
-    zero = np.empty((FRAMES, 4, 4))
-    forward_kinematics(arm.chain[0], np.zeros(6), zero)
+    refuse_other_than_six(arm)
+    zero = links_in_base(arm, np.zeros(6))
     axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
     base_to_plane = np.array([axes[0], np.cross(axes[1], axes[0]), axes[1]])
     axes = axes @ base_to_plane.T

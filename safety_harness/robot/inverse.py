@@ -11,7 +11,13 @@ from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, ArrayNx4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
 from safety_harness.geometry.rotations import vector_from_rotation
-from safety_harness.robot.closed_form import AT_ONCE, ArmGeometryRecords, arm_geometry, candidate_branches
+from safety_harness.robot.closed_form import (
+    AT_ONCE,
+    ArmGeometryRecords,
+    arm_geometry,
+    candidate_branches,
+    refuse_other_than_six,
+)
 from safety_harness.robot.description import ArmModel, ChainRecords
 from safety_harness.robot.kinematics import (
     FRAMES,
@@ -343,7 +349,9 @@ def straight_way(
 
     Neighbouring rows are at most ``step_m`` of way apart (more on a way of over 4000 steps).  The rows
     end where the arm cannot follow continuously; position limits and singularities are not looked at.
+    ``ArmModelError`` for another arm than one of six joints.
     """
+    refuse_other_than_six(arm)
     start, end = (np.array(given, dtype=np.float64) for given in (joint_position_rad, position_in_base_m))
     return _straight_way(arm.chain, start, end, step_m)
 

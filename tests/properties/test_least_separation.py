@@ -46,7 +46,8 @@ def search(two_hands: Trace) -> Search:
     arm, capsules, true = load_arm("ur10"), load_capsules(), true_motion(two_hands)
     n = len(two_hands.ticks)
     reach_m = chain_lengths(arm.chain, capsules.records)
-    steps_m = farthest_steps(true.joints_rad, true.hands_m, true.present, reach_m)
+    every = Arm(arm.chain, capsules.records, reach_m)
+    steps_m = farthest_steps(every, true.joints_rad, true.hands_m, true.present)
 
     def found(
         ticks: slice, some: slice = slice(None), *, hand_speed_mps: float, first_look: int = 0

@@ -20,7 +20,7 @@ def test_a_reaction_time_of_so_many_periods_lasts_so_many_ticks_whenever_it_begi
     )
     demand = np.arange(1.0, 7.0)
     for asked in (*range(1, 60), 999, 12345):
-        drives = drive(settings)
+        drives = drive(settings, len(demand))
         drive_tick(drives, demand, False, 1.0, (asked - 1) * PERIOD_S)
         kept = []
         for tick in range(asked, asked + ticks + 2):

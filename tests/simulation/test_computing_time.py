@@ -20,7 +20,7 @@ from safety_harness.avoidance.avoider import Proposal
 from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.controller.cycle import QUESTION, answer_after
 from safety_harness.controller.decision_times import decision_times_s
-from safety_harness.controller.records import PARAMETERS
+from safety_harness.controller.records import parameters_dtype
 from safety_harness.exceptions import FlakyAvoiderError, InadmissibleError, NoAnswerError
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import AvoiderLate
@@ -159,7 +159,7 @@ def test_a_fault_s_delay_comes_on_top() -> None:
 def test_an_exact_multiple_of_the_period_is_that_many_ticks(
     ticks: int, period_us: int, beyond: float
 ) -> None:
-    parameters, question, nothing = np.zeros(1, PARAMETERS), np.zeros(1, QUESTION), fault_table(())
+    parameters, question, nothing = np.zeros(1, parameters_dtype(6)), np.zeros(1, QUESTION), fault_table(())
     parameters["control_period_s"] = period_us / 1e6
     parameters["decision_deadline_s"] = 1e6
     answer_after(parameters, question, nothing, ticks * period_us / 1e6)

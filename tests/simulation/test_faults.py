@@ -10,7 +10,7 @@ from examples import VISIT, run, scenario
 
 from safety_harness.geometry.transforms import inverse_transform
 from safety_harness.perception.hand_boxes import position_from_box, sphere_box
-from safety_harness.robot.drive import DRIVE
+from safety_harness.robot.drive import drive_dtype
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import (
     EVERY_FAULT,
@@ -347,7 +347,7 @@ def test_a_stuck_joint_stands_still_and_the_others_do_not(joint: Joint) -> None:
 
 def test_a_stuck_joint_is_held_behind_the_drives() -> None:
     """The drive goes on as told, so that the joint takes up its speed when it comes free."""
-    assert "setpoint_radps" in (DRIVE.names or ())
+    assert "setpoint_radps" in (drive_dtype(6).names or ())
     trace = with_faults(scenario(duration_s=1.0), JointStuck(joint=Joint.ELBOW, from_s=0.4, until_s=0.6))
     after = trace.ticks["joint_velocity_radps"][round(0.6 / PERIOD_S) + 2, 2]
     assert after == pytest.approx(trace.ticks["demanded_joint_velocity_radps"][77, 2], rel=0.05)

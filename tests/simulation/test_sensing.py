@@ -22,7 +22,7 @@ from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, Objec
 from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
 from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.simulation.records import CLOCK
+from safety_harness.simulation.records import clock_dtype
 from safety_harness.simulation.steps import (
     hand_frame_due,
     hand_over,
@@ -61,7 +61,7 @@ NO_FAULTS = fault_table(())
 
 
 def clock_at(tick: int) -> np.ndarray:
-    clock = np.zeros(1, CLOCK)
+    clock = np.zeros(1, clock_dtype(6))
     clock["tick"], clock["control_period_s"] = tick, PERIOD_S
     return clock
 
