@@ -6,6 +6,7 @@ import os
 import platform
 import re
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
@@ -95,7 +96,8 @@ def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Exam
     module = "safety_harness.simulation.engine" if name == "pybullet" else module  # which is quiet
     try:
         if module is not None:
-            import_module(module)
+            with warnings.catch_warnings(action="ignore"):
+                import_module(module)
     except Exception as error:  # whatever a broken package raises
         return Examined(name, State.PROBLEM, f"{version} cannot be imported: {type(error).__name__}: {error}")
     return Examined(name, State.OK, version)

@@ -6,6 +6,7 @@ import re
 import shlex
 import sys
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -149,10 +150,13 @@ def _write(texts: dict[Path, str]) -> None:
 def _next(template: str, scenario: Path) -> list[str]:
     """Commands to type next."""
     file, stem = shlex.quote(str(scenario)), re.sub(r"\W+", "_", scenario.stem)
-    lines = [f"safety-harness run {file}", f"safety-harness show {file}"]
+    here = find_spec("pybullet") is not None
+    run = f"safety-harness run {file}{'' if here else ' --world kinematic'}"
+    lines = [run, f"safety-harness show {file}"]
     if template == "policy":
         suite, avoider = (shlex.quote(str(scenario.with_name(f.format(stem)))) for f in (SUITE, AVOIDER))
-        lines += [f"pytest {suite}", f"safety-harness evaluate {avoider}:Away"]
+        world = "" if here else " --safety-world kinematic"
+        lines += [f"pytest {suite}{world}", f"safety-harness evaluate {avoider}:Away"]
     else:
-        lines.append(f"safety-harness run {file} --avoider 'opposite pose'")
+        lines.append(f"{run} --avoider 'opposite pose'")
     return [*lines, "safety-harness claims"]

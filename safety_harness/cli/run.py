@@ -62,7 +62,8 @@ def read_all(
 ) -> tuple[list[list[Admitted]], list[NotTaken], list[InputError]]:
     """Read and admit everything, with another avoider if one is given, and with the reference as well.
 
-    All mistakes, not only the first, and what the avoiders given here cannot take.
+    All mistakes, not only the first, and what the avoiders given here cannot take.  InstallationError if
+    there is something to run, and the world is not installed.
     """
 
     def take(one: Scenario) -> list[Admitted] | NotTaken:
@@ -70,6 +71,8 @@ def read_all(
         return taken(one, avoiders, admit)
 
     gathered = gather(paths)
+    if gathered.scenarios:
+        world.opener()
     avoiders = [(avoider, "--avoider")] + ([] if against is None else [(against, "--against")])
     found, errors = usable(gathered.scenarios, take)
     return (
@@ -90,10 +93,9 @@ def run(
 ) -> int:
     """Run in ``world``, judge, print, save and report; returns the exit code.
 
-    InstallationError for a world that is not installed.  ``keep_going``: what cannot be used is told and
+    InstallationError as of ``read_all``.  ``keep_going``: what cannot be used is told and
     counted, and the rest is run.
     """
-    world.opener()
     say_shared_modules()
     try:
         admitted, skipped, errors = read_all(paths, avoider, against, world)

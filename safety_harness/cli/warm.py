@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many, run_trial
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
@@ -9,7 +11,7 @@ from safety_harness.compiled import cache_root, compilation, forget_old_machine_
 from safety_harness.exceptions import InstallationError
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.scenario.read import parse_scenario
-from safety_harness.simulation.worlds import KINEMATIC, WORLDS
+from safety_harness.simulation.worlds import KINEMATIC, WORLDS, WorldEntry
 
 # A hand comes so near that the tool gives way; of the claims of the catalogue the first is known to hold.
 SHORT_RUN = """
@@ -40,18 +42,26 @@ hand sensor:
 
 def warm_up() -> int:
     """Run, judge, and say where the machine code lies; returns the exit code."""
+    worlds = list(_installed_worlds())
     for text in (SHORT_RUN, SHORT_RUN + WITH_A_SENSOR):
         admitted = admit(parse_scenario(text))
-        for world in WORLDS:
-            try:
-                trace = run_trial(admitted, world=world)
-            except InstallationError as error:
-                say(f"not for {error}")
-                continue
+        for world in worlds:
+            trace = run_trial(admitted, world=world)
             for entry in CATALOGUE:
                 entry.prop.evaluate(trace)
         list(run_many([admitted], world=KINEMATIC))
     return _told()
+
+
+def _installed_worlds() -> Iterator[WorldEntry]:
+    """The worlds whose engine is there; says which are not."""
+    for world in WORLDS:
+        try:
+            world.opener()
+        except InstallationError as error:
+            say(f"not for {error}")
+        else:
+            yield world
 
 
 def forget_old() -> int:

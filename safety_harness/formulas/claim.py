@@ -311,7 +311,7 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
-        if np.isfinite(low) and not (asked.lacking and trace.known.uncertain(asked.lacking)):
+        if np.isfinite(low) and not asked.lacking:
             return asked.told(Verdict.VIOLATED, between, exercised)
         return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from safety_harness.formulas.signal import Interpolation, Sampled, Signal
 from safety_harness.properties.hand_distance import distance_moved_m
 from safety_harness.properties.true_motion import follows_unknown
-from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
@@ -38,8 +37,7 @@ def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
     found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
     for name in columns:
         for gap in trace.known.of(name).gaps:
-            if gap.hand is None or gap.hand < len(trace.scenario.hands) or name == PRESENCE:
-                found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
+            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
     return found
 
 

@@ -82,8 +82,9 @@ class TrueMotion:
 
     @cached_property
     def nearest_m(self) -> NDArray[np.float64]:
-        """(n,): the least hand distance, surface to surface."""
-        nearest: NDArray[np.float64] = np.array(self._ticks["hand_distance_m"], order="F").min(axis=1)
+        """(n,): the least distance of a hand that is there, surface to surface; infinite without one."""
+        distance_m = np.where(self.present, self._ticks["hand_distance_m"], np.inf)
+        nearest: NDArray[np.float64] = np.array(distance_m, order="F").min(axis=1)
         return nearest
 
 

@@ -84,7 +84,7 @@ class ArmGeometry(Protocol):
 def refuse_other_than_six(arm: ArmModel) -> None:
     """``ArmModelError`` unless ``arm`` has the six joints that inverse kinematics are made for."""
     if len(arm.joint_names) != 6:
-        raise ArmModelError(f"{arm.name}: {len(arm.joint_names)} joints, and inverse kinematics are of 6")
+        raise ArmModelError(f"{arm.name}: inverse kinematics are of six joints, not {len(arm.joint_names)}")
 
 
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:

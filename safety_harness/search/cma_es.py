@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Hashable, Sequence
 
 import numpy as np
@@ -31,7 +32,8 @@ class Descent:
         rng: np.random.Generator,
         population: int | None = None,
     ) -> None:
-        import cma  # slow to import
+        with warnings.catch_warnings(action="ignore"):  # which it gives where there is no matplotlib
+            import cma  # slow to import
 
         self._low, self._size = low, high - low
         self._free = np.flatnonzero(self._size > 0.0)

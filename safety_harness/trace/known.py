@@ -129,13 +129,17 @@ class Knowledge:
             found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return found
 
-    def refuse_gaps_beyond(self, ticks: NDArray[np.void]) -> None:
-        """TraceError for a gap that ends after the last of ``ticks``, or of a hand without room."""
-        count, (hands,) = len(ticks), ticks.dtype["hand_present"].shape
+    def refuse_gaps_beyond(self, ticks: NDArray[np.void], hands: int) -> None:
+        """TraceError for a gap that ends after the last of ``ticks``, or of a hand that is none of ``hands``.
+
+        Only of ``hand_present`` for which there is room: another hand may be there.
+        """
+        count, (room,) = len(ticks), ticks.dtype[PRESENCE].shape
         for name, one in self.columns.items():
+            most = room if name == PRESENCE else hands
             for gap in one.gaps:
-                if gap.after > count or (gap.hand or 0) >= hands:
-                    expected = f"gaps within {count} ticks, of hands 0 to {hands - 1}"
+                if gap.after > count or (gap.hand is not None and gap.hand >= most):
+                    expected = f"gaps within {count} ticks, of all hands or one of {most}, counted from 0"
                     raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(gap))
 
 
@@ -165,10 +169,10 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
     """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
 
     Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
-    gaps beyond the last tick.
+    gaps beyond the last tick or of a hand that the scenario has not.
     """
     known = Knowledge({**trace.known.columns, **columns})
-    known.refuse_gaps_beyond(trace.ticks)
+    known.refuse_gaps_beyond(trace.ticks, len(trace.scenario.hands))
     ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
     for name, one in columns.items():
         records = decisions if name.startswith(OF_DECISIONS) else ticks

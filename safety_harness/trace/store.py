@@ -207,7 +207,7 @@ class _Reader:
         known = WHOLLY_KNOWN
         if self._format == IN_PART or KNOWN in self._parts:
             self._unpack(archive, KNOWN, SMALL_BYTES)
-            known = self._known(ticks)
+            known = self._known(ticks, len(scenario.hands))
         trace = Trace(
             scenario=scenario,
             ticks=ticks,
@@ -257,17 +257,15 @@ class _Reader:
         found = parsed(self._parts[name], self._path, name, TraceError)
         return typed(found, kind, self._path, defaults=True, error=TraceError)
 
-    def _known(self, ticks: NDArray[np.void]) -> Knowledge:
+    def _known(self, ticks: NDArray[np.void], hands: int) -> Knowledge:
         try:
             found = self._json(KNOWN, dict[str, Any])
             columns = {
-                name: typed(
-                    one, Measurement, self._path, where=f"known.{name}", defaults=True, error=TraceError
-                )
+                name: typed(one, Measurement, self._path, where=f"known.{name}", error=TraceError)
                 for name, one in found.items()
             }
             known = Knowledge(columns)
-            known.refuse_gaps_beyond(ticks)
+            known.refuse_gaps_beyond(ticks, hands)
         except TraceError as error:
             raise self._error(error.expected, error.got, error.place.field or KNOWN) from error
         return known

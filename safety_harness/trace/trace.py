@@ -62,7 +62,7 @@ class Trace:
         self.ticks.setflags(write=False)
         self.decisions.setflags(write=False)
         self.decision_latency_s.setflags(write=False)
-        self.known.refuse_gaps_beyond(self.ticks)
+        self.known.refuse_gaps_beyond(self.ticks, len(self.scenario.hands))
 
     @property
     def complete(self) -> bool:

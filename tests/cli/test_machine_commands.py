@@ -19,6 +19,7 @@ from safety_harness.cli.main import app
 from safety_harness.compiled import cache_root
 from safety_harness.extras import EXTRAS, Extra
 from safety_harness.scenario.model import Verdict
+from safety_harness.simulation.worlds import OpensWorld, WorldEntry
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HEAVY = (
@@ -182,6 +183,36 @@ def test_warm_says_where_the_machine_code_lies() -> None:
     assert said["functions"] > 50
     assert said["bytes"] > 1_000_000
     assert said["folder"] == str(cache_root())
+
+
+def test_warm_says_once_which_world_is_not_installed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> OpensWorld:
+        raise ModuleNotFoundError(name="gone")
+
+    monkeypatch.setattr(warm, "WORLDS", [WorldEntry(name="gone", label="Gone", load=missing)])
+    monkeypatch.setattr(warm, "run_many", lambda *_, **__: ())
+    assert warm.warm_up() == 0
+    assert capsys.readouterr().err.count("not for the world Gone") == 1
+
+
+def test_a_missing_matplotlib_is_nobody_s_concern() -> None:
+    code = """
+import sys
+sys.modules["matplotlib"] = None
+import numpy as np
+from safety_harness.cli.doctor import State, _installed
+from safety_harness.search.cma_es import Descent
+assert _installed("cma", "4", "", ["cma"]).state is State.OK
+del sys.modules["cma"], sys.modules["cma.s"]
+Descent(np.zeros(3), np.ones(3), np.full(3, 0.5), 0.2, np.random.default_rng(1))
+assert "cma.s" in sys.modules
+"""
+    done = subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_warm_forgets_only_what_is_old(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,10 @@ from typer.testing import CliRunner
 
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.main import app
+from safety_harness.cli.run import run
+from safety_harness.exceptions import InstallationError
 from safety_harness.scenario.kinds import FileKind, kind_of
+from safety_harness.simulation.worlds import OpensWorld, WorldEntry
 from tests.kinds_of_files import SCENARIO, WORDS, make_all
 
 # What to type for each file, as a message has it; none for what no command takes.
@@ -147,3 +150,16 @@ def test_a_damaged_trace_is_said_to_be_damaged(tmp_path: Path, files: Path) -> N
     (tmp_path / "half.trace").write_bytes((files / "run.trace").read_bytes()[:500])
     assert kind_of(tmp_path / "half.trace") is FileKind.BINARY
     assert "a trace file, whole" in refusal(["judge", str(tmp_path / "half.trace")])
+
+
+def test_the_kind_of_a_file_is_told_before_a_world_that_is_not_installed(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> OpensWorld:
+        raise ModuleNotFoundError(name="gone")
+
+    gone = WorldEntry(name="gone", label="Gone", load=missing)
+    assert run([files / "plan.yaml"], tmp_path / "out", world=gone) == BAD_INPUT
+    assert "safety-harness certify" in capsys.readouterr().err
+    with pytest.raises(InstallationError, match="the world Gone"):
+        run([files / "base.yaml"], tmp_path / "out", world=gone)

@@ -77,6 +77,14 @@ def judged(sentence: str, trace: Trace) -> Evaluation:
 # --- gaps of ticks
 
 
+def test_nothing_is_violated_by_more_than_what_was_measured_tells(visit: Trace) -> None:
+    sentence = "TCP height <= 364 mm until predicted hand distance < 100 mm"
+    whole = judged(sentence, visit)
+    found = judged(sentence, knowing(visit, {"predicted_distance_m": gap(10, len(visit.ticks) - 10)}))
+    assert whole.verdict is found.verdict is VIOLATED
+    assert (whole.margin or 0.0) <= (found.margin or 0.0) < 0.0
+
+
 def test_what_is_known_elsewhere_still_decides(visit: Trace) -> None:
     repulses = int(np.argmax(visit.ticks["mode"] == 1))
     before, after = (
@@ -303,7 +311,8 @@ def random_mask(rng: np.random.Generator, trace: Trace, columns: list[str]) -> d
         if name.startswith(OF_DECISIONS) or kind < 0.1:
             mask[name] = NOT_MEASURED
         else:
-            hand = int(rng.integers(2)) if name in PER_HAND and rng.random() < 0.5 else None
+            hands = 2 if name == PRESENCE else len(trace.scenario.hands)
+            hand = int(rng.integers(hands)) if name in PER_HAND and hands and rng.random() < 0.5 else None
             mask[name] = gap(first, min(first + length, len(trace.ticks)), hand)
     return mask
 

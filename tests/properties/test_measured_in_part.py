@@ -177,6 +177,17 @@ def test_hands_not_known_to_be_absent_may_have_been_nearer(unknown: Measurement)
     assert "of right alone: +" in found.reason
 
 
+@pytest.mark.parametrize("filled_m", [0.0, np.nan])
+def test_what_fills_the_place_of_a_hand_that_is_not_there_exercises_nothing(filled_m: float) -> None:
+    trace, near_m = run("right"), least(run("right"), 0)
+    ticks = trace.ticks.copy()
+    ticks[DISTANCE][:, 1] = filled_m
+    logged = knowing(replace(trace, ticks=ticks), {DISTANCE: lost(), "hand_distance_capsule": lost()})
+    for prop in (HandDistance(minimum_m=0.001, near_m=near_m - 0.01), at_least(0.001), SEPARATION):
+        assert prop.evaluate(logged) == prop.evaluate(trace)
+    assert at_least(0.001).evaluate(trace).verdict is Verdict.HOLDS
+
+
 def test_without_forearms_hands_alone_may_violate_and_never_hold() -> None:
     trace = run("right", "trembles")
     nothing_of_arms = {name: NOT_MEASURED for name in (ELBOW, DISTANCE, "hand_distance_capsule")}
@@ -220,7 +231,8 @@ def test_any_part_of_a_run_says_what_all_of_it_says_or_nothing(hands: tuple[str,
         for name in rng.choice(COLUMNS_OF_A_TRACE[:12], rng.integers(1, 4), replace=False):
             first = int(rng.integers(0, len(trace.ticks) - 1))
             after = int(rng.integers(first + 1, len(trace.ticks) + 1))
-            hand_lost = int(rng.integers(2)) if name in PER_HAND and rng.uniform() < 0.6 else None
+            most = 2 if name == PRESENCE else len(hands)
+            hand_lost = int(rng.integers(most)) if name in PER_HAND and rng.uniform() < 0.6 else None
             gap = Gap(first=first, after=after, hand=hand_lost)
             columns[str(name)] = NOT_MEASURED if rng.uniform() < 0.3 else lost(gap)
         masked = knowing(trace, columns)

@@ -14,6 +14,7 @@ from examples import VISIT, hand, scenario
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.properties.base import Evaluation, Property
 from safety_harness.properties.hand_distance import HandDistance
@@ -25,9 +26,10 @@ from safety_harness.properties.limits import (
     TcpSpeedLimit,
 )
 from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.reaction import GIVES_WAY_TO_TRUE_HAND
 from safety_harness.properties.true_motion import derived, first_untruth, tcp_velocity_moved_mps
 from safety_harness.robot.description import load_arm
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Tremor, Wait
 from safety_harness.trace.known import NOT_MEASURED, Measurement, Source, knowing
 from safety_harness.trace.records import Limit
@@ -239,6 +241,22 @@ def test_a_hand_that_came_near_only_within_the_uncertainty_exercises_nothing() -
     assert found.verdict is Verdict.INCONCLUSIVE
     assert "perhaps it was never exercised" in found.reason
     assert replace(prop, near_m=nearest + 0.006).evaluate(sensed).verdict is Verdict.HOLDS
+
+
+def test_without_ends_it_is_not_even_said_that_a_claim_was_never_exercised() -> None:
+    trace = run("visit")
+    comes_m = float(np.linalg.norm(trace.ticks[HAND][:, 0] - trace.ticks[TCP][:, :3, 3], axis=1).min())
+    ticks, settings = trace.ticks.copy(), trace.scenario.settings
+    ticks[HAND][:, 0] += (ticks[HAND][:, 0] - ticks[TCP][:, :3, 3]) * 0.002 / comes_m
+    near = replace(settings, avoidance=replace(settings.avoidance, critical_distance_m=comes_m + 0.001))
+    true = replace(trace, scenario=replace(trace.scenario, settings=near))
+    prop = property_of(Claim(sentence=GIVES_WAY_TO_TRUE_HAND.example, expected=Verdict.HOLDS), true.scenario)
+    seen = knowing(of(true, ticks), {HAND: Measurement(source=Source.SENSOR, uncertainty=0.02)})
+    assert prop.evaluate(true).exercised > 0
+    found = prop.evaluate(seen)
+    assert (found.verdict, found.unmeasured) == (Verdict.INCONCLUSIVE, (HAND,))
+    assert found.reason.startswith("known only to within an uncertainty: hand_position_in_base_m; ")
+    assert "never exercised" in found.reason
 
 
 def test_where_a_hand_goes_that_follows_an_uncertain_tcp_nobody_knows() -> None:

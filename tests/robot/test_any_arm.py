@@ -134,7 +134,7 @@ def origin(joint: ElementTree.Element) -> np.ndarray:
 
 
 def test_the_closed_form_of_six_joints_is_given_no_arm_of_seven() -> None:
-    with pytest.raises(ArmModelError, match="panda: 7 joints, and inverse kinematics are of 6"):
+    with pytest.raises(ArmModelError, match="panda: inverse kinematics are of six joints, not 7"):
         arm_geometry(arm_named("panda"))
 
 

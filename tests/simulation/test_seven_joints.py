@@ -125,7 +125,7 @@ def test_it_is_judged_as_the_six_joint_arm(
 
 
 def test_inverse_kinematics_refuse_it(seven: Admitted) -> None:
-    with pytest.raises(ArmModelError, match="7 joints"):
+    with pytest.raises(ArmModelError, match="six joints, not 7"):
         InverseKinematics(seven.arm)
-    with pytest.raises(ArmModelError, match="7 joints"):
+    with pytest.raises(ArmModelError, match="six joints, not 7"):
         straight_way(seven.arm, seven.joint_position_rad, np.zeros(3), step_m=0.01)

@@ -39,8 +39,9 @@ EVERY_KIND = {
     "hand_position_in_base_m": Measurement(
         source=Source.SENSOR,
         uncertainty=0.008,
-        gaps=(Gap(first=3, after=9, hand=0), Gap(first=5, after=7), Gap(first=0, after=51, hand=1)),
+        gaps=(Gap(first=3, after=9, hand=0), Gap(first=5, after=7)),
     ),
+    "hand_present": Measurement(source=Source.SENSOR, gaps=(Gap(first=0, after=51, hand=1),)),
     "tcp_speed_mps": Measurement(source=Source.DERIVED, uncertainty=1e-3),
     "mode": Measurement(source=Source.LOG, gaps=(Gap(first=0, after=1),)),
     "joint_position_rad": Measurement(source=Source.LOG),
@@ -95,7 +96,6 @@ def test_what_was_not_measured_is_blank_and_nothing_else_is(whole: Trace) -> Non
     hands = part.ticks["hand_position_in_base_m"]
     assert np.isnan(hands[3:9, 0]).all()
     assert np.isnan(hands[5:7]).all()
-    assert np.isnan(hands[:, 1]).all()
     before = whole.ticks["hand_position_in_base_m"]
     assert np.array_equal(np.delete(hands[:, 0], slice(3, 9), 0), np.delete(before[:, 0], slice(3, 9), 0))
     assert (part.ticks["hand_distance_capsule"] == -1).all()
@@ -139,6 +139,7 @@ IMPOSSIBLE = [
     ("sse", Measurement(gaps=(Gap(first=-1, after=4),))),
     ("sse", Measurement(gaps=(Gap(first=1, after=4, hand=0),))),
     ("hand_present", Measurement(gaps=(Gap(first=1, after=4, hand=2),))),
+    ("hand_distance_m", Measurement(gaps=(Gap(first=1, after=4, hand=1),))),  # there is one
     ("hand_present", Measurement(gaps=(Gap(first=1, after=4, hand=-1),))),
     ("decision.seed", Measurement(gaps=(Gap(first=1, after=4),))),
     ("sse", Measurement(gaps=(Gap(first=1, after=52),))),
@@ -162,6 +163,15 @@ def test_it_is_refused_in_a_file_too_which_is_named(
     with pytest.raises(TraceError) as caught:
         load_trace(path)
     assert (caught.value.place.file, caught.value.place.field) == (path, f"known.{name}")
+
+
+@pytest.mark.parametrize("field", ["source", "uncertainty", "gaps"])
+def test_a_file_says_all_of_a_column_or_is_refused(field: str, stored: Path, tmp_path: Path) -> None:
+    known = known_json(stored)
+    del known["mode"][field]
+    with pytest.raises(TraceError) as caught:
+        load_trace(with_known(stored, tmp_path / "lacks.trace", known))
+    assert (caught.value.place.field or "").startswith("known.mode")
 
 
 JUNK: tuple[Any, ...] = (None, -1, 1e400, 0.5, "x", [], {}, True, "not measured", [{"first": 0}], 10**30)
