@@ -34,7 +34,7 @@ def seconds(arguments: tuple[str, ...], folder: Path) -> tuple[float, float]:
     subprocess.run(
         [sys.executable, "-m", *arguments, *out],
         cwd=ROOT,
-        env=os.environ | {"SAFETY_HARNESS_CACHE": str(folder)},
+        env=os.environ | {"SAFETY_HARNESS_CACHE": str(folder), "PYTHONDONTWRITEBYTECODE": ""},
         capture_output=True,
         check=False,  # a run whose verdicts differ is as long
     )

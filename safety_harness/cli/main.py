@@ -49,9 +49,14 @@ def of_the_paper() -> typer.Typer:
         return found
     commands = typer.Typer()
 
-    @commands.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+    about = "Measure the paper's tables and figures again (needs the package safety-harness-paper)."
+
+    @commands.command(
+        help=about,
+        short_help=about,
+        context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
+    )
     def reproduce() -> None:
-        """Measure the paper's tables and figures again (needs the package safety-harness-paper)."""
         expected = "the package safety-harness-paper, which has the paper's tables and figures"
         hint = "in a copy of the repository: pip install ./paper"
         raise ModelError.of_option("reproduce", expected, "not installed", hint)
