@@ -52,7 +52,7 @@ def own_distance(arm: ArmModel, capsules: CapsuleSet, joint_position_rad: NDArra
 @compiled
 def _own_distance(arm: Arm, joint_position_rad: ArrayN) -> float:
     """``wrist_distance`` [m] at the joint position (n,)."""
-    frames = arm.chain[0].joint_axes.shape[0] + 2
+    frames = arm.reach_m.shape[0] + 2  # which has attributes without compiling too
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     forward_kinematics(arm.chain[0], joint_position_rad, transforms)
     place_capsules(arm.capsules, transforms, ends)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from typer import Argument, Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, columns_of, document, result, say
 from safety_harness.cli.options import Seed, command
 from safety_harness.exceptions import SettingsError
-from safety_harness.properties.tally import table
-from safety_harness.robot.description import ArmModel, read_arm
 
-commands = Typer(
-    no_args_is_help=True, help="An arm of a URDF: show what was read, fit capsules to its meshes."
-)
+if TYPE_CHECKING:
+    from safety_harness.robot.description import ArmModel
+
+_ABOUT = "Show an arm of a URDF, or fit capsules."
+commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 File = Annotated[Path, Argument(help="A URDF.", metavar="FILE")]
 Base = Annotated[
     str | None, Option(help="The link that stands still; else the only one without a joint above it.")
@@ -39,6 +38,10 @@ def show(file: File, base: Base = None, tcp: Tcp = None, package: Packages = [])
 
     Exit code 0; 2: it cannot be used, with file and line.
     """
+    import numpy as np
+
+    from safety_harness.properties.tally import table
+
     arm = _arm(file, base, tcp, package)
     degrees = [np.degrees(arm.position_lower_rad), np.degrees(arm.position_upper_rad)]
     degrees.append(np.degrees(arm.velocity_limit_radps))
@@ -93,8 +96,11 @@ def fit(
     meshes by their SHA-256, and no others may be used with it.
     Exit code 0; 2: bad input; 130: interrupted, nothing was written.
     """
+    import numpy as np
+
     from safety_harness.cli.progress import counting
     from safety_harness.extras import FITTING
+    from safety_harness.properties.tally import table
     from safety_harness.robot.fit_capsules import FINE_M, excess, fit_arm, link_surface, write_capsules
 
     FITTING.require("robot fit")
@@ -130,6 +136,8 @@ def fit(
 
 
 def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:
+    from safety_harness.robot.description import read_arm
+
     packages = {}
     for text in package:
         name, _, folder = text.partition("=")

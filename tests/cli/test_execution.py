@@ -18,6 +18,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
+from safety_harness.robot.description import urdf_file
 from tests.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
@@ -63,6 +64,8 @@ LOOKS: dict[str, tuple[str, int]] = {
     "judge": (TRACE, 1),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
+    "robot show": (f"{urdf_file('ur10')} --base base_link --tcp tool0", AS_EXPECTED),
+    "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-avoider
     "certify declare": ("plan.yaml", AS_EXPECTED),
@@ -137,7 +140,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_command_takes_a_stand() -> None:
     stands = {
-        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify"))
+        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "robot"))
     } | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
