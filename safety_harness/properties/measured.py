@@ -154,7 +154,9 @@ def _lack(trace: Trace, name: str) -> str:
         return name
     names = [hand.name for hand in trace.scenario.hands]
     whose = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
-    return f"{name}{whose} from {_time_s(trace, first.first):.3f} s"
+    begin_s, end_s = (_time_s(trace, tick) for tick in (first.first, first.after))
+    more = " and later" * (len(trace.known.of(name).gaps) > 1)
+    return f"{name}{whose} from {begin_s:.3f} to {end_s:.3f} s{more}"
 
 
 def _time_s(trace: Trace, tick: int) -> float:

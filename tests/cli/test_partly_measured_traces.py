@@ -34,7 +34,7 @@ def test_judge_says_what_was_measured_and_what_each_claim_lacks(
     assert lines[0].startswith("ok   holds")
     lacking = [line.strip() for line in lines if line.startswith("     not measured: ")]
     assert len(lacking) == 2
-    assert all(" of right from 0.800 s" in line for line in lacking)
+    assert all(" of right from 0.800 to " in line for line in lacking)
     assert lines[lines.index("what was measured of example:") + 1 :] == [
         "  log: joint_position_rad",
         "  log, within 0.0572958 deg/s: joint_velocity_radps",
