@@ -18,7 +18,6 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
-from safety_harness.robot.description import urdf_file
 from tests.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
@@ -64,7 +63,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "judge": (TRACE, 1),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
-    "robot show": (f"{urdf_file('ur10')} --base base_link --tcp tool0", AS_EXPECTED),
+    "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-avoider

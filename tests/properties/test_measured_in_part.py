@@ -139,7 +139,7 @@ def test_a_violation_before_a_gap_stands_and_one_after_it_is_not_seen() -> None:
     after = at_least(second).evaluate(knowing(trace, gap))
     assert at_least(second).evaluate(trace).verdict is Verdict.VIOLATED
     assert after.verdict is Verdict.INCONCLUSIVE
-    assert after.reason.startswith(f"not measured: {HAND} from {middle * 0.008:.3f} s; until ")
+    assert after.reason.startswith(f"not measured: {HAND} from {begin_s:.3f} to {end_s:.3f} s; until ")
 
 
 def test_before_a_gap_from_the_beginning_there_is_nothing_to_judge() -> None:
